@@ -4,6 +4,7 @@ import atexit
 import os
 import signal
 import sys
+from contextlib import suppress
 
 
 def run() -> None:
@@ -16,23 +17,17 @@ def run() -> None:
         main(prog_name="armcal")
     except SystemExit as ended:
         if ended.code and isinstance(ended.code, int):
-            _leave(ended.code)
+            # without tearing down what is loaded: a C library that a signal met half loaded may abort then
+            atexit._run_exitfuncs()
+            for stream in filter(None, (sys.stdout, sys.stderr)):
+                with suppress(OSError, ValueError):  # closed, or nobody reads it: what there was to say is said
+                    stream.flush()
+            os._exit(ended.code)
         raise
     finally:
         # if a signal came while a library ran source text, `python -m` would end by SIGINT instead of with our exit
         # code; Python forgets it once other source text has run
         exec("")
-
-
-def _leave(code: int) -> None:
-    """End the process without tearing down what is loaded: a C library that a signal met half loaded may abort then."""
-    atexit._run_exitfuncs()
-    for stream in filter(None, (sys.stdout, sys.stderr)):
-        try:
-            stream.flush()
-        except (OSError, ValueError):  # closed, or nobody reads it: what there was to say is said
-            continue
-    os._exit(code)
 
 
 if __name__ == "__main__":

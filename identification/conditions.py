@@ -75,6 +75,16 @@ class Conditions(ByValue):
     marker: Array | None = None
     orientation: Array | None = None
 
+    @classmethod
+    def in_order(cls, postures: Array, remembers: bool = False) -> Conditions:
+        """Conditions (..., m) of plans (..., m, n) measured in their order, as `Measurements.conditions` of each.
+
+        remembers : with the past of the joints, which takes time
+        """
+        time = np.broadcast_to(session_time(np.arange(postures.shape[-2], dtype=float)), postures.shape[:-1])
+        past = past_from_order(postures) if remembers else None
+        return cls(time=time, directions=directions_from_order(postures), past=past)
+
     @staticmethod
     def columns(n: int, past: bool = False) -> int:
         """Number of columns of the table for n joints, with their past or without."""
@@ -157,24 +167,20 @@ def past_from_order(postures: Array, order: Array | None = None, gaps: Array | N
     m = postures.shape[-2]
     sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
     joints = np.moveaxis(postures[..., sequence, :], -2, -1).reshape(-1, m)
-    cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()
-    past = np.array([_remembered(angles.tolist(), cut) for angles in joints])
-    past = past.reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
+    cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()  # what was before is unknown
+    rows = list[list[float]]()
+    for angles in joints.tolist():
+        kept = angles[:1]
+        for k, angle in enumerate(angles):
+            if cut[k]:
+                kept = [angle]
+            rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
+            if k and not cut[k]:
+                _remember(kept, angle)
+    past = np.array(rows).reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
     turning_points = np.empty((*postures.shape, REMEMBERED))
     turning_points[..., sequence, :, :] = np.moveaxis(past, -3, -2)
     return turning_points
-
-
-def _remembered(angles: list[float], cut: list[bool]) -> list[list[float]]:
-    """Per row (12,) the turning points before it, of one joint;  cut : what was before is unknown."""
-    kept, rows = angles[:1], []
-    for k, angle in enumerate(angles):
-        if cut[k]:
-            kept = [angle]
-        rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
-        if k and not cut[k]:
-            _remember(kept, angle)
-    return rows
 
 
 def _remember(kept: list[float], angle: float) -> None:

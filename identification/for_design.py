@@ -28,7 +28,6 @@ from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
-from identification.measurements import directions_from_order, past_from_order, session_time
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.placed import led_to_contact, of_positions, tip_jacobian
@@ -251,9 +250,7 @@ class ArmModel(Model):
 
         def by_order(postures: Array) -> Array:
             """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""
-            time = session_time(np.arange(len(postures), dtype=float))
-            past = past_from_order(postures) if ordered.remembers else None
-            conditions = Conditions(time=time, directions=directions_from_order(postures), past=past)
+            conditions = Conditions.in_order(postures, ordered.remembers)
             return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
         def preflight(postures: Array) -> Detectability:

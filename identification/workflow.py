@@ -16,9 +16,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
-from identification.document import Answer, Document
-from identification.errors import InputError
-from identification.running import Progress, silent
+from identification.document import Answer, Document, picture_bytes
+from identification.errors import InputError, nearest
+from identification.files.io import PathLike, read_text, write_together
+from identification.running import Progress, Status, silent
 
 if TYPE_CHECKING:
     from identification.arm import Arm, Calibration, EffectSpec
@@ -32,7 +33,6 @@ Written = NewType("Written", Path)  # a file that a verb writes
 Picture = NewType("Picture", Written)  # .png, .svg, .pdf
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[str, "NAMES"]
-PathLike = str | os.PathLike[str]
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -42,28 +42,24 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """
+    from identification.inspection.readings import data_warnings, wrong_units
+    from identification.measurements import load_measurements
     from identification.sessions import pooled_sessions
 
     real = [os.path.realpath(path) for path in paths]
     for path, target in zip(paths, real, strict=True):
         if real.count(target) > 1:
             raise InputError(f"{path}: is given {real.count(target)} times, allowed: each session once")
-    read = [_measured(path, arm) for path in paths]
+    read = []
+    for path in paths:
+        read.append(load_measurements(path, arm))
+        if wrong := wrong_units(read[-1], arm)[1]:
+            raise InputError(f"{path}: {wrong}")
+        for sentence in data_warnings(read[-1], arm):
+            warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     stems = [Path(path).stem for path in paths]
     names = [stem if stems.count(stem) == 1 else str(path) for path, stem in zip(paths, stems, strict=True)]
     return read[0] if len(read) == 1 else pooled_sessions(dict(zip(names, read, strict=True)))
-
-
-def _measured(path: Path, arm: Arm) -> Measurements:
-    from identification.inspection.readings import data_warnings, wrong_units
-    from identification.measurements import load_measurements
-
-    measurements = load_measurements(path, arm)
-    if wrong := wrong_units(measurements, arm)[1]:
-        raise InputError(f"{path}: {wrong}")
-    for sentence in data_warnings(measurements, arm):
-        warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
-    return measurements
 
 
 # -- the first files ---------------------------------------------------------------------------------------------------
@@ -91,9 +87,7 @@ def init_files(
     instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     """
-    from identification.errors import nearest
     from identification.files.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
-    from identification.files.io import write_together
     from identification.instruments import KINDS
 
     sources = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
@@ -163,7 +157,6 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
     from identification.effects import build_all
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.files.measurement import measurement_text, read_plan
     from identification.simulate import simulate
 
@@ -230,27 +223,11 @@ def identify_files(
     urdf : Write the corrected URDF file of a spatial arm.
     out : Write a calibrated arm file (TOML).
     """
-    from identification.documents.identification import (
-        hardly_better,
-        identification_actions,
-        identification_document,
-        reading_unit,
-    )
-    from identification.estimation import estimate, estimate_with_prior
-    from identification.estimation import without_outliers as fitted_without_outliers
-    from identification.estimation.doubts import left_out_rms
-    from identification.estimation.problem import Prior
+    from identification.documents.identification import identification_actions, identification_document
     from identification.files.arm import load_arm
-    from identification.gap.noise import with_repeats_doubted
-    from identification.measurements import rms_distance
-    from identification.model import Model
     from identification.origin import diagnosed
-    from identification.reuse import at_reference, earlier, with_base_doubt, with_mounting_doubt, words_of
-    from identification.reuse import only as only_these
-    from identification.running import Status
-    from identification.sessions import with_sessions
-    from identification.simulate import following_errors, with_servo_errors
-    from identification.validate import drawing_residuals, prior_judged
+    from identification.reuse import at_reference, words_of
+    from identification.simulate import with_servo_errors
 
     loaded, words, minimal = load_arm(arm), words_of(only), parameters == "minimal"
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
@@ -262,23 +239,12 @@ def identify_files(
     if old or words or any(effect.values for effect in loaded.effects):
         # where something is held, temperatures count from those that it was found at
         measurements = at_reference(measurements, old or loaded)
-    keys, lines = dict[str, Any]({"only": words} if words else {}), []
-    if asked := measurements.fit:  # by the plan of these rows, unless an option says otherwise
-        refused = {
-            "--no-library-prior": prior is False,
-            f"--method {method}": method not in (None, "gauss_newton"),
-            "--parameters minimal": minimal,
-        }
-        against = None if prior else next((option for option, refuses in refused.items() if refuses), None)
-        keys["fit"] = {"asked": asked, "followed": against is None, "against": against}
-        meant = f"{data} says # fit: {asked}"
-        if against is None:
-            prior, missing = True, missing or asked.partition("--missing ")[2] or None
-            how = "Fitted with the prior of the library, as the plan is meant"
-            lines.append(f"{how}: {meant} (--no-library-prior fits without).")
-        else:
-            how = f"Not fitted with the prior of the library, because of {against}"
-            lines.append(f"{how}, although {meant}: what the plan promises is of a fit with it.")
+    against = {
+        "--no-library-prior": prior is False,
+        f"--method {method}": method not in (None, "gauss_newton"),
+        "--parameters minimal": minimal,
+    }
+    prior, missing, planned, lines = _as_planned(data, measurements.fit, prior, missing, against)
     if missing is not None and not prior:
         raise InputError("--missing: found without --prior, allowed: with --prior")
     if prior or old is not None:
@@ -287,92 +253,28 @@ def identify_files(
         if method not in (None, "gauss_newton"):
             raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
     names = None if missing is None else [name.strip() for name in missing.split(",")]
-    library: LibraryPrior | None = None
-
-    def fit(rows: Measurements) -> Identification:
-        """The library's effects in it are those that these rows can show, and are always free."""
-        nonlocal library
-        wide, held = with_sessions(loaded, rows), Prior({})
-        if prior:
-            from identification.gap.library_prior import given_by, library_prior
-
-            library = library_prior(wide, given_by(rows), names)
-            wide, held = library.arm, library.prior
-        model = only_these(wide, [*words, *held.deviations], rows) if words else Model(wide)
-        if not prior and old is None:
-            model = minimal_model(model, rows) if minimal else model
-            return with_repeats_doubted(estimate(model, rows, method=method, sigma=sigma), rows)
-        if old is not None:
-            try:
-                held = replace(held, earlier=earlier(old, model, rows))
-            except InputError as error:
-                raise InputError(f"{prior_from}: {error}") from None
-        return with_repeats_doubted(estimate_with_prior(model, rows, held, sigma=sigma), rows)
 
     progress(0, None, f"fitting {len(measurements)} rows")
-    rows = measurements
-    if without_outliers:
-        identified, left_out = fitted_without_outliers(fit, measurements)
-        keys["left_out"] = list(left_out)
-        rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
-    else:
-        identified = fit(measurements)
-    effects = library
-    if identified.prior is not None and (known := identified.prior.earlier) is not None:
-        held = {*identified.prior.names, *identified.model.prior}
-        keys["prior_from"] = {
-            "file": str(prior_from),
-            "parameters": list(known.parameter_names),
-            "anew": [name for name in identified.names if name not in held],
-            "contradicted": [one._asdict() for one in identified.contradictions],
-        }
-    if words:
-        identified = with_base_doubt(identified, with_sessions(loaded, rows), words, rows)
-    before, identified = identified, with_mounting_doubt(identified, rows, fit)
-    doubts = list(identified.warnings)
-    if effects is not None:
-        lines.append(effects.sentence)
-        keys["prior"] = effects.to_json()
-        if not words and old is None:
-            offered = prior_judged(lambda: estimate(Model(with_sessions(loaded, rows)), rows), identified, rows)
-            keys |= {} if offered is None else {"offered": offered.to_json()}
-            doubts += [] if offered is None or offered.better else [hardly_better(keys["offered"])]
-    if errors := following_errors(measurements, loaded.joint_types):
-        keys["servo_error"] = [error.to_json() for error in errors]
-    try:
-        keys["rms_drawing_mm"] = rms_distance(drawing_residuals(loaded, rows))
-        if loaded.calibration is not None and words and set(words) <= {"base", "tool"}:
-            keys["rms_nominal_mm"] = keys["rms_drawing_mm"]
-    except InputError:  # too few rows
-        keys["rms_drawing_mm"] = None
-    if identified.geometry is not None and not identified.not_identifiable:
-        table, places = dh_lines(identified.calibrated_arm(), identified.corrected_values, arm)
-        keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    if (unit := reading_unit(identified.model)) != "mm":
-        keys["reading_unit"] = unit
-    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
-    result = identified.to_json() | {"cross_validated_mm": left_out_rms(identified, rows)} | keys
-    result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
+    before = None if prior_from is None or old is None else (prior_from, old)
+    how: dict[str, Any] = {"prior": bool(prior), "minimal": minimal, "method": method, "sigma": sigma}
+    identified, rows, effects, told, mounted_anew = _fitted(
+        loaded, measurements, words, names, before, without_outliers=without_outliers, **how
+    )
 
-    refusal = None
-    if identified.not_identifiable:
-        refusal = "not every parameter is estimable from the data"
-    elif identified.status is Status.implausible and not force:
-        refusal = "the fit is implausible; --force writes it all the same"
-    wanted = [name for name in (out, urdf) if name is not None]
-    if refusal is not None:
-        lines += [f"{name} was not written: {refusal}" for name in wanted]
-    elif wanted:
-        kept = loaded.calibration if words else None, None if old is None else old.calibration
-        lines += _write_calibrated(identified, arm, (out, urdf), force, hidden, kept)
+    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
+    keys = ({"only": words} if words else {}) | planned | told
+    result, doubts = _identified_in_json(identified, arm, loaded, measurements, rows, effects, hidden, keys)
+    kept = loaded.calibration if words else None, None if old is None else old.calibration
+    written, refused = _write_calibrated(identified, arm, (out, urdf), force, hidden, kept)
+    lines += [*([] if effects is None else [effects.sentence]), *written]
     if words:
         lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
     if without_outliers:
         numbers = ", ".join(map(str, keys["left_out"]))
         lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
-    if (told := keys.get("prior_from")) is not None:
-        free = f"; without a prior: {', '.join(told['anew'])}" if told["anew"] else ""
-        lines.append(f"Prior: {len(told['parameters'])} parameters from {told['file']}{free}.")
+    if (earlier := keys.get("prior_from")) is not None:
+        free = f"; without a prior: {', '.join(earlier['anew'])}" if earlier["anew"] else ""
+        lines.append(f"Prior: {len(earlier['parameters'])} parameters from {earlier['file']}{free}.")
     every = full or old is not None or identified.machining_factor is None  # as where [machining] holds no value
     actions = identification_actions(
         str(arm),
@@ -381,11 +283,151 @@ def identify_files(
         diagnosed=diagnosed(loaded),
         allowed_for=effects is not None,
         better=keys.get("offered", {"better": True})["better"],
-        mounted_anew=identified is not before,
+        mounted_anew=mounted_anew,
     )
-    failed = bool(identified.not_identifiable) or (refusal is not None and bool(wanted))
+    failed = bool(identified.not_identifiable) or refused
     document = identification_document(identified, result, hidden, full=every).plus(*lines)
     return Answer(result, [replace(document, actions=[] if failed else actions)], identified, int(failed), doubts)
+
+
+def _as_planned(
+    data: Path, asked: str, prior: bool | None, missing: str | None, refused: Mapping[str, bool]
+) -> tuple[bool | None, str | None, dict[str, Any], list[str]]:
+    """`prior` and `missing` as the plan of the rows of `data` asks for them, and what JSON and people are told of it.
+
+    refused : options that stand against it unless the prior is asked for -> whether they are given
+    """
+    if not asked:
+        return prior, missing, {}, []
+    against = None if prior else next((option for option, refuses in refused.items() if refuses), None)
+    told = {"fit": {"asked": asked, "followed": against is None, "against": against}}
+    meant = f"{data} says # fit: {asked}"
+    if against is None:
+        how = "Fitted with the prior of the library, as the plan is meant"
+        line = f"{how}: {meant} (--no-library-prior fits without)."
+        return True, missing or asked.partition("--missing ")[2] or None, told, [line]
+    how = f"Not fitted with the prior of the library, because of {against}"
+    return prior, missing, told, [f"{how}, although {meant}: what the plan promises is of a fit with it."]
+
+
+def _fitted(
+    arm: Arm,
+    measurements: Measurements,
+    words: list[str],
+    names: list[str] | None,
+    old: tuple[Path, Arm] | None,
+    *,
+    prior: bool,
+    minimal: bool,
+    method: str | None,
+    sigma: Literal["given", "estimated"] | None,
+    without_outliers: bool,
+) -> tuple[Identification, Measurements, LibraryPrior | None, dict[str, Any], bool]:
+    """The fit with its doubts, the rows that are no outliers, the library's effects in it, what JSON says of outliers
+    and of the earlier calibration, and whether reflectors are mounted elsewhere in some session.
+
+    words : all that is estimated, none: everything;  prior : the library's effects are fitted too, those of `names`
+    old : an earlier calibration as the prior, and its file
+    """
+    from identification.estimation import estimate, estimate_with_prior
+    from identification.estimation import without_outliers as fitted_without_outliers
+    from identification.estimation.problem import Prior
+    from identification.gap.noise import with_repeats_doubted
+    from identification.model import Model
+    from identification.reuse import earlier, only, with_base_doubt, with_mounting_doubt
+    from identification.sessions import with_sessions
+
+    library: LibraryPrior | None = None
+
+    def fit(rows: Measurements) -> Identification:
+        """The library's effects in it are those that these rows can show, and are always free."""
+        nonlocal library
+        wide, held = with_sessions(arm, rows), Prior({})
+        if prior:
+            from identification.gap.library_prior import given_by, library_prior
+
+            library = library_prior(wide, given_by(rows), names)
+            wide, held = library.arm, library.prior
+        model = only(wide, [*words, *held.deviations], rows) if words else Model(wide)
+        if not prior and old is None:
+            model = minimal_model(model, rows) if minimal else model
+            return with_repeats_doubted(estimate(model, rows, method=method, sigma=sigma), rows)
+        if old is not None:
+            try:
+                held = replace(held, earlier=earlier(old[1], model, rows))
+            except InputError as error:
+                raise InputError(f"{old[0]}: {error}") from None
+        return with_repeats_doubted(estimate_with_prior(model, rows, held, sigma=sigma), rows)
+
+    rows, told = measurements, dict[str, Any]()
+    if without_outliers:
+        identified, left_out = fitted_without_outliers(fit, measurements)
+        told["left_out"] = list(left_out)
+        rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
+    else:
+        identified = fit(measurements)
+    effects = library  # of this fit: that for the doubt may have others
+    if old is not None and identified.prior is not None and (known := identified.prior.earlier) is not None:
+        held = {*identified.prior.names, *identified.model.prior}
+        told["prior_from"] = {
+            "file": str(old[0]),
+            "parameters": list(known.parameter_names),
+            "anew": [name for name in identified.names if name not in held],
+            "contradicted": [one._asdict() for one in identified.contradictions],
+        }
+    if words:
+        identified = with_base_doubt(identified, with_sessions(arm, rows), words, rows)
+    doubted = with_mounting_doubt(identified, rows, fit)
+    return doubted, rows, effects, told, doubted is not identified
+
+
+def _identified_in_json(
+    fit: Identification,
+    path: Path,
+    arm: Arm,
+    measurements: Measurements,
+    rows: Measurements,
+    library: LibraryPrior | None,
+    hidden: frozenset[str],
+    keys: dict[str, Any],
+) -> tuple[dict[str, Any], list[str]]:
+    """What JSON says of a fit, with the `keys` that there are already, and the doubts of it.
+
+    path, arm : of the arm file, and as it is fitted;  rows : of the measurements, which are no outliers
+    library : its effects in the fit, whose parameters are `hidden`
+    """
+    from identification.documents.identification import hardly_better, reading_unit
+    from identification.estimation import estimate
+    from identification.estimation.doubts import left_out_rms
+    from identification.measurements import rms_distance
+    from identification.model import Model
+    from identification.sessions import with_sessions
+    from identification.simulate import following_errors
+    from identification.validate import drawing_residuals, prior_judged
+
+    doubts, words = list(fit.warnings), keys.get("only", ())
+    if library is not None:
+        keys["prior"] = library.to_json()
+        if not words and "prior_from" not in keys:
+            offered = prior_judged(lambda: estimate(Model(with_sessions(arm, rows)), rows), fit, rows)
+            keys |= {} if offered is None else {"offered": offered.to_json()}
+            doubts += [] if offered is None or offered.better else [hardly_better(keys["offered"])]
+    if errors := following_errors(measurements, arm.joint_types):
+        keys["servo_error"] = [error.to_json() for error in errors]
+    try:
+        keys["rms_drawing_mm"] = rms_distance(drawing_residuals(arm, rows))
+        if arm.calibration is not None and words and set(words) <= {"base", "tool"}:
+            keys["rms_nominal_mm"] = keys["rms_drawing_mm"]
+    except InputError:  # too few rows
+        keys["rms_drawing_mm"] = None
+    if fit.geometry is not None and not fit.not_identifiable:
+        table, places = dh_lines(fit.calibrated_arm(), fit.corrected_values, path)
+        keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
+    if (unit := reading_unit(fit.model)) != "mm":
+        keys["reading_unit"] = unit
+    result = fit.to_json() | {"cross_validated_mm": left_out_rms(fit, rows)} | keys
+    result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
+    return result, doubts
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
@@ -435,7 +477,6 @@ def _calibrated_file(
 ) -> dict[PathLike, str | bytes]:
     """The arm file of `path` with these effects and this calibration, as `out`, and the URDF file that it needs."""
     from identification.files.arm import urdf_beside, with_calibration, with_effects
-    from identification.files.io import read_text
 
     folder = Path(path).parent
     return {
@@ -451,8 +492,9 @@ def _write_calibrated(
     force: bool,
     hidden: frozenset[str],
     kept: tuple[Any, Any],
-) -> list[str]:
-    """Write the calibrated arm and the corrected URDF file (`names`), all or none; the lines that report them.
+) -> tuple[list[str], bool]:
+    """Write the calibrated arm and the corrected URDF file (`names`), all or none; the lines that report them, and
+    whether they are refused.
 
     path : of the arm file, which gets the calibration, and the effects of the fit that it lacks
     hidden : parameters whose covariance is left out
@@ -460,10 +502,16 @@ def _write_calibrated(
         that was the prior
     """
     from identification.files.arm import corrected_urdf
-    from identification.files.io import write_together
     from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
 
+    refusal, wanted = "", [name for name in names if name is not None]
+    if fit.not_identifiable:
+        refusal = "not every parameter is estimable from the data"
+    elif fit.status is Status.implausible and not force:
+        refusal = "the fit is implausible; --force writes it all the same"
+    if refusal or not wanted:
+        return [f"{name} was not written: {refusal}" for name in wanted], bool(wanted)
     out, urdf = names
     files: dict[PathLike, str | bytes] = {}
     if out is not None:
@@ -480,7 +528,7 @@ def _write_calibrated(
     if urdf is not None and fit.model.effects:
         left_out = ", ".join(effect.label for effect in fit.model.effects)
         lines.append(f"a URDF file has no effects: {left_out} left out")
-    return lines
+    return lines, False
 
 
 # -- diagnose ----------------------------------------------------------------------------------------------------------
@@ -515,7 +563,6 @@ def diagnose_files(
 
     from identification.documents.diagnosis import holds_in_words, tests_of
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.gap.average import curves_text
     from identification.gap.confirmation import split
     from identification.gap.diagnose import diagnose
@@ -585,7 +632,6 @@ def validate_files(
     """
     from identification.documents.identification import is_better, validation_actions
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.origin import check_calibrated, mostly_outside
     from identification.validate import validate
 
@@ -596,7 +642,6 @@ def validate_files(
     result = validation.to_json()
     actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
     if picture is not None:
-        from identification.document import picture_bytes
         from identification.documents.pictures import validation_figure
 
         write_together({picture: picture_bytes(validation_figure(validation), picture)}, force)
@@ -624,7 +669,6 @@ def compensate_files(
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
-    from identification.files.io import write_together
     from identification.files.measurement import commands_text, load_targets
     from identification.model import Model
     from identification.origin import check_calibrated

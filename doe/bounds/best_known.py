@@ -20,7 +20,6 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, JobError, information_matrix, single_thread
 
 ROUGH = 1e-3  # relative gap for models of many parameters: some seconds instead of half a minute
-COARSE = 1e-2  # the same with a prior over many effects, where weights are spread over as many postures
 
 
 def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> Bound | None:
@@ -57,7 +56,8 @@ def best_design(
         free, gap = (replace(problem, constraints=()), ROUGH) if many else (problem, 1e-8)
         return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
     one_number = ROUGH if many and problem.model.dimension == 1 else 1e-9  # a run: weights hardly settle
-    candidates, gap = listed_candidates(problem, problem.choices), COARSE if problem.missing else one_number
+    gap = 1e-2 if problem.missing else one_number  # with a prior weights are spread over as many postures
+    candidates = listed_candidates(problem, problem.choices)
     listed = column_generation(problem, candidates, runs=runs, tolerance=gap, stop=stop)
     if not problem.sampled or listed.bound is None or stop():
         return listed

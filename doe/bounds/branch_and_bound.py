@@ -199,7 +199,7 @@ def trigonometric_jacobian(problem: DesignProblem) -> Jacobian | None:
                 work[targets[0]] = OPERATIONS[operation](*(work[s] for s in sources))
             else:
                 return None
-    except NotTrigonometric:
+    except (NotTrigonometric, ZeroDivisionError):
         return None
     frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
     if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
@@ -282,12 +282,6 @@ def _multiply(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomia
     return product
 
 
-def _divide(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
-    if _constant(y) == 0.0:
-        raise NotTrigonometric
-    return _scale(x, 1.0 / _constant(y))
-
-
 OPERATIONS: dict[int, Callable[..., Angle | Polynomial]] = {
     ca.OP_ASSIGN: lambda x: x,
     ca.OP_COS: _wave,
@@ -298,5 +292,5 @@ OPERATIONS: dict[int, Callable[..., Angle | Polynomial]] = {
     ca.OP_TWICE: lambda x: _scale(x, 2.0),
     ca.OP_SQ: lambda x: _multiply(x, x),
     ca.OP_MUL: _multiply,
-    ca.OP_DIV: _divide,
+    ca.OP_DIV: lambda x, y: _scale(x, 1.0 / _constant(y)),
 }

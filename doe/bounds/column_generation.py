@@ -54,15 +54,9 @@ Price = Callable[[Array, float, Array], tuple[Array, float]]
 # something: a cheaper search refines what a thorough one found
 Stage = tuple[Price, float, int]
 
-CHUNK = 8192  # candidates; their Jacobians stay in the processor's cache
 SAMPLE = 20_000  # of very many candidates, which are priced first
-SHORT = 30_000  # of the best candidates, which are priced then
 EXACT = 1e-14  # gap of the weights on a working set: rounding
-ROUGH = 1e-4  # the same relative to the gap of the postures, where that is not below `FINE`
-COARSE = 1e-4  # relative gap at which pricing goes on from the landmarks to all postures
 ROUGHEST = 1e-2  # gap to which weights are multiplicative, for hundreds of parameters
-WEIGHTED = 4_000_000  # entries of the Jacobians of candidates that are weighted so at once, 2000 of them at least
-FINE = 1e-6
 CLIMBERS = 64
 # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
 # the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
@@ -85,7 +79,8 @@ class CandidateSet:
 
     def sensitivities(self, gradient: Array, give_up: Stop = never) -> Array:
         """(N,) tr(G F); inf, which is no less than the largest, where `give_up`, asked after every chunk, said so."""
-        size = int(np.clip(250_000 // (self.problem.model.dimension * self.problem.parameters), 1024, CHUNK))
+        # up to 8192 candidates, whose Jacobians stay in the processor's cache
+        size = int(np.clip(250_000 // (self.problem.model.dimension * self.problem.parameters), 1024, 8192))
         values = []
         for start in range(0, len(self.postures), size):
             jacobians = self.problem.scaled_jacobians(self.postures[start : start + size])
@@ -253,7 +248,8 @@ def column_generation(
     tolerance, count = _attainable(problem, tolerance), 6 * problem.parameters
     rough = tolerance >= ROUGHEST and problem.criterion.name in POWERS
     if rough:
-        count = max(2000, WEIGHTED // (problem.model.dimension * problem.parameters))
+        # candidates that are weighted at once: four million entries of their Jacobians, 2000 candidates at least
+        count = max(2000, 4_000_000 // (problem.model.dimension * problem.parameters))
     goal, solved = (2.0 * tolerance,) * 2 if rough else (tolerance, 10.0 * tolerance)
     everything, start = CandidateSet(problem, candidates, prior), candidates
     stages: list[Stage] = [(everything.price, goal, 0)]
@@ -264,7 +260,8 @@ def column_generation(
 
         def whole(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
             g = everything.sensitivities(gradient)
-            few[0] = CandidateSet(problem, candidates[np.argpartition(-g, SHORT)[:SHORT]], prior)
+            best = np.argpartition(-g, 30_000)[:30_000]  # which are priced then
+            few[0] = CandidateSet(problem, candidates[best], prior)
             return few[0].price(gradient, level, near)
 
         stages = [(lambda *request: few[0].price(*request), goal, 0), (whole, goal, 1)]
@@ -319,7 +316,8 @@ def continuous_design(
     elif start is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
         anywhere = random_postures(problem, 3 * problem.parameters, np.random.default_rng(0))
         start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
-    first = [(thorough, tolerance, 0)] if many else [(landmarks.price, COARSE, 0), *stages]
+    # from the landmarks on to all postures at a gap of 1e-4
+    first = [(thorough, tolerance, 0)] if many else [(landmarks.price, 1e-4, 0), *stages]
     design, gap = generate_columns(problem, prior, start, first, stop)
     last = np.random.default_rng(0) if stop() and not many else None
     best = everything.best(design.gradient, design.plan.postures, last)[1][0]
@@ -367,7 +365,8 @@ def generate_columns(
             "be identified; drop an effect or allow more postures"
         )
     last = stages[-1][1] if stages else EXACT
-    accuracy = EXACT if last <= FINE else (0.5 if last >= 2.0 * ROUGHEST else ROUGH) * last  # of the weights
+    # of the weights: exact for a fine gap of the postures, else relative to it
+    accuracy = EXACT if last <= 1e-6 else (0.5 if last >= 2.0 * ROUGHEST else 1e-4) * last
     if stop():  # before the first weights, which take seconds where parameters are many: equal ones prove a bound too
         gradient = criterion.gradient(equal)
     else:
@@ -383,7 +382,7 @@ def generate_columns(
         if gap > goal * abs(level) and any(new):  # else rounding leaves the gap
             # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
             if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
-                carrying = _sparse(jacobians, weights) > 0.0
+                carrying = sparsest(jacobians, weights) > 0.0
                 postures, jacobians = postures[carrying], jacobians[carrying]
             postures = np.concatenate([postures, offers])
             jacobians = np.concatenate([jacobians, problem.scaled_jacobians(offers)])
@@ -397,12 +396,7 @@ def generate_columns(
             continue
         weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy, stop)
     dual = gradient if criterion.name == "E" else None
-    return ApproximateDesign.heaviest_first(problem, prior, postures, _sparse(jacobians, weights), dual), gap
-
-
-def _sparse(jacobians: Array, weights: Array) -> Array:
-    """(k,) weights of the same information on as few postures as possible."""
-    return sparsest(jacobians, np.where(weights > 1e-10, weights, 0.0))  # as good as none
+    return ApproximateDesign.heaviest_first(problem, prior, postures, sparsest(jacobians, weights), dual), gap
 
 
 def optimal_weights(
@@ -420,13 +414,6 @@ def optimal_weights(
 
 
 # -- the door ----------------------------------------------------------------------------------------------------------
-STATUS = {
-    "optimal": Status.converged,
-    "optimal_inaccurate": Status.almost_solved,
-    "user_limit": Status.iteration_limit,
-}
-
-
 def relax(
     problem: DesignProblem,
     candidates: int | ArrayLike,
@@ -464,6 +451,8 @@ def relax(
         if weights is None:
             raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")
         weights = proper_weights(weights)
+        known = {"optimal": Status.converged, "optimal_inaccurate": Status.almost_solved}
+        known["user_limit"] = Status.iteration_limit
         carried = np.where(weights > 1e-7, weights, 0.0)  # interior points give every posture a little
         design = ApproximateDesign.heaviest_first(problem, prior, chosen, carried, dual)
         return replace(
@@ -471,7 +460,7 @@ def relax(
             largest=float(CandidateSet(problem, chosen, prior).sensitivities(design.gradient).max()),
             candidates=len(chosen),
             rigorous=True,
-            status=STATUS.get(solver_status, Status.solver_failed),
+            status=known.get(solver_status, Status.solver_failed),
             solver=solver,
             solver_status=solver_status,
             seconds=perf_counter() - began,

@@ -30,7 +30,6 @@ from identification import Array, InputError, JobError
 from identification.information import significant
 
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
-PRODUCT = 1e-12  # of the largest eigenvalue of a product: below, too few digits are left
 # of each solver, tried in turn: Clarabel fails on some programs with its own scaling of the rows, on others without it
 SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
     "clarabel": ({"equilibrate_enable": False}, {}),
@@ -142,7 +141,8 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
     nonnegative least squares, whose active set is independent. Large problems stay as they are."""
     from scipy.optimize import nnls  # 0.1 s to import
 
-    support, upper = np.flatnonzero(weights > 0.0), np.triu_indices(jacobians.shape[2])
+    weights = np.where(weights > 1e-10, weights, 0.0)  # less is as good as none
+    support, upper = np.flatnonzero(weights), np.triu_indices(jacobians.shape[2])
     if len(support) * len(upper[0]) > 300_000:
         return weights / weights.sum()
     entries = information_of_each(jacobians[support])[:, upper[0], upper[1]]
@@ -174,7 +174,7 @@ def solve_program(
     entries = (root @ posture_information @ root.T)[:, rows, columns]
     # a basis of their span, and their coordinates in it, by the smaller of the two normal matrices
     values, vectors = np.linalg.eigh(entries @ entries.T if n < len(rows) else entries.T @ entries)
-    seen = significant(values, PRODUCT)
+    seen = significant(values, 1e-12)  # of a product: below, too few digits are left
     basis = vectors[:, seen] if n >= len(rows) else entries.T @ (vectors[:, seen] / np.sqrt(values[seen]))
     coordinates = entries @ basis
     square = np.zeros((p, p, basis.shape[1]))

@@ -70,7 +70,12 @@ class Verbs(click.Group):
         except click.exceptions.NoArgsIsHelpError as error:  # the whole help, on purpose
             error.show()
         except click.NoSuchOption as error:
-            click.UsageError(in_one_line(unknown_option(error))).show()
+            parameters = [] if error.ctx is None else error.ctx.command.params
+            options = (option for parameter in parameters for option in (*parameter.opts, *parameter.secondary_opts))
+            names = [option.removeprefix("--") for option in options if option.startswith("--")]
+            near = nearest(error.option_name.removeprefix("--"), names, OTHER_OPTIONS)
+            meant = ", " + re.sub("'(.+?)'", r"'--\1'", near.split("? ")[0]) + "?" if "? " in near else ""
+            click.UsageError(in_one_line(error.message.rstrip(".") + meant)).show()
         except click.UsageError as error:
             click.UsageError(in_one_line(error.format_message())).show()
         except OSError as error:
@@ -84,16 +89,6 @@ class Verbs(click.Group):
         if args and not args[0].startswith("-") and args[0] not in self.commands:
             ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands, OTHER_VERBS)}")
         return super().resolve_command(ctx, args)
-
-
-def unknown_option(error: click.NoSuchOption) -> str:
-    """What to say of an option that a verb does not have."""
-    parameters = [] if error.ctx is None else error.ctx.command.params
-    options = (option for parameter in parameters for option in (*parameter.opts, *parameter.secondary_opts))
-    names = [option.removeprefix("--") for option in options if option.startswith("--")]
-    close, question, _ = nearest(error.option_name.removeprefix("--"), names, OTHER_OPTIONS).partition("? ")
-    meant = re.sub("'(.+?)'", r"'--\1'", close)
-    return f"{error.message.rstrip('.')}, {meant}?" if question else error.message.rstrip(".")
 
 
 def versions(context: click.Context, _: click.Parameter, wanted: bool) -> None:

@@ -350,9 +350,9 @@ def advise_files(
     from doe.report.design import advice_document
     from identification import Model, load_arm, with_scatter
     from identification.reuse import only as only_these
-    from identification.reuse import words_of
 
-    (loaded, given_sigma), named = with_scatter(load_arm(arm)), words_of(only)
+    loaded, given_sigma = with_scatter(load_arm(arm))
+    named = [word for text in only for word in words(text) if word]
     problem = DesignProblem.of(only_these(loaded, named) if named else Model(loaded))
     fewest = problem.fewest_runs
     text = runs or (f"{fewest}:40" if named else "4:40")
@@ -466,7 +466,7 @@ def compare_files(
     --starts 1, the fraction of good starts.
 
     runs : Numbers of measurements m, as in 10,20.
-    solvers : Names, as in a,b; left out: all.
+    solvers : Names, as in a,b; left out: all but fedorov, which needs a list of postures.
     criteria : D, A, E or Dstar; several as in D,A.
     starts : Starts of one run, as in 1,10; left out: the solver's own.
     repeats : Repetitions of each search, with different seeds.
@@ -481,7 +481,7 @@ def compare_files(
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = list(available_solvers()) if solvers is None else words(solvers)
+    names = [n for n in available_solvers() if n != "fedorov"] if solvers is None else words(solvers)
     loaded, chosen = [load_arm(arm) for arm in arms], words(criteria)
     comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, chosen)
     for arm, number in product(loaded, runs):

@@ -82,9 +82,15 @@ def command(
         return _paper(replications, folder, job, seed, progress)
     where = job.where()
     with interruptible(folder):
-        options = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
+        options: Options = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
-            return _blind(cells, study == "blind-spatial", replications, folder, where, options)
+            from doe.report.studies import blind_parts, blind_pictures
+            from doe.studies.blind.study import blind_study, reported_cells
+
+            named = cells or reported_cells(space=study == "blind-spatial")
+            result = blind_study(named, replications, folder, where, **options)
+            blind_pictures(folder, result)
+            return _tables_answer(result.tables, result.passed, folder, blind_parts(result))
         return _from_file(Path(study), replications, folder, where, options)
 
 
@@ -112,7 +118,8 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
 def _paper(replications: int | None, folder: Path, job: JobOptions, seed: int, progress: Progress) -> Answer:
     """The paper reproduced, in some seconds: in this process, without anything to resume."""
     from doe.jobs import parquet, tables
-    from doe.report.studies import paper_parts, paper_pictures
+    from doe.report.page import svg
+    from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
     from doe.studies.paper import paper_study, passed
 
     force = job.force or job.resume
@@ -120,21 +127,11 @@ def _paper(replications: int | None, folder: Path, job: JobOptions, seed: int, p
         check_writable(folder / "errata.parquet", force)
     found = paper_study(replications, seed=seed, progress=progress)
     files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in found.items()}
+    files |= {folder / "figure_1.svg": svg(figure_1_picture(found["figure_1"]))}
+    files |= {folder / "figure_2.svg": svg(figure_2_picture(found["figure_2"]))}
     with tables(folder):
-        write_together(files | {folder / name: text for name, text in paper_pictures(found).items()}, force)
+        write_together(files, force)
     return _tables_answer(found, passed(found), folder, paper_parts(found))
-
-
-def _blind(
-    cells: tuple[str, ...], space: bool, replications: int | None, folder: Path, workers: Workers, options: Options
-) -> Answer:
-    """Diagnoses of data with hidden effects, of planar arms or of arms in space; of all cells or of those named."""
-    from doe.report.studies import blind_parts, blind_pictures
-    from doe.studies.blind.study import blind_study, reported_cells
-
-    study = blind_study(cells or reported_cells(space), replications, folder, workers, **options)
-    blind_pictures(folder, study)
-    return _tables_answer(study.tables, study.passed, folder, blind_parts(study))
 
 
 def _tables_answer(tables: Mapping[str, Any], passed: bool, folder: Path, shown: list[Any]) -> Answer:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
@@ -38,7 +37,7 @@ from identification import (
 from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
 from identification.documents.pictures import Compared
 from identification.files.io import write_together
-from identification.workflow import Written, compensate_files, diagnose_files, identify_files
+from identification.workflow import VERBS, Written
 
 PLANAR_ARM, TRUTH, SIX_AXES, URDF = (
     Path(__file__).with_name(name).read_text()
@@ -205,19 +204,20 @@ def run_demo(
     measured("data.csv", design.plan.postures)
     fresh = measured("fresh.csv", random_postures(problem, 200, generator))
     begin()
+    identify, diagnose, compensate = (VERBS[name][0] for name in ("identify", "diagnose", "compensate"))
     path, rows = directory / "arm.toml", directory / "data.csv"
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
-    identified = identify_files(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
+    identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     begin()
-    diagnosed = diagnose_files(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
+    diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     begin()
     write("extended.toml", with_effects(scenario.files["arm.toml"], diagnosed.result.named.specs, directory))
     named = Written(directory / "extended.toml")
-    extended = identify_files(named, rows, out=named, force=True)
+    extended = identify(named, rows, out=named, force=True)
     begin()
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
     write("targets.csv", plan_text(Plan(targets), arm.joint_types))
-    sent = compensate_files(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
+    sent = compensate(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
     begin()
     gaps = {
         "drawing": rms_distance(identified.result.model.position(fresh.postures) - fresh.positions),
@@ -342,13 +342,9 @@ def overview_figure(demo: Demo) -> Figure:
         draw_arm(axes, demo.arm, postures)
     within = "in the tracker's view" if space else "within the limits"
     axes.set_title(f"1. plan: {len(postures)} postures {within},\n{optimality(demo, 3)}", fontsize=10)
-    draw_gap(figure.add_subplot(places[1]), demo)
-    draw_cause(figure.add_subplot(places[2]), demo)
-    return figure
 
-
-def draw_gap(axes: Axes, demo: Demo) -> None:
-    """RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names."""
+    # RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names
+    axes = figure.add_subplot(places[1])
     *heights, noise = (demo.gaps[name] for name in ("drawing", "identified", "extended", "noise"))
     names = ["drawing", "identified", "effect\nadded"]
     axes.plot(names, heights, color="0.8", lw=1, zorder=1)
@@ -360,9 +356,8 @@ def draw_gap(axes: Axes, demo: Demo) -> None:
     axes.text(-0.42, noise * 1.07, f"noise {noise:.2f} mm", fontsize=9)
     axes.set_title("2. gap between model and reality,\non 200 postures no fit has seen", fontsize=10)
 
-
-def draw_cause(axes: Axes, demo: Demo) -> None:
-    """Residuals turned into the joint angle error they mean, against the joint that the diagnosis names."""
+    # residuals turned into the joint angle error they mean, against the joint that the diagnosis names
+    axes = figure.add_subplot(places[2])
     joint = next((spec.joint for spec in demo.diagnosis.named.specs if spec.joint), 1)
     fresh, q = demo.fresh, np.degrees(demo.fresh.postures[:, joint - 1])
     before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
@@ -372,3 +367,4 @@ def draw_cause(axes: Axes, demo: Demo) -> None:
     axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")
     axes.legend(frameon=False, fontsize=9)
     axes.set_title(f"3. diagnosis:\n{' + '.join(demo.diagnosis.effects) or demo.diagnosis.verdict}", fontsize=10)
+    return figure

@@ -146,13 +146,6 @@ def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
     return numbers
 
 
-def rounded_plan(plan: Plan, runs: int) -> Array:
-    """(runs, n) postures of an approximate design, each as often as its weight asks for."""
-    carried = plan.shares > 0.0
-    numbers = apportion(plan.shares[carried] / plan.shares[carried].sum(), runs)
-    return np.repeat(plan.postures[carried], numbers, axis=0)
-
-
 # -- order of measurement ----------------------------------------------------------------------------------------------
 def check_order(order: str | None) -> None:
     """Raises `InputError` with the nearest name for an unknown order."""

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from doe.report.figures import AFTER, BEFORE
-from doe.report.page import svg
 from doe.studies.blind.study import ALL, FURTHER_RUNS, KEEPS, NOTHING, OUTSIDE, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL, StudyResult
@@ -203,12 +202,6 @@ def paper_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     ]
     names = ("place", "printed", "correct", "error of printed", "error of correct", "shown")
     return [*parts, Sheet(names, errata, "Errata, each checked by numbers")]
-
-
-def paper_pictures(tables: Mapping[str, pl.DataFrame]) -> dict[str, str]:
-    """Name of a file -> its content: Figures 1 and 2."""
-    figures = {"figure_1": figure_1_picture, "figure_2": figure_2_picture}
-    return {f"{name}.svg": svg(drawn(tables[name])) for name, drawn in figures.items()}
 
 
 def figure_1_picture(data: pl.DataFrame) -> Figure:

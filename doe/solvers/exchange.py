@@ -21,7 +21,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from doe.plan.ascent import PlanAscent
-from doe.plan.plan import rounded_plan
+from doe.plan.plan import apportion
 from doe.plan.spacing import distance_to_keep
 from doe.problem.postures import fill, listed_candidates, random_postures
 from doe.problem.problem import MANY, DesignProblem, information_of_each
@@ -30,8 +30,6 @@ from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError, information_matrix
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
-SAME = 1e-7  # of criterion values: the same plan up to symmetry, polished once
-POLISHED = 1500  # variables up to which IPOPT improves what exchange found: beyond it takes longer than to search on
 
 
 @dataclass(frozen=True)
@@ -62,13 +60,16 @@ class Exchange:
         """The plans of each batch, best first; the polished ones of each where there is a climb."""
         climb, best, left, vary = None, list[tuple[float, Array]](), budget.starts, False
         seen = list[float]()
-        if self.climb and variables(problem, runs) <= POLISHED:
+        # of more variables IPOPT takes longer to improve what exchange found than it takes to search on
+        if self.climb and variables(problem, runs) <= 1500:
             climb = Climber(problem, runs, self.climb, budget)
         if self.rounded:
             from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
 
             weights = continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(0.5).ended)
-            first = rounded_plan(weights.plan, runs)
+            carried = weights.plan.shares > 0.0
+            numbers = apportion(weights.plan.shares[carried] / weights.plan.shares[carried].sum(), runs)
+            first = np.repeat(weights.plan.postures[carried], numbers, axis=0)
             yield Offer(first)
             best, vary = [(problem.objective(first), first)], True
         while True:
@@ -127,7 +128,7 @@ class Exchange:
 
 
 def _unlike(value: float, others: list[float]) -> bool:
-    return all(abs(value - other) > SAME for other in others)
+    return all(abs(value - other) > 1e-7 for other in others)  # else the same plan up to symmetry, polished once
 
 
 @dataclass(frozen=True)

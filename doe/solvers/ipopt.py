@@ -31,8 +31,6 @@ from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError, information_matrix
 
-MOST = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
-
 
 @dataclass(frozen=True)
 class Ipopt:
@@ -53,9 +51,10 @@ class Ipopt:
 
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` for a plan of too many variables."""
-        if (many := variables(problem, runs)) > MOST:
+        most = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
+        if (many := variables(problem, runs)) > most:
             raise InputError(
-                f"runs: {runs} postures are {many} variables for ipopt, allowed: at most {MOST}; leave --solver out"
+                f"runs: {runs} postures are {many} variables for ipopt, allowed: at most {most}; leave --solver out"
             )
         climb = Climber(problem, runs, self, budget)
         while True:

@@ -34,10 +34,8 @@ from identification import Array, JobError
 
 Pattern = tuple[Array, Array]  # (b, J) angles above the lower limits [rad] and (J,) their free phase [rad]
 ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
-ALL, SAMPLE = 64, 32  # runs up to which all characters are tried; number tried of a larger group
 TURN = 2.0 * np.pi
 PATTERNS = 16  # different plans of one size, and times that those too near others are placed again
-WHOLE = 8192  # runs up to which one group of so many is tried
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,8 @@ def optimal_plans(
 
     while True:
         plan = None
-        for _ in range(8 if runs <= WHOLE else 0):  # plans of one group before smaller ones are put together
+        # plans of one group, not of very many runs, before smaller ones are put together
+        for _ in range(8 if runs <= 8192 else 0):
             pattern = next(_character_plans(upper - lower, runs, tries, generator), None)
             if pattern is None or not len(too_near(problem, trial := placed(pattern))):
                 plan = None if pattern is None else trial
@@ -137,18 +136,19 @@ def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) ->
     angles, free_phase = np.empty((len(elements), len(widths))), np.zeros(len(widths))
     left = right = int(generator.integers(len(widths) + 1))
     columns = np.ones((len(elements), 1), dtype=complex)  # of links left..right
+    all_up_to, sample = 64, 32  # runs up to which all characters are tried; number tried of a larger group
     while right - left < len(widths):
         to_right = left == 0 or (right < len(widths) and generator.random() < 0.5)
         joint, neighbor = (right, columns[:, -1]) if to_right else (left - 1, columns[:, 0])
         wide = widths[joint] >= np.pi - ROUNDING
         if wide:
-            few = len(elements) <= ALL  # characters of the group: all of a small one, else a random choice
-            chosen = elements if few else elements[generator.integers(len(elements), size=SAMPLE)]
+            few = len(elements) <= all_up_to  # characters of the group: all of a small one, else a random choice
+            chosen = elements if few else elements[generator.integers(len(elements), size=sample)]
             characters = np.exp(TURN * 1j * (elements @ (chosen / moduli).T % 1.0))
             offered = (characters[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
         else:
             even = moduli % 2 == 0
-            bits = np.arange(1, min(2 ** int(even.sum()), SAMPLE * ALL))
+            bits = np.arange(1, min(2 ** int(even.sum()), sample * all_up_to))
             exponents = (bits[:, None] >> np.arange(int(even.sum()))) & 1
             signs = 1.0 - 2.0 * (elements[:, even] @ exponents.T % 2)  # (b, k) characters that are +1 and -1
             offered = neighbor[:, None] * signs.astype(complex)

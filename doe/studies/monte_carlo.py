@@ -52,12 +52,10 @@ from identification import (
     with_points,
     without_prior,
 )
-from identification.estimation.estimate import sessions
 from identification.files.io import named_file, read_toml, write_together
 from identification.files.schema import StrictTable, validated
 from identification.information import covariances, spectrum
 from identification.kinematics.counting import in_columns, in_joints
-from identification.kinematics.parameters import orientation_transform
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
@@ -396,7 +394,7 @@ def rows_of(truth: Model, postures: Array, remembers: bool = False) -> tuple[Arr
     """
     count = points(truth)
     rows = np.repeat(postures, count, axis=-2)
-    conditions = sessions(rows, remembers or truth.remembers)
+    conditions = Conditions.in_order(rows, remembers or truth.remembers)
     if count > 1:
         conditions = replace(conditions, marker=np.broadcast_to(np.arange(rows.shape[-2]) % count, rows.shape[:-1]))
     if truth.arm.chain.angle_scale is None:
@@ -437,7 +435,7 @@ def prepared(arm: str, truth: str) -> tuple[Model, Model, Array, Array]:
     model, true_model = Model(without_prior(fitted)), Model(real)
     transform = np.eye(len(model.names))
     if model.arm.chain.planar:
-        transform = np.vstack([transform, orientation_transform(model.parameters)])
+        transform = np.vstack([transform, model.parameters.to_orientations])
     return model, true_model, true_values(model, true_model), transform
 
 

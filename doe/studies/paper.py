@@ -29,6 +29,7 @@ from identification import (
     Arm,
     Array,
     InputError,
+    Measurements,
     Model,
     Progress,
     estimate,
@@ -39,7 +40,6 @@ from identification import (
     silent,
     spectrum,
 )
-from identification.simulate import simulate
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())
 LENGTHS, LENGTH_ERRORS = np.array(PAPER["lengths_mm"]), np.array(PAPER["length_errors_mm"])
@@ -254,9 +254,10 @@ def by_algebra(place: str, generator: np.random.Generator) -> Shown:
     match place:
         # the closed form equals the converged iteration of Section III, on noisy data; in deviations sigma / sqrt(m)
         case "before eq. 6":
-            model, truth = Model(paper_arm()), TruthTable(**paper_truth()).of(paper_arm())
+            model, truth = Model(paper_arm()), Model(TruthTable(**paper_truth()).of(paper_arm()))
             postures = generator.uniform(-np.pi, np.pi, (20, 4))
-            data = simulate(truth, postures, generator)
+            noise = SIGMA * generator.standard_normal((20, 2))
+            data = Measurements(postures, truth.position(postures) + noise)
             exact, steps = (estimate(model, data, method=method).parameters for method in ("linear", "paper_steps"))
             # the linearised step that eq. 11 would be without repeating it
             jacobian = model.jacobian(postures).reshape(-1, 8)
@@ -266,8 +267,8 @@ def by_algebra(place: str, generator: np.random.Generator) -> Shown:
             return wrong, right, 1e-8
         case "eq. 4":  # dF/d dtheta_k by central differences, against a sum over links and against link k alone
             theta = random_plan()
-            noise = generator.standard_normal(6) + 1j * generator.standard_normal(6)
-            measured = tips(theta, LENGTHENED, TURNED) + noise
+            errors = generator.standard_normal(6) + 1j * generator.standard_normal(6)
+            measured = tips(theta, LENGTHENED, TURNED) + errors
             k, step = 1, 1e-5 * np.eye(4)[1]
             up, down = (np.sum(np.abs(tips(theta, LENGTHS, TURNED + h) - measured) ** 2) for h in (step, -step))
             slope = float(up - down) / 2e-5 / 2.0  # eq. 4 leaves the factor 2 out
@@ -325,20 +326,6 @@ def by_algebra(place: str, generator: np.random.Generator) -> Shown:
 Expected = Mapping[tuple[int, str], tuple[float, float]]  # (runs, parameter) -> printed and correct [mm, deg]
 
 
-def by_simulation(
-    links: int, expected: Expected, room: float, generator: np.random.Generator, replications: int
-) -> Shown:
-    """Of deviations of the optimal plan, by simulated calibrations;  room : more than their scatter that the correct
-    ones may be off."""
-    grid: dict[str, Any] = {"runs": sorted({runs for runs, _ in expected}), "truths": [paper_truth(links)]}
-    study = Study.of([paper_arm(links)], ["dft"], replications=replications, **grid)
-    cells = run_study(study, seed=int(generator.integers(2**31))).cells
-    simulated = {(row["runs"], row["parameter"]): row["std"] for row in cells.iter_rows(named=True)}
-    ratios = np.array([np.array(values) / simulated[place] for place, values in expected.items()])
-    wrong, right = np.abs(ratios - 1.0).T.tolist()
-    return min(wrong), max(right), 4.5 / np.sqrt(2.0 * replications) + room
-
-
 def of_length(links: int, printed: Mapping[int, float]) -> Expected:
     """Deviations of the first length, runs -> printed."""
     name = "length_error:1"
@@ -354,7 +341,8 @@ OF_JOINTS = {  # eq. 25 of joint offsets, for which it is printed, and what they
     (20, f"joint_offset:{j}"): (ideal_std(4, 20, f"orientation_offset:{j}"), ideal_std(4, 20, f"joint_offset:{j}"))
     for j in range(2, 5)
 }
-SIMULATED: dict[int, tuple[int, Expected, float]] = {  # by the number of the erratum in paper.toml
+# number of the erratum in paper.toml -> links, deviations, more than their scatter that the correct ones may be off
+SIMULATED: dict[int, tuple[int, Expected, float]] = {
     8: (4, COVARIANCE, 0.0),
     9: (4, OF_JOINTS, 0.006),  # nominal lengths instead of true ones: 0.6 % for link 1
     11: (2, of_length(2, {20: 0.058}), 0.0),
@@ -369,8 +357,16 @@ def errata(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
     rows = []
     for k, erratum in enumerate(PAPER["errata"]):
         generator = np.random.default_rng([seed, k])
-        if k in SIMULATED:
-            wrong, right, tolerance = by_simulation(*SIMULATED[k], generator, replications)
+        if k in SIMULATED:  # of deviations of the optimal plan, by simulated calibrations
+            links, expected, room = SIMULATED[k]
+            grid: dict[str, Any] = {"runs": sorted({runs for runs, _ in expected}), "truths": [paper_truth(links)]}
+            study = Study.of([paper_arm(links)], ["dft"], replications=replications, **grid)
+            cells = run_study(study, seed=int(generator.integers(2**31))).cells
+            simulated = {(row["runs"], row["parameter"]): row["std"] for row in cells.iter_rows(named=True)}
+            ratios = np.array([np.array(values) / simulated[place] for place, values in expected.items()])
+            every_wrong, every_right = np.abs(ratios - 1.0).T.tolist()
+            wrong, right = min(every_wrong), max(every_right)
+            tolerance = float(4.5 / np.sqrt(2.0 * replications) + room)
         else:
             wrong, right, tolerance = by_algebra(erratum["place"], generator)
         # rounding in the paper explains less than one per cent

@@ -42,7 +42,7 @@ from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.measurements import Conditions, Measurements, directions_from_order, past_from_order, session_time
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
 from identification.running import Status, single_thread
@@ -331,32 +331,33 @@ def estimate_batch(
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
         return solution.finished()
-    # from the closed form, by the chord method with one matrix for all, then by Levenberg-Marquardt
+    # from the closed form, by the chord method with one matrix for all, then their own, last by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(x), axis=1)
     center = np.mean(x[usable], axis=0) if usable.any() else problem.start
-    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])
-    for last in (False, True):
+    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])[None]
+    for attempt in range(4):
         rest = np.flatnonzero(status != Status.converged)
         for part in _chunks(len(rest), m):
             sets = rest[part]
             problems = problem.rows(sets)
-            if last:
+            if attempt == 3:
                 each = problems.minimized(x[sets])
                 x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
             else:
-                x[sets], rss[sets], stationary = chord_steps(problems, shared, x[sets])
+                jacobians = shared if attempt == 0 else problems.linearize(x[sets], np.arange(len(sets)))[1]
+                x[sets], rss[sets], stationary = chord_steps(problems, jacobians, x[sets])
                 status[sets[stationary]] = Status.converged
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
     return solution.finished()
 
 
-def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); of data sets that are left to others the
     last parameters inside the bounds to which steps led quickly.
 
-    jacobian : (N, p) with the rows of the prior, one for all
+    jacobians : (k, N, p) of each data set with the rows of the prior; (1, N, p): one for all
 
     Steps are N^-1 J(p)^T W r with N^-1 taken at one point, where J(p)^T W r comes exactly from CasADi's reverse mode at
     the price of a few position evaluations: no Jacobian, no decomposition per step. The matrix only sets the speed:
@@ -365,9 +366,9 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
     lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
     held = problem.prior_rows.T @ problem.prior_rows
     table = problem.model.condition_table(problem.postures, problem.conditions)
-    lengths = np.linalg.norm(jacobian, axis=0)
-    unit = jacobian / lengths
-    inverse = np.linalg.inv(unit.T @ unit) / lengths  # for scaled gradients
+    lengths = np.linalg.norm(jacobians, axis=1)
+    unit = jacobians / lengths[:, None]
+    inverse = np.linalg.inv(np.swapaxes(unit, 1, 2) @ unit) / lengths[:, None]  # for scaled gradients
     parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
     index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)
     data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
@@ -389,7 +390,9 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
             break
         index, last, rounding = index[going], size[going], rounding[going]
         data = data if going.all() else np.ascontiguousarray(data[:, going])
-        x = x[going] + gradient[going] @ inverse
+        if len(inverse) > 1:
+            lengths, inverse = lengths[going], inverse[going]
+        x = x[going] + (gradient[going][:, None] @ inverse)[:, 0]
     return parameters, squares, stationary
 
 
@@ -411,7 +414,7 @@ def estimate_each(
         raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
     solution, m = _not_fitted(len(plans), model), plans.shape[1]
     for part in _chunks(len(plans), m):
-        of_sets = sessions(plans[part], model.remembers) if conditions is None else conditions.rows(part)
+        of_sets = Conditions.in_order(plans[part], model.remembers) if conditions is None else conditions.rows(part)
         problem = Problem(model, plans[part], of_sets, measured[part], np.ones(m))
         jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
         estimable = np.flatnonzero(np.isfinite(covariances(jacobians, model.scales)[:, 0, 0]))
@@ -432,13 +435,3 @@ def _chunks(count: int, rows: int) -> Iterator[slice]:
 def _not_fitted(count: int, model: Model) -> Solution:
     status = np.full(count, Status.not_identifiable, dtype=object)
     return Solution(np.full((count, len(model.names)), np.nan), np.full(count, np.nan), status)
-
-
-def sessions(postures: Array, remembers: bool = False) -> Conditions:
-    """Conditions (..., m) of plans (..., m, n) that are measured in their order, as `Measurements.conditions` of each.
-
-    remembers : with the past of the joints, which takes time
-    """
-    time = np.broadcast_to(session_time(np.arange(postures.shape[-2], dtype=float)), postures.shape[:-1])
-    past = past_from_order(postures) if remembers else None
-    return Conditions(time=time, directions=directions_from_order(postures), past=past)

@@ -159,6 +159,17 @@ class ParameterSet(tuple[Parameter, ...]):
         """Name -> value of a (p,) vector; raises `ValueError` for another length."""
         return dict(zip(self.names, np.asarray(vector, dtype=float).tolist(), strict=True))
 
+    @property
+    def to_orientations(self) -> Array:
+        """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets among them.
+
+        The paper's sigma_q (eq. 25) is the standard deviation of dtheta_j, not of the joint offset dq_j.
+        """
+        offsets = self.indices(JOINT_OFFSET)
+        transform = np.zeros((len(offsets), len(self)))
+        transform[:, offsets] = np.tri(len(offsets))
+        return transform
+
 
 def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
     """(2 n) parameters of a planar chain: length errors dl_j [mm], then joint offsets dq_j [rad].
@@ -169,17 +180,6 @@ def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
     errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j, _ in links]
     offsets = [Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j) for j, s in links]
     return ParameterSet([*errors, *offsets])
-
-
-def orientation_transform(parameters: ParameterSet) -> Array:
-    """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets among them.
-
-    The paper's sigma_q (eq. 25) is the standard deviation of dtheta_j, not of the joint offset dq_j.
-    """
-    offsets = parameters.indices(JOINT_OFFSET)
-    transform = np.zeros((len(offsets), len(parameters)))
-    transform[:, offsets] = np.tri(len(offsets))
-    return transform
 
 
 def by_joint(values: Mapping[str, float], kind: str) -> Array:

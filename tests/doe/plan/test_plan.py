@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from doe.plan.plan import Plan, apportion, load_plan, ordered, plan_text, rounded_plan, shortest_path, travel
+from doe.plan.plan import Plan, apportion, load_plan, ordered, plan_text, shortest_path, travel
 from identification.errors import InputError
 
 
@@ -155,11 +155,6 @@ def test_whole_shares_stay() -> None:
 
 def test_fewer_runs_than_postures() -> None:
     np.testing.assert_array_equal(apportion(np.array([0.1, 0.4, 0.2, 0.3]), 2), [0, 1, 0, 1])
-
-
-def test_rounded() -> None:
-    plan = Plan(np.array([[1.0], [2.0], [3.0]]), np.array([0.5, 0.0, 0.5]))
-    np.testing.assert_array_equal(rounded_plan(plan, 4).ravel(), [1, 1, 3, 3])
 
 
 @pytest.mark.parametrize("weights", [[0.5, 0.4], [1.1, -0.1], [1.0, 0.0]])

@@ -229,3 +229,13 @@ def test_bad_options_are_one_line(tmp_path: Path, options: list[str], found: str
     done = CliRunner().invoke(main.commands["compare"], [str(arm), *options])
     assert done.exit_code == 2
     assert found in done.output
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_all_solvers_are_those_that_need_no_list_of_postures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("doe.solvers.available_solvers", lambda: ["fedorov", "random", "analytic"])
+    arm = tmp_path / "arm.toml"
+    arm.write_text("links_mm = [260.0, 180.0]\n")
+    done = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "3", "--repeats", "1", "--json"])
+    assert done.exit_code == 0, done.output
+    assert {row["solver"] for row in json.loads(done.stdout)["rows"]} == {"random", "analytic"}

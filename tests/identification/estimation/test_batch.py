@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from identification.arm import EffectSpec
+from identification.conditions import Conditions
 from identification.errors import InputError, JobError
 from identification.estimation import estimate, estimate_batch, estimate_each
-from identification.estimation.estimate import sessions
 from identification.estimation.levenberg_marquardt import Solution
 from identification.information import covariances, spectrum
 from identification.measurements import Measurements
@@ -41,7 +41,7 @@ def batch(model: Model, postures: np.ndarray, count: int, spread: float, seed: i
 
 def each(model: Model, postures: np.ndarray) -> np.ndarray:
     """(K, m, 2) measurements of plans (K, m, n)."""
-    exact = model.position(postures, truth(model), sessions(postures))
+    exact = model.position(postures, truth(model), Conditions.in_order(postures))
     return exact + SIGMA * np.random.default_rng(6).standard_normal(exact.shape)
 
 

@@ -26,7 +26,6 @@ from identification.kinematics.parameters import (
     by_joint,
     chain_parameters,
     of_effects,
-    orientation_transform,
 )
 from identification.vectorize import vectorize
 
@@ -264,9 +263,9 @@ def test_bent_links_displace_and_turn_what_follows() -> None:
 def test_orientations_sum_the_offsets() -> None:
     """dtheta_j = dq_1 + ... + dq_j; where an offset is known, the others only."""
     parameters = chain_parameters([300.0, 200.0])
-    np.testing.assert_array_equal(orientation_transform(parameters), [[0, 0, 1, 0], [0, 0, 1, 1]])
+    np.testing.assert_array_equal(parameters.to_orientations, [[0, 0, 1, 0], [0, 0, 1, 1]])
     without = ParameterSet(p for p in parameters if p.name not in ("length_error:2", "joint_offset:1"))
-    np.testing.assert_array_equal(orientation_transform(without), [[0, 1]])
+    np.testing.assert_array_equal(without.to_orientations, [[0, 1]])
 
 
 def test_offsets_are_scaled_by_the_best_known_lengths() -> None:
