@@ -38,7 +38,6 @@ LARGEST_ANGLE = 1e6  # [deg]
 LARGEST_MASS = 1e9  # [kg]
 LARGEST_ACCELERATION = 1e6  # [m/s^2]
 SIGMA_RANGE = (1e-9, 1e9)  # [mm]
-MANY_TURNS = 10.0 * np.pi + 1e-6  # [rad] no arm turns a joint farther; degrees do
 
 DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
 
@@ -171,13 +170,14 @@ class Arm(ByValue):
     counting: Counting | None = None  # of the controller's columns, commands and limits; None: as the model counts
 
     def __post_init__(self) -> None:
-        links = None if isinstance(self.chain, KinematicChain) else readonly(self.chain, -1)
-        n = len(self.chain) if links is None else links.size
+        chain: Any = self.chain
+        links = None if isinstance(chain, KinematicChain) else readonly(chain, -1)
+        n = len(chain) if links is None else links.size
         _require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
         if links is not None:
             positive = bool(np.all(np.isfinite(links) & (links > 0)))
             _require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
-        chain = self.chain if links is None else planar_chain(links)
+            chain = planar_chain(links)
         lower, upper = _joint_limits(self.lower, self.upper, chain)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
@@ -272,7 +272,7 @@ def _joint_limits(
         raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
     farther = np.where(-lower > upper, lower, upper) * turning
     worst = int(np.argmax(np.abs(farther)))
-    if abs(farther[worst]) > MANY_TURNS:
+    if abs(farther[worst]) > 10.0 * np.pi + 1e-6:  # [rad] no arm turns a joint farther; degrees do
         limit = f"limit {farther[worst]:g} of joint {worst + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
         message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
         warnings.warn(message, UserWarning, stacklevel=4)

@@ -43,8 +43,8 @@ NEEDS_SIGMA = (  # the end of a sentence
     "or what the standard deviation of one coordinate is [mm]"
 )
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
-CHOICES = 2000  # postures that touch to choose from, as for robust designs
 BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
+CHOICES = 2000  # postures that touch to choose from, as for robust designs
 TOUCHES = 1e-6  # [mm] how near is on the surface
 
 

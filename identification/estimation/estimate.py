@@ -159,8 +159,9 @@ def estimate_with_prior(
     for name, instead in names.items():
         p, k = free.model.parameters[now := free.names.index(name)], before.parameter_names.index(name)
         old = before.values[name], np.sqrt(np.asarray(before.covariance)[k, k])
-        figures = (float(x * p.to_file) for x in (*old, free.parameters[now], free.std[now]))
-        contradictions.append(Contradiction(name, p.file_unit, *figures, instead))
+        figures = *old, free.parameters[now], free.std[now]
+        prior_value, prior_std, value, std = (float(x * p.to_file) for x in figures)
+        contradictions.append(Contradiction(name, p.file_unit, prior_value, prior_std, value, std, instead))
     return replace(fit, contradictions=tuple(contradictions))
 
 

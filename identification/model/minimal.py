@@ -22,7 +22,6 @@ from identification.measurements import Conditions, Measurements
 from identification.model.arm_model import Model
 from identification.model.placed import placed_model
 
-POSTURES = 100  # at random: three equations each for some forty parameters
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
 
@@ -47,7 +46,8 @@ def minimal(
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
     if postures is None:
         arm = model.arm
-        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSTURES, arm.links))
+        # three equations each for some forty parameters
+        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (100, arm.links))
     several, given = len(chain.tools) > 1, [conditions or Conditions()]
     points = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(chain.tools))]
     rows = [model.jacobian(postures, None, at) for at in (points if several and conditions is None else given)]
