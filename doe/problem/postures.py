@@ -12,7 +12,6 @@ from doe.problem.problem import DesignProblem
 from identification import Array, InputError
 
 MOST = 2**24  # candidates of a grid: a gigabyte
-OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
 
 
 # -- random postures ---------------------------------------------------------------------------------------------------
@@ -126,7 +125,8 @@ def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> Array:
         raise InputError(f"candidates: shape {np.shape(postures)}, allowed: (N, {problem.joints})")
     if len(rows := np.flatnonzero(~np.isfinite(listed).all(axis=1))):
         raise InputError(f"candidates: row {rows[0] + 1} is not finite, allowed: finite joint angles")
-    inside = np.all((listed >= problem.lower - OUTSIDE) & (listed <= problem.upper + OUTSIDE), axis=1)
+    rounding = 1e-9  # [rad] from a file in degrees
+    inside = np.all((listed >= problem.lower - rounding) & (listed <= problem.upper + rounding), axis=1)
     return _allowed(problem, problem.clip(listed), inside)
 
 
