@@ -137,7 +137,8 @@ class D(Criterion):
 
     def value(self, information: Array) -> Array:
         each = [
-            (sign, log_determinants(information[..., rows[:, None], rows])) for sign, rows in self._terms(information)
+            (sign, log_determinants(information[..., rows[:, None], rows]))
+            for sign, rows in self.terms(information.shape[-1])
         ]
         regular = np.all([np.isfinite(log_det) for _, log_det in each], axis=0)
         return np.where(regular, sum(sign * np.where(regular, log_det, 0.0) for sign, log_det in each), -np.inf)
@@ -147,7 +148,7 @@ class D(Criterion):
 
     def curvature_factors(self, information: Array) -> Factors:
         factors: Factors = []
-        for sign, rows in self._terms(information):
+        for sign, rows in self.terms(information.shape[-1]):
             inverse, place = np.zeros_like(information), np.ix_(rows, rows)
             inverse[place] = np.linalg.inv(information[place])
             factors.append((sign, inverse, inverse))
@@ -157,7 +158,7 @@ class D(Criterion):
         """Less Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
         s, c, d, columns = jacobians.shape
         total = np.zeros((s, c))
-        for sign, rows in self._terms(information):
+        for sign, rows in self.terms(information.shape[-1]):
             p = len(rows)
             root = np.linalg.inv(np.linalg.cholesky(ridged(information[..., rows[:, None], rows])))
             parts = jacobians if p == columns else jacobians[..., rows]
@@ -168,9 +169,6 @@ class D(Criterion):
             else:
                 total += sign * np.linalg.slogdet(small)[1]
         return total
-
-    def _terms(self, information: Array) -> list[Term]:
-        return self.terms(information.shape[-1])
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,6 @@ from doe.problem.problem import DesignProblem
 from doe.solvers import solve
 from identification import JobError, Status
 
-LEAST = 0.01  # [s] of the exact plan, where the weights took all the time: its first start
-
 
 def cross_check(
     problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0, seconds: float = 60.0
@@ -28,7 +26,8 @@ def cross_check(
     """
     end = perf_counter() + seconds
     solver = "exchange_ipopt" if problem.choices is None else None
-    exact = solve(problem, runs, solver, seed=seed, seconds=max(0.5 * seconds, LEAST))
+    # where the weights took all the time the exact plan has that of its first start
+    exact = solve(problem, runs, solver, seed=seed, seconds=max(0.5 * seconds, 0.01))
     designs: list[tuple[str, str, ApproximateDesign | Design]] = [("relaxation", "candidates", relaxed)]
     if not problem.deviations:
         try:

@@ -21,7 +21,6 @@ from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
 from identification import PRISMATIC, Array, InputError, Status, identifiability
 
-FITS = 1e-6  # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
 
 
@@ -70,21 +69,22 @@ class Design:
     @cached_property
     def outside(self) -> tuple[int, ...]:
         """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
-        problem, q = self.problem, self.plan.postures
+        # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
+        problem, q, fits = self.problem, self.plan.postures, 1e-6
 
         def beyond(postures: Array) -> NDArray[np.bool_]:
-            return np.any((postures < problem.lower - FITS) | (postures > problem.upper + FITS), axis=1)
+            return np.any((postures < problem.lower - fits) | (postures > problem.upper + fits), axis=1)
 
         breaks = beyond(q)
         if breaks.any():
             # joints that may take every angle moved into their limits by whole turns, unless the model sees it
             middle, turns = 0.5 * (problem.lower + problem.upper), np.array(problem.model.joint_types) != PRISMATIC
-            turns &= problem.upper - problem.lower >= 2.0 * np.pi - FITS
+            turns &= problem.upper - problem.lower >= 2.0 * np.pi - fits
             moved = np.where(turns, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
             change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
             breaks = beyond(moved) if change < 1e-9 else breaks  # relative to what a whole parameter does: rounding
         for constraint in problem.constraints:
-            breaks |= np.any(constraint.margin(q) < -FITS, axis=1)
+            breaks |= np.any(constraint.margin(q) < -fits, axis=1)
         return tuple((np.flatnonzero(breaks) + 1).tolist())
 
     @cached_property

@@ -107,7 +107,7 @@ class RowTable:
         self._journal = _locked(journal_of(self.path))
         try:
             if resume:
-                self.rows = _from_parquet(self.path) | _from_journal(self._journal)
+                self.rows = _stored(self.path, self._journal)
                 return
             for file, exists in ((self.path, self.path.exists()), (journal_of(self.path), self._journal.tell() > 0)):
                 if exists and not force:
@@ -180,23 +180,20 @@ def _locked(path: Path) -> io.FileIO:
     return _locked(path)  # another run ended, and took its journal away, between the two lines
 
 
-def _from_parquet(path: Path) -> dict[str, list[Row]]:
-    if not path.exists():
-        return {}
-    try:
-        frame = pl.read_parquet(path)
-    except (pl.exceptions.PolarsError, OSError) as error:
-        reason = f"not a Parquet file ({str(error).splitlines()[0]})"
-        raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
-    if KEY not in frame.columns:
-        raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
-    return frame.rows_by_key(KEY, named=True, include_key=True)
-
-
-def _from_journal(journal: io.FileIO) -> dict[str, list[Row]]:
-    """Its rows; the torn end of a crashed run is cut off."""
+def _stored(path: Path, journal: io.FileIO) -> dict[str, list[Row]]:
+    """The rows of the Parquet file, if there is one, and of the journal; the torn end of a crashed run is cut off."""
+    rows: dict[str, list[Row]] = {}
+    if path.exists():
+        try:
+            frame = pl.read_parquet(path)
+        except (pl.exceptions.PolarsError, OSError) as error:
+            reason = f"not a Parquet file ({str(error).splitlines()[0]})"
+            raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
+        if KEY not in frame.columns:
+            raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
+        rows = frame.rows_by_key(KEY, named=True, include_key=True)
     journal.seek(0)
-    rows, size = {}, 0
+    size = 0
     with suppress(ValueError, TypeError):
         for line in journal.read().splitlines(keepends=True):
             text, of_key = json.loads(line)
@@ -333,14 +330,6 @@ class Workers:
     open: Callable[[], AbstractContextManager[Executor]]
     count: int = 1
     check: Callable[[Any], None] = lambda _: None
-
-
-def chosen_workers(workers: int | None = None, address: str | None = None) -> Workers:
-    """What the options --workers and --cluster ask for; both left out: all cores."""
-    if address is not None:
-        return cluster(address)
-    number = workers or os.cpu_count() or 1
-    return SERIAL if number == 1 else processes(number)
 
 
 class _Serial(Executor):

@@ -38,7 +38,6 @@ LARGEST_ANGLE = 1e6  # [deg]
 LARGEST_MASS = 1e9  # [kg]
 LARGEST_ACCELERATION = 1e6  # [m/s^2]
 SIGMA_RANGE = (1e-9, 1e9)  # [mm]
-MANY_TURNS = 10.0 * np.pi + 1e-6  # [rad] no arm turns a joint farther; degrees do
 
 DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
 
@@ -171,8 +170,14 @@ class Arm(ByValue):
     counting: Counting | None = None  # of the controller's columns, commands and limits; None: as the model counts
 
     def __post_init__(self) -> None:
-        chain = self.chain if isinstance(self.chain, KinematicChain) else _of_links(self.chain)
-        _require(1 <= (n := len(chain)) <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        chain: Any = self.chain
+        links = None if isinstance(chain, KinematicChain) else readonly(chain, -1)
+        n = len(chain) if links is None else links.size
+        _require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        if links is not None:
+            positive = bool(np.all(np.isfinite(links) & (links > 0)))
+            _require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
+            chain = planar_chain(links)
         lower, upper = _joint_limits(self.lower, self.upper, chain)
         if self.sigma is not None:
             _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
@@ -251,15 +256,6 @@ class Arm(ByValue):
         return html_lines([summary]) + html_table(("joint", "type", "length [mm]", "lower", "upper"), rows)
 
 
-def _of_links(lengths: ArrayLike) -> KinematicChain:
-    """The planar chain of links [mm]; raises `InputError` for none, too many or lengths that are not positive."""
-    links = readonly(lengths, -1)
-    _require(1 <= links.size <= MAX_LINKS, f"links_mm: {links.size} links, allowed: 1 to {MAX_LINKS}")
-    positive = bool(np.all(np.isfinite(links) & (links > 0)))
-    _require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
-    return planar_chain(links)
-
-
 def _joint_limits(
     lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, chain: KinematicChain
 ) -> tuple[Array, Array]:
@@ -276,7 +272,7 @@ def _joint_limits(
         raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
     farther = np.where(-lower > upper, lower, upper) * turning
     worst = int(np.argmax(np.abs(farther)))
-    if abs(farther[worst]) > MANY_TURNS:
+    if abs(farther[worst]) > 10.0 * np.pi + 1e-6:  # [rad] no arm turns a joint farther; degrees do
         limit = f"limit {farther[worst]:g} of joint {worst + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
         message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
         warnings.warn(message, UserWarning, stacklevel=4)

@@ -16,7 +16,6 @@ from identification.errors import InputError
 
 Array = NDArray[np.float64]
 SHOWN = 5  # rows named in a sentence
-HASHED = 50  # effort: numbers of an array that its hash looks at
 
 
 def _read_only_mapping(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
@@ -59,10 +58,10 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _hashable(value: Any) -> Any:
-    """Equal for equal values; of an array its shape and first numbers, of a mapping its keys, numbers and arrays."""
+    """Equal for equal values; of an array shape and (effort) first 50 numbers, of a mapping keys, numbers, arrays."""
     if isinstance(value, Mapping):
         return frozenset((k, _hashable(v) if isinstance(v, Real | np.ndarray) else None) for k, v in value.items())
-    return (value.shape, *value.flat[:HASHED].tolist()) if isinstance(value, np.ndarray) else value
+    return (value.shape, *value.flat[:50].tolist()) if isinstance(value, np.ndarray) else value
 
 
 def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:

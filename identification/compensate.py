@@ -40,10 +40,7 @@ SEEDS = 32  # random postures per target where none is given, or where the nomin
 QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reached it, the others creep along limits,
 # and for a target out of reach damped least squares often end 1 % too far
 MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
-CHUNK = 1_000  # targets at a time, times SEEDS starts
 BEND = 1e-7  # [rad] of a joint, for second derivatives
-WITNESSES = 6  # postures at a target that must agree before it counts as barred
-SAME = 0.01  # of what is missed: margins that differ by less are those of the target, whatever the posture
 APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
 Constraints = Sequence[PostureCondition]
 Tried = tuple[Array, Array, Array]  # of k goals, best first: postures (k, s, n), what they leave [mm] and rank (k, s)
@@ -457,8 +454,8 @@ def best_of_seeds(task: Task) -> tuple[Array, Array]:
     seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, arm.links))
     redundant = task.conditions.orientation is None and arm.links > task.goals.shape[1]
     postures, errors = np.empty_like(task.near), np.empty(len(task.goals))
-    for start in range(0, len(task.goals), CHUNK):
-        rows = np.arange(start, min(start + CHUNK, len(task.goals)))
+    for start in range(0, len(task.goals), 1_000):  # targets at a time, times SEEDS starts
+        rows = np.arange(start, min(start + 1_000, len(task.goals)))
         some = task.at(rows)
         chosen = seeds[:SEEDS]
         if redundant:  # reaches most goals from most seeds: the six whose linear steps to the goal end nearest
@@ -504,9 +501,11 @@ def _barred(task: Task, postures: Array, left: Array) -> NDArray[np.bool_]:
         return high.max(axis=1), low.min(axis=1)
 
     high, low = ends(margins.reshape(*left.shape, -1))
-    same = np.any((high < -TOLERANCE) & (high - low <= SAME * -high), axis=1)
-    spread = np.subtract(*ends(postures)).max(axis=1)  # witnesses differ by 0.5 rad or mm of some joint
-    return same & (np.count_nonzero(reached, axis=1) >= WITNESSES) & (spread > 0.5)
+    # margins that differ by less than 1 % of what is missed are those of the target, whatever the posture
+    same = np.any((high < -TOLERANCE) & (high - low <= 0.01 * -high), axis=1)
+    # six witnesses must agree, and differ by 0.5 rad or mm of some joint
+    spread = np.subtract(*ends(postures)).max(axis=1)
+    return same & (np.count_nonzero(reached, axis=1) >= 6) & (spread > 0.5)
 
 
 def _led_on(task: Task, postures: Array, left: Array, rank: Array) -> tuple[Array, Array]:

@@ -16,7 +16,6 @@ from identification.arrays import Array, ByValue
 # what follows from the order of measurement: all, and what only rows that follow each other show
 BY_ORDER = frozenset({"time", "directions", "past"})
 FOLLOWING = frozenset({"directions", "past"})
-LABELS = 0.75  # share of rows behind a gap from which the numbers of order are frames or labels, not counts
 REMEMBERED = 12  # turning points of a past: of 60 random postures in 3,000 one row needs more
 
 
@@ -128,12 +127,13 @@ def session_time(order: Array) -> Array:
 def gaps_of(order: Array) -> NDArray[np.bool_]:
     """(m,) True where numbers are left out of an `order` that counts measurements: the row before is missing.
 
-    Where numbers are left out nearly everywhere they do not count measurements: then the row before is the one before.
+    Where numbers are left out before more than 3 of 4 rows they are frames or labels, no counts: then the row before is
+    the one before.
     """
     sequence = np.argsort(order, kind="stable")
     gaps = np.zeros(len(order), dtype=bool)
     gaps[sequence[1:]] = np.diff(order[sequence]) > 1.0
-    return gaps & (gaps.mean() <= LABELS)
+    return gaps & (gaps.mean() <= 0.75)
 
 
 def directions_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:

@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 LONG = 24  # characters, from which a cell is text that may be broken
-PHONE = 38  # characters of a row that a phone shows
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
-MOST = 200  # rows of a table in HTML, where its text says that there may be more
 NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
 
 
@@ -165,7 +163,7 @@ def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name:
     if isinstance(part, str):
         return html_lines([in_symbols(part)]) if part else ""
     if isinstance(part, Sheet):
-        rows, rest = part.cut(MOST)
+        rows, rest = part.cut(200)  # where the text of the table says that there may be more
         title = f"<h3>{escape(part.title)}</h3>\n" if part.title else ""
         label = escape(f"{name}, table".removeprefix(", "))
         box = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
@@ -195,12 +193,13 @@ def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         pairs = ([escape(in_symbols(text)) for text in line] for line in lines)
         body = "".join(f'<tr><th scope="row" {style}>{name}</th><td {style}>{text}</td></tr>\n' for name, text in pairs)
         return f"<table>\n<tbody>\n{body}</tbody>\n</table>"
-    characters = 0  # that a row needs: of words where a cell may be broken, as headings, first cells and texts may
+    # that a row needs, of 38 that a phone shows: of words where a cell may be broken, as headings, names and texts may
+    characters = 0
     for k, heading in enumerate(headings):
         cells = [line[k] for line in lines]
         firm = [len(cell) for cell in cells if k > 0 and len(cell) <= LONG]
         characters += 2 + max([*firm, *(len(word) for text in (heading, *cells) for word in text.split())], default=0)
-    wide = ' class="wide"' if len(headings) > 2 and characters > PHONE else ""
+    wide = ' class="wide"' if len(headings) > 2 and characters > 38 else ""
     kinds = [' class="text"' if any(len(line[k]) > LONG for line in lines) else "" for k in range(len(headings))]
     named = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
     head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in named)

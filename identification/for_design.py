@@ -43,8 +43,8 @@ NEEDS_SIGMA = (  # the end of a sentence
     "or what the standard deviation of one coordinate is [mm]"
 )
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
-CHOICES = 2000  # postures that touch to choose from, as for robust designs
 BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
+CHOICES = 2000  # postures that touch to choose from, as for robust designs
 TOUCHES = 1e-6  # [mm] how near is on the surface
 
 
@@ -308,35 +308,27 @@ def refuse_contacts(chain: KinematicChain) -> None:
         raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
 
-def with_center(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
-    """The chain with the center of measured distances where the arm says, or before it; any other chain as it is.
+def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
+    """The chain with the measured points that it does not know beside the last axis, evenly around it, and the center
+    of measured distances where the arm says, or before it.
 
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
     has no place.
     """
-    if chain.instrument.reads_positions:
-        return chain
-    stands = BASE in chain.settled or chain.instrument.stands(chain.base)
-    if not contacts:
+    instrument, stands = chain.instrument, BASE in chain.settled or chain.instrument.stands(chain.base)
+    if not instrument.reads_positions and not contacts:
         refuse_contacts(chain)
-    if (chain.instrument.contact or chain.instrument.own_targets) and not stands:
-        keys = sorted(chain.instrument.keys & {"center_mm", "normal", "cups"})
-        reason = f"kind {chain.instrument.kind} without {keys[0]}: where it is touched is not known"
+    if (instrument.contact or instrument.own_targets) and not stands:
+        keys = sorted(instrument.keys & {"center_mm", "normal", "cups"})
+        reason = f"kind {instrument.kind} without {keys[0]}: where it is touched is not known"
         raise InputError(
             f"instrument: found {reason}, allowed for plans: with {' and '.join(keys)}, or a calibrated arm"
         )
-    if stands:
-        return chain
-    away = 0.5 * chain.reach
-    assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
-    warnings.warn(f"instrument: the center is not known, {assumed}", stacklevel=2)
-    return replace(chain, base=pose([-away, 0.0, 0.0]))
-
-
-def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
-    """The chain with the measured points that it does not know beside the last axis, evenly around it, and a center of
-    distances `with_center`."""
-    chain = with_center(chain, contacts)
+    if not instrument.reads_positions and not stands:
+        away = 0.5 * chain.reach
+        assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
+        warnings.warn(f"instrument: the center is not known, {assumed}", stacklevel=2)
+        chain = replace(chain, base=pose([-away, 0.0, 0.0]))
     names = [name for name, place in chain.tools.items() if not np.any(place)]
     if TOOL in chain.settled or not names:
         return chain

@@ -31,7 +31,6 @@ PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of t
 VISIBLE = 1e-6  # of the largest
 ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
-SHOWN = 0.02  # coefficients below this share of the largest are not shown, and such differences from 1 neither
 TOUCHED = 1e-3  # a parameter with less than this in every null direction is estimable
 
 
@@ -210,16 +209,17 @@ def describe(direction: Array, names: Sequence[str]) -> str:
     """A direction of the null space in words: `joint_offset:1 + base_rotation.angle`.
 
     The last parameter named acts exactly as the sum of the others does (its Jacobian column is that combination of
-    theirs, each in mm at the tip), so only what they make together is estimable. Coefficients near 1 are left out.
+    theirs, each in mm at the tip), so only what they make together is estimable. Coefficients of 1 within 2 % are
+    left out, and parameters with less than 2 % of the largest.
     """
-    shown = np.flatnonzero(np.abs(direction) > SHOWN * np.max(np.abs(direction)))
+    shown = np.flatnonzero(np.abs(direction) > 0.02 * np.max(np.abs(direction)))
     coefficients = direction[shown] / np.max(np.abs(direction))
     coefficients[-1] *= -1.0 if shown.size > 1 else 1.0
     coefficients *= np.sign(coefficients[0])
     words = ""
     for coefficient, k in zip(coefficients, shown.tolist(), strict=True):
         size = abs(coefficient)
-        factor = "" if abs(size - 1.0) <= SHOWN else f"{size:.2g} "
+        factor = "" if abs(size - 1.0) <= 0.02 else f"{size:.2g} "
         words += (" + " if coefficient > 0.0 else " - ") + factor + names[k]
     return words[3:]
 

@@ -370,8 +370,6 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
 ROW_DIGESTS = "digests_of_rows"  # key of a calibration's provenance
 KEPT = 2000  # digests: of 12,000 rows one in six, so that 30 of them are missed once in 240 times; 16 kB of text
 BYTES = 6  # of a digest: two of a million rows share one with a probability of 0.002 for each of a thousand others
-STEP = 1e-3  # [rad, mm] numbers to the nearest: those written with three digits are still the same
-BETWEEN = 0.5 + 1e-6  # of a step is added: what lies half way goes up, whatever its last bits are
 
 
 class Shared(NamedTuple):
@@ -402,8 +400,9 @@ def rows_shared(text: str, postures: Array, positions: Array) -> Shared:
 
 
 def _digests(postures: Array, positions: Array) -> NDArray[np.uint64]:
-    """(m,)."""
-    whole = np.floor(np.column_stack([postures, positions]) / STEP + BETWEEN).astype("<i8")
+    """(m,) of numbers to the nearest 1e-3 rad or mm: those written with three digits are still the same; what lies half
+    way goes up, whatever its last bits are."""
+    whole = np.floor(np.column_stack([postures, positions]) / 1e-3 + (0.5 + 1e-6)).astype("<i8")
     hashed = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
     return np.array(hashed, dtype=np.uint64)
 

@@ -33,8 +33,6 @@ from identification.origin import HELD_FROM, comes_from, identified
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
 
-HARDLY = 0.1  # of how far a point is moved: a standard deviation that adds hardly anything to it
-GAIN = 1.25  # of the sum of squares: a tenth of the RMS error; less is not worth another set of parameters
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {
     "lengths": (LENGTH_ERROR, TRANSLATION_ERROR),
@@ -226,7 +224,7 @@ def with_mounting_doubt(
     together: Identification, measurements: Measurements, fit: Callable[[Measurements], Identification]
 ) -> Identification:
     """A fit to several sessions, with a doubt where measured points that the sessions share are mounted elsewhere in
-    some of them: squares fall significantly, and by more than `GAIN`, where each session has points of its own.
+    some of them: squares fall significantly, and by a factor above 1.25, where each session has points of its own.
 
     fit : the same for other measurements
     """
@@ -246,7 +244,8 @@ def with_mounting_doubt(
         apart = fit(replace(measurements, marker=renamed.astype(str), marker_names=())) if old else together
     except InputError:  # the points are given, or too few rows
         return together
-    if (fall := _fall(together, apart, GAIN)) is None:
+    # less than a tenth of the RMS error is not worth another set of parameters
+    if (fall := _fall(together, apart, 1.25)) is None:
         return together
     # how far each point that is moved significantly is from where the session before has it [mm], along the directions
     # in which it is: the heights of a SCARA's reflectors, say, are hardly known
@@ -261,7 +260,8 @@ def with_mounting_doubt(
         along = axes.T @ (places[new] - places[name])
         told = fdtrc(1, apart.dof, along**2 / np.maximum(variances, np.finfo(float).tiny)) <= LEVEL / (3 * len(old))
         if told.any():
-            told |= variances < HARDLY**2 * np.sum(along[told] ** 2)
+            # with deviations that add hardly anything to how far it is moved
+            told |= variances < 0.1**2 * np.sum(along[told] ** 2)
             size = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g} mm away"
             moved.append(f"{new.replace(' of ', ' in session ', 1)}: {size}")
     if not moved:

@@ -59,10 +59,6 @@ def silent(done: float, total: float | None, message: str) -> None:
     """The default: nothing is printed."""
 
 
-def say_nothing(message: str) -> None:
-    """The default of a `Tell`."""
-
-
 @contextmanager
 def single_thread() -> Iterator[None]:
     """`with single_thread():`, or `@single_thread()` of a function: BLAS uses one thread inside, and as many as before

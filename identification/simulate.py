@@ -20,7 +20,6 @@ from identification.measurements import Measurements, directions_from_order
 from identification.model import Model
 from identification.model.placed import led_to_contact, of_positions
 
-TOUCHES = 1e-6  # [mm] how near to a target is in it
 SERVO = "servo_error"
 
 
@@ -101,7 +100,7 @@ def _seated(model: Model, session: Measurements, noise: float, generator: np.ran
     goals = noise * generator.standard_normal((len(session), chain.instrument.dimension))
     q = led_to_contact(model, session.postures, goals, np.ones(session.links))
     left = np.linalg.norm(model.position(q) - goals, axis=1)
-    if (lost := ~(left < TOUCHES)).any():
+    if (lost := ~(left < 1e-6)).any():  # [mm] how near to a target is in it
         state = f"plan: from {rows_in_words(lost)} no {chain.instrument.target} can be reached"
         raise InputError(f"{state}, allowed: postures near to one")
     points = of_positions(model).position(q)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
 from identification.document import Answer, Document, picture_bytes
 from identification.errors import InputError, nearest
-from identification.files.io import PathLike, read_text, write_together
+from identification.files.io import PathLike, read_text, read_toml, write_together
 from identification.running import Progress, Status, silent
 
 if TYPE_CHECKING:
@@ -475,14 +475,15 @@ def dh_lines(
 def _calibrated_file(
     path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path
 ) -> dict[PathLike, str | bytes]:
-    """The arm file of `path` with these effects and this calibration, as `out`, and the URDF file that it needs."""
-    from identification.files.arm import urdf_beside, with_calibration, with_effects
+    """The arm file of `path` with these effects and this calibration, as `out`, and its URDF file if not there yet."""
+    from identification.files.arm import with_calibration, with_effects
 
-    folder = Path(path).parent
-    return {
-        out: with_calibration(with_effects(read_text(path), effects, folder), calibration, folder),
-        **urdf_beside(path, out),
-    }
+    folder, name = Path(path).parent, read_toml(path).get("urdf")
+    text = with_calibration(with_effects(read_text(path), effects, folder), calibration, folder)
+    if name is None or name.lstrip().startswith("<"):
+        return {out: text}
+    copy, content = Path(out).parent / name, (folder / name).read_bytes()
+    return {out: text} if copy.exists() and copy.read_bytes() == content else {out: text, copy: content}
 
 
 def _write_calibrated(

@@ -19,8 +19,6 @@ from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, JobError, information_matrix, single_thread
 
-ROUGH = 1e-3  # relative gap for models of many parameters: some seconds instead of half a minute
-
 
 def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> Bound | None:
     """The closed form if it applies and is tight, otherwise the lower of it and the numerical bound.
@@ -51,11 +49,11 @@ def best_design(
 
     also : (k, n) postures that a search over all must start from;  stop : asked now and then
     """
-    many = problem.many_parameters
+    many, rough = problem.many_parameters, 1e-3  # relative gap: some seconds instead of half a minute
     if problem.choices is None:
-        free, gap = (replace(problem, constraints=()), ROUGH) if many else (problem, 1e-8)
+        free, gap = (replace(problem, constraints=()), rough) if many else (problem, 1e-8)
         return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
-    one_number = ROUGH if many and problem.model.dimension == 1 else 1e-9  # a run: weights hardly settle
+    one_number = rough if many and problem.model.dimension == 1 else 1e-9  # a run: weights hardly settle
     gap = 1e-2 if problem.missing else one_number  # with a prior weights are spread over as many postures
     candidates = listed_candidates(problem, problem.choices)
     listed = column_generation(problem, candidates, runs=runs, tolerance=gap, stop=stop)

@@ -21,7 +21,6 @@ from doe.problem.problem import DesignProblem, PriorInformation
 from identification import PRISMATIC, Array, Status
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
-REACHED = 1.0 - 1e-9  # efficiency from which searching on cannot matter
 ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one
 SCOPES = {"closed_form": "all postures", "continuous": "all postures", "grid": "list"}
 PROVEN, NUMERICAL = "proven", "numerical"

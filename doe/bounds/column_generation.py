@@ -57,10 +57,6 @@ Stage = tuple[Price, float, int]
 SAMPLE = 20_000  # of very many candidates, which are priced first
 EXACT = 1e-14  # gap of the weights on a working set: rounding
 ROUGHEST = 1e-2  # gap to which weights are multiplicative, for hundreds of parameters
-CLIMBERS = 64
-# heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls, where
-# the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
-BARRIERS = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)])
 SAME = 1e-7  # [rad] postures nearer than this are one
 LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
 # candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
@@ -162,9 +158,9 @@ class ContinuousSet:
         `stop` ends the climb on its way.
         """
         pool = self.starts if generator is None else random_postures(self.problem, 20_000, generator)
-        order = np.argsort(-self.sensitivities(pool, gradient))
+        order, climbers = np.argsort(-self.sensitivities(pool, gradient)), 64
         promising = (
-            [pool[order[:CLIMBERS]]] if generator is None else [pool[order[: 4 * CLIMBERS]], pool[: 4 * CLIMBERS]]
+            [pool[order[:climbers]]] if generator is None else [pool[order[: 4 * climbers]], pool[: 4 * climbers]]
         )
         postures = self.climb(np.concatenate([near, *promising]), gradient, stop)
         values = self.sensitivities(postures, gradient)
@@ -178,8 +174,11 @@ class ContinuousSet:
         if not self.problem.constraints:
             return self._ascend(q, gradient, np.zeros(len(q)), stop)
         scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
-        kind = np.arange(len(q)) % len(BARRIERS)
-        for barriers in scale * BARRIERS.T:
+        # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls,
+        # where the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
+        heights = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)])
+        kind = np.arange(len(q)) % len(heights)
+        for barriers in scale * heights.T:
             q = self._ascend(q, gradient, barriers[kind], stop)
             # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
             apart = distinct(np.column_stack([self.problem.comparable(q), kind]), 1e-6)

@@ -79,7 +79,22 @@ def command(
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
     if study == "paper":
-        return _paper(replications, folder, job, seed, progress)
+        # in some seconds, in this process, without anything to resume
+        from doe.jobs import parquet, tables
+        from doe.report.page import svg
+        from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
+        from doe.studies.paper import paper_study, passed
+
+        force = job.force or job.resume
+        if folder.exists():
+            check_writable(folder / "errata.parquet", force)
+        found = paper_study(replications, seed=seed, progress=progress)
+        files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in found.items()}
+        files |= {folder / "figure_1.svg": svg(figure_1_picture(found["figure_1"]))}
+        files |= {folder / "figure_2.svg": svg(figure_2_picture(found["figure_2"]))}
+        with tables(folder):
+            write_together(files, force)
+        return _tables_answer(found, passed(found), folder, paper_parts(found))
     where = job.where()
     with interruptible(folder):
         options: Options = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
@@ -113,25 +128,6 @@ def _from_file(path: Path, replications: int | None, folder: Path, workers: Work
     failed = result.cells.filter(result.cells["status"] != "done")
     data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
     return Answer(data, [*monte_carlo_parts(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
-
-
-def _paper(replications: int | None, folder: Path, job: JobOptions, seed: int, progress: Progress) -> Answer:
-    """The paper reproduced, in some seconds: in this process, without anything to resume."""
-    from doe.jobs import parquet, tables
-    from doe.report.page import svg
-    from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
-    from doe.studies.paper import paper_study, passed
-
-    force = job.force or job.resume
-    if folder.exists():
-        check_writable(folder / "errata.parquet", force)
-    found = paper_study(replications, seed=seed, progress=progress)
-    files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in found.items()}
-    files |= {folder / "figure_1.svg": svg(figure_1_picture(found["figure_1"]))}
-    files |= {folder / "figure_2.svg": svg(figure_2_picture(found["figure_2"]))}
-    with tables(folder):
-        write_together(files, force)
-    return _tables_answer(found, passed(found), folder, paper_parts(found))
 
 
 def _tables_answer(tables: Mapping[str, Any], passed: bool, folder: Path, shown: list[Any]) -> Answer:

@@ -116,9 +116,12 @@ class JobOptions:
 
     def where(self, workers: int | None = None) -> Pool:
         """The workers asked for, left out: this many. Raises `InputError` if the cluster does not answer."""
-        from doe.jobs import chosen_workers
+        from doe.jobs import SERIAL, cluster, processes
 
-        return chosen_workers(self.workers or workers, self.cluster)
+        if self.cluster is not None:
+            return cluster(self.cluster)
+        number = self.workers or workers or os.cpu_count() or 1
+        return SERIAL if number == 1 else processes(number)
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------

@@ -56,9 +56,8 @@ if TYPE_CHECKING:
 
 TURN = 2.0 * np.pi  # [rad]
 MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
-CLOUD, POOL = 512, 1500  # effort: postures
-# effort: gain of the criterion below which the swaps end, ten of it for the pools; rounds of pools
-LEAST_GAIN, ROUNDS = 1e-3, 5
+CLOUD = 512  # effort: postures
+LEAST_GAIN = 1e-3  # effort: of the criterion, below which the swaps end, ten of it for the pools
 
 
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
@@ -301,28 +300,23 @@ def discrimination_design(
                 status = Status.time_limit if part.out_of_time else status
         except KeyboardInterrupt:
             status = Status.interrupted
-    # effort: the order has a second in any case
+    # the order of many that shows backlash and drift best beside the model's parameters: by log det of what the data
+    # tell of the order's effects, beyond what the others explain; effort: it has a second in any case
     ordering = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + 1.0))
-    plan = replace(best.plan, postures=_best_order(library, chosen, generator, ordering))
-    design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
-    bounds = state.wrong(chosen), state.wrong(best.plan.postures), state.at_random(runs)
-    return DiscriminationDesign(design, best, seen(plan.postures), best_sees, *(min(1.0, bound) for bound in bounds))
-
-
-def _best_order(library: EffectLibrary, postures: Array, generator: Generator, budget: Budget) -> Array:
-    """The postures in the order, of many shuffles, that shows backlash and drift best beside the model's parameters: by
-    log det of what the data tell of the order's effects, beyond what the others explain."""
-    shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort: orders to choose from
+    shuffles = [generator.permutation(runs) for _ in range(200)]  # effort
     scores, base, jacobian_of = list[float](), library.base, library.jacobian_by_order
     for order in shuffles:
-        if jacobian_of is None or (scores and budget.out_of_time):
+        if jacobian_of is None or (scores and ordering.out_of_time):
             break
-        jacobian = jacobian_of(postures[order])
+        jacobian = jacobian_of(chosen[order])
         information = information_matrix(jacobian)
         cross = information[:base, base:]
         explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
         scores.append(float(log_determinants(information[base:, base:] - explained)))
-    return np.asarray(postures[shuffles[int(np.argmax(scores or [0.0]))]])
+    plan = replace(best.plan, postures=chosen[shuffles[int(np.argmax(scores or [0.0]))]])
+    design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
+    bounds = state.wrong(chosen), state.wrong(best.plan.postures), state.at_random(runs)
+    return DiscriminationDesign(design, best, seen(plan.postures), best_sees, *(min(1.0, bound) for bound in bounds))
 
 
 # -- where swaps start -------------------------------------------------------------------------------------------------
@@ -461,12 +455,13 @@ class Swaps:
         """(m, n) the plan, and it after every swap, better and better;  least : of the base problem's criterion"""
         yield postures
         self.begin(postures, least)
-        for number in range(ROUNDS):
+        rounds = 5  # effort: of pools
+        for number in range(rounds):
             before = self.value
             self.draw(generator)
             while not budget.out_of_time and self.swap():
                 yield self.postures
-                progress(number, ROUNDS, f"wrong names at most {float(np.exp(-self.value)):.3f}")
+                progress(number, rounds, f"wrong names at most {float(np.exp(-self.value)):.3f}")
             if budget.out_of_time or self.value < before + 10.0 * LEAST_GAIN:
                 break
 
@@ -483,9 +478,10 @@ class Swaps:
 
     def draw(self, generator: Generator) -> None:
         """Draw a new pool of postures."""
-        self.pool = pool_of(self.problem, POOL, generator)
+        drawn = 1500  # effort
+        self.pool = pool_of(self.problem, drawn, generator)
         if self.problem.choices is None:
-            near = self.postures[generator.integers(len(self.postures), size=POOL)]
+            near = self.postures[generator.integers(len(self.postures), size=drawn)]
             width = 0.15 * (self.problem.upper - self.problem.lower)  # effort: neighbors by this part of a range
             near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
             self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.random import Generator
 from scipy.special import ndtr
 
 from doe.plan.plan import Plan
@@ -33,8 +32,6 @@ from identification import (
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis
-
-POOL = 1500  # effort: random postures to choose from
 
 
 @dataclass(frozen=True)
@@ -192,8 +189,13 @@ def discriminate(
             f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
     generator = np.random.default_rng(seed)
-    pool = random_postures(DesignProblem.of(Model(arm)), POOL, generator) if pool is None else pool
-    conditions = possible_conditions(arm, len(pool), generator, payloads)
+    if pool is None:
+        pool = random_postures(DesignProblem.of(Model(arm)), 1500, generator)  # effort
+    # a payload and directions of approach for each posture, at random
+    usual = 0.0 if arm.gravity is None else arm.gravity.payload
+    payload = generator.choice(np.array(payloads or (usual,)), len(pool))
+    directions = generator.choice(np.array([-1.0, 1.0]), (len(pool), arm.links))
+    conditions = Conditions(payload, None, np.full(len(pool), 0.5), directions)
     rivals = RivalPredictions.of(diagnosis, pool, conditions)
     chosen = t_optimal(rivals, runs, stop)
     squares, _ = rivals.noncentrality(chosen)
@@ -230,11 +232,3 @@ def t_optimal(rivals: RivalPredictions, runs: int, stop: Stop = never) -> list[i
         if chosen == before:
             break
     return chosen
-
-
-def possible_conditions(arm: Arm, count: int, generator: Generator, payloads: tuple[float, ...] | None) -> Conditions:
-    """A payload and directions of approach for each of `count` postures, at random."""
-    usual = 0.0 if arm.gravity is None else arm.gravity.payload
-    payload = generator.choice(np.array(payloads or (usual,)), count)
-    directions = generator.choice(np.array([-1.0, 1.0]), (count, arm.links))
-    return Conditions(payload, None, np.full(count, 0.5), directions)

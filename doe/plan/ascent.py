@@ -19,7 +19,6 @@ import numpy as np
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, information_matrix
 
-FIRMNESS = (10.0, 100.0, 1000.0)  # s in units of the mean slope: a tenth, hundredth, thousandth of a radian outside
 INSIDE = 1e-6  # [rad] constraints are kept by this much: rounding
 
 
@@ -67,10 +66,11 @@ class PlanAscent:
         # of the steepest: less steep ones, such as the height of the base, do not count as walls
         self.steepness = np.maximum(steepness, 1e-3 * steepness.max(initial=0.0))
         moved = plan
-        for firmness in FIRMNESS if slope > 0.0 else ():
+        # s in units of the mean slope: a tenth, hundredth, thousandth of a radian outside
+        for firmness in (10.0, 100.0, 1000.0) if slope > 0.0 else ():
             self.firmness = firmness * slope
             # less exact as long as s still grows
-            moved = self._climbed(moved, tolerance * (1.0 if firmness == FIRMNESS[-1] else 10.0), stop)
+            moved = self._climbed(moved, tolerance * (1.0 if firmness == 1000.0 else 10.0), stop)
         inside = self.put_inside(moved)
         return np.where(self.problem.feasible(inside)[:, None], inside, plan)
 

@@ -26,7 +26,6 @@ COLLISIONS = (
     "slowly, or let armcal design --candidates FILE choose from postures that you allow."
 )
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
-POINTER = 100.0  # [mm] from the reflector to the point that tells where it looks
 FLAT = 1e-9  # [mm] lengths that divide nothing
 Points = list[ca.SX]  # base, joints and tip
 
@@ -140,9 +139,10 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     if sight.reach is not None:
         expressions += [distance - sight.reach[0], sight.reach[1] - distance]
     if sight.facing is not None:
-        offset = POINTER * np.array(sight.facing) / np.linalg.norm(sight.facing)
+        pointer = 100.0  # [mm] from the reflector to the point that tells where it looks
+        offset = pointer * np.array(sight.facing) / np.linalg.norm(sight.facing)
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
-        looks = (moved.symbolic_points(q)[-1] - tip) / POINTER
+        looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
     links = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in pairwise(points[:-1])]
     return ca.vertcat(*expressions, *links)

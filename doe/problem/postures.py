@@ -11,9 +11,6 @@ from numpy.typing import ArrayLike
 from doe.problem.problem import DesignProblem
 from identification import Array, InputError
 
-MOST = 2**24  # candidates of a grid: a gigabyte
-OUTSIDE = 1e-9  # [rad] a listed posture may exceed a joint limit by this much, from rounding in a file in degrees
-
 
 # -- random postures ---------------------------------------------------------------------------------------------------
 def random_postures(problem: DesignProblem, count: int, generator: Generator) -> Array:
@@ -104,10 +101,10 @@ def grid(problem: DesignProblem, levels: int) -> Array:
     """
     if levels < 2:
         raise InputError(f"grid: {levels} levels per joint, allowed: at least 2 (the joint limits)")
-    gridded = problem.searched_joints
-    if levels ** len(gridded) > MOST:
-        asked, most = f"{levels} levels for each of {len(gridded)} joints", int(MOST ** (1.0 / len(gridded)) + 1e-9)
-        raise InputError(f"grid: {asked}, allowed: 2 to {most}, which are {MOST:,} candidates at most")
+    gridded, count = problem.searched_joints, 2**24  # candidates at most: a gigabyte
+    if levels ** len(gridded) > count:
+        asked, most = f"{levels} levels for each of {len(gridded)} joints", int(count ** (1.0 / len(gridded)) + 1e-9)
+        raise InputError(f"grid: {asked}, allowed: 2 to {most}, which are {count:,} candidates at most")
     axes = [
         np.linspace(low, high, levels) if joint in gridded else np.array([0.5 * (low + high)])
         for joint, (low, high) in enumerate(zip(problem.lower, problem.upper, strict=True))
@@ -126,7 +123,8 @@ def listed_candidates(problem: DesignProblem, postures: ArrayLike) -> Array:
         raise InputError(f"candidates: shape {np.shape(postures)}, allowed: (N, {problem.joints})")
     if len(rows := np.flatnonzero(~np.isfinite(listed).all(axis=1))):
         raise InputError(f"candidates: row {rows[0] + 1} is not finite, allowed: finite joint angles")
-    inside = np.all((listed >= problem.lower - OUTSIDE) & (listed <= problem.upper + OUTSIDE), axis=1)
+    rounding = 1e-9  # [rad] from a file in degrees
+    inside = np.all((listed >= problem.lower - rounding) & (listed <= problem.upper + rounding), axis=1)
     return _allowed(problem, problem.clip(listed), inside)
 
 

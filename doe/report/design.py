@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]  # what a command says with --json
 
-NEAR = 0.9  # of the bound, which a plan of whole runs should reach where it determines every parameter
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
     "and only of such a fit is the error at the tip that is expected here"
@@ -69,7 +68,8 @@ def design_verdict(data: Data) -> str:
     bound = data.get("bound") or {"source": "continuous"}  # which older files do not have
     kind = "" if bound.get("rigorous", False) else " (a numerical bound)"
     sentence += f"; no plan from {postures_in_words(bound)} is below {in_a_sentence(error['bound'])} mm{kind}"
-    hope = "Do not expect it near 1: the" if data["efficiency"] < NEAR else "The"
+    # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
+    hope = "Do not expect it near 1: the" if data["efficiency"] < 0.9 else "The"
     judge = f"{hope} bound allows fractions of a run. Judge by the mm."
     return f"{sentence}. Efficiency {data['efficiency']:.4f}. {judge}"
 
@@ -339,17 +339,15 @@ def advice_sentence(advice: Advice) -> str:
 
 
 # -- armcal relax ------------------------------------------------------------------------------------------------------
-SHOWN = 5e-6  # of the weights: smaller ones would be printed as zero
-
-
 def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> Document:
     """Value, bound and efficiency, then the support, heaviest first, and independent answers side by side."""
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     order = np.argsort(-design.plan.shares, kind="stable")
     weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
-    rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= SHOWN]
+    least = 5e-6  # smaller weights would be printed as zero
+    rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= least]
     unseen = len(design.plan) - len(rows)
-    rest = [f"and {unseen} more of less weight than {SHOWN:g}; --json and --out have them"] if unseen else []
+    rest = [f"and {unseen} more of less weight than {least:g}; --json and --out have them"] if unseen else []
     facts: list[tuple[str, str | None]] = [
         ("criterion", f"{design.criterion} over {where}, {len(design.plan)} with positive weight"),
         ("value", number(design.value, 9)),

@@ -16,7 +16,6 @@ from doe.problem.problem import DesignProblem
 from identification import PRISMATIC, REVOLUTE, Arm, Array, Model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
-MANY = 500  # more stick figures only cover each other; more points are drawn smaller, as pixels in vector formats
 SIDES = ((22.0, -60.0), (22.0, 30.0))  # [deg] elevation and azimuth of the two views of a spatial arm
 PLANE = "xy"
 
@@ -24,7 +23,8 @@ PLANE = "xy"
 # -- plans -------------------------------------------------------------------------------------------------------------
 def plan_figure(arm: Arm, postures: Array) -> Figure:
     """The postures of an arm as stick figures, of very many some, and every joint's angles within its limits."""
-    shown = postures[np.linspace(0, len(postures) - 1, min(len(postures), MANY)).round().astype(int)]
+    most = min(len(postures), 500)  # more stick figures only cover each other
+    shown = postures[np.linspace(0, len(postures) - 1, most).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
     if not arm.chain.planar:
         figure = Figure(figsize=(10.0, 8.6))

@@ -32,9 +32,6 @@ def cell_text(value: Any, kind: str = ".4g") -> str:
 
 
 # -- armcal compare ----------------------------------------------------------------------------------------------------
-FLOOR = 1e-9  # losses below this are shown there
-
-
 def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     """One table per problem, the best setting first, and what went wrong, equal sentences once."""
     parts: list[Any] = []
@@ -113,7 +110,7 @@ def profile_figure(rows: pl.DataFrame) -> Figure:
 
 def time_figure(rows: pl.DataFrame) -> Figure:
     """Value against time, one panel per problem: loss of efficiency of every run, those without loss at the bottom."""
-    rows = with_hits(rows)
+    rows, floor = with_hits(rows), 1e-9  # losses below it are shown there
     problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
     styles = _styles(rows.select(SETTING).unique(maintain_order=True).rows())
     across = min(len(problems), 3)
@@ -127,13 +124,13 @@ def time_figure(rows: pl.DataFrame) -> Figure:
         part = rows.filter("good", **dict(zip(PROBLEM, problem, strict=True)))
         for setting, (color, _, marker) in styles.items():
             runs = part.filter(**dict(zip(SETTING, setting, strict=True)))
-            loss = np.maximum(runs["loss"].to_numpy(), FLOOR)
+            loss = np.maximum(runs["loss"].to_numpy(), floor)
             axes.plot(runs["seconds"].to_numpy(), loss, marker, color=color, ms=5, alpha=0.7, label=label(setting))
-        axes.set(xscale="log", yscale="log", ylim=(FLOOR / 2.0, 1.5), xlabel="time of a run [s]")
+        axes.set(xscale="log", yscale="log", ylim=(floor / 2.0, 1.5), xlabel="time of a run [s]")
         _plain_numbers(axes)
         axes.set_title(f"{problem[0]}, {problem[2]}, {problem[3]} runs", fontsize=9)
     for first in grid[:, 0]:
-        first.set_ylabel(f"efficiency below the best (floor {FLOOR:g})")
+        first.set_ylabel(f"efficiency below the best (floor {floor:g})")
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, fontsize=8, loc="outside right center")
     return figure

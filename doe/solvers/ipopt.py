@@ -192,7 +192,9 @@ class Climber:
         counts = {"f": 1, "x": size, "lam_x": size, "g": rows, "lam_g": rows}
         names = [ca.nlpsol_out(k) for k in range(ca.nlpsol_n_out())]
         state = {name: ca.Sparsity.dense(counts.get(name, 0), min(counts.get(name, 0), 1)) for name in names}
-        made["iteration_callback"] = NumpyFunction("stop", state, {"ret": scalar}, self._stop)
+        made["iteration_callback"] = NumpyFunction(
+            "stop", state, {"ret": scalar}, lambda *_: [np.array([float(self.interrupted or self.budget.out_of_time)])]
+        )
         return made
 
     def _values(self, point: bytes) -> list[Array]:
@@ -218,9 +220,6 @@ class Climber:
             blocks[runs, :, runs, :] += self.walls.bend(self.postures(x), multipliers.reshape(self.runs, -1))
         columns, rows = np.tril_indices(len(hessian))  # CasADi stores the upper triangle column by column
         return [hessian[rows, columns]]
-
-    def _stop(self, *_: Array) -> list[Array]:
-        return [np.array([float(self.interrupted or self.budget.out_of_time)])]
 
 
 class NumpyFunction(ca.Callback):

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, takewhile
 
 import numpy as np
 from numpy.random import Generator
@@ -35,7 +35,6 @@ from identification import Array, JobError
 Pattern = tuple[Array, Array]  # (b, J) angles above the lower limits [rad] and (J,) their free phase [rad]
 ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
 TURN = 2.0 * np.pi
-PATTERNS = 16  # different plans of one size, and times that those too near others are placed again
 
 
 @dataclass(frozen=True)
@@ -75,6 +74,7 @@ def optimal_plans(
     lower, upper = problem.lower[joints], problem.upper[joints]
     apart = problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0  # where no joint is free
     small: list[Pattern] | None = None
+    patterns, widths = 16, upper - lower  # different plans of one size, and times that those too near are placed again
 
     def placed(pattern: Pattern) -> Array:
         """(m, n) postures with random phases; joints that play no part stay in the middle."""
@@ -89,33 +89,28 @@ def optimal_plans(
         plan = None
         # plans of one group, not of very many runs, before smaller ones are put together
         for _ in range(8 if runs <= 8192 else 0):
-            pattern = next(_character_plans(upper - lower, runs, tries, generator), None)
+            pattern = next(_character_plans(widths, runs, tries, generator), None)
             if pattern is None or not len(too_near(problem, trial := placed(pattern))):
                 plan = None if pattern is None else trial
                 break
         if plan is None:
-            small = _small_groups(upper - lower, runs, tries, generator, stop) if small is None else small
+            if small is None:
+                # plans of one group, of the smallest size that divides the number of runs; none where there is none of
+                # up to 48 elements, or as many as the factorial of all joints has
+                sizes = range(len(widths) + 1, min(runs // 2, max(48, 2 ** len(widths))) + 1)
+                possible = (size for size in takewhile(lambda _: not stop(), sizes) if runs % size == 0)
+                each = (list(islice(_character_plans(widths, s, tries, generator), patterns)) for s in possible)
+                small = next(filter(None, each), [])
             if not small:
                 return
             size = len(small[0][0])
             groups = [drawn() for _ in range(runs // size)]
-            for _ in range(PATTERNS if apart > 0.0 else 0):  # those too near others are placed again
+            for _ in range(patterns if apart > 0.0 else 0):  # those too near others are placed again
                 near = np.flatnonzero(neighbor_counts(np.concatenate(groups)[:, joints], apart))
                 for group in np.unique(near // size).tolist():
                     groups[group] = drawn()
             plan = np.concatenate(groups)
         yield generator.permutation(plan)
-
-
-def _small_groups(widths: Array, runs: int, tries: int, generator: Generator, stop: Stop) -> list[Pattern]:
-    """Plans of one group, of the smallest size that divides the number of runs; empty where there is none of up to 48
-    elements, or as many as the factorial of all joints has."""
-    for size in range(len(widths) + 1, min(runs // 2, max(48, 2 ** len(widths))) + 1):
-        if stop():
-            break
-        if runs % size == 0 and (found := list(islice(_character_plans(widths, size, tries, generator), PATTERNS))):
-            return found
-    return []
 
 
 # -- plans of one group ------------------------------------------------------------------------------------------------

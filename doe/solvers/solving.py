@@ -17,7 +17,7 @@ import numpy as np
 from numpy.random import Generator
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
-from doe.bounds.certificate import REACHED, Bound
+from doe.bounds.certificate import Bound
 from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.accuracy import plan_jacobians
@@ -44,7 +44,6 @@ from identification import (
 )
 
 AGREEMENT = 10  # independent local searches that end at the best value
-AGREES = 1e-7  # difference of criterion values that counts as none
 NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
 
 
@@ -148,7 +147,8 @@ def solve(
     if begin is None or not problem.feasible(begin).any():
         random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
     best, best_value, best_name, done, agreeing = None, -np.inf, chosen.name, 0, 0
-    status, p = Status.starts_finished, problem.parameters
+    reached = 1.0 - 1e-9  # efficiency from which searching on cannot matter
+    status, p, same = Status.starts_finished, problem.parameters, 1e-7  # of criterion values
     with single_thread():
         limit = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
         deadline = None if limit is None else began + limit
@@ -164,11 +164,11 @@ def solve(
                 value = allowed_value(problem, postures)
                 done += offer.starts
                 if best is None or (value > best_value and accepted(postures)):
-                    agreeing = 0 if value > best_value + AGREES else agreeing
+                    agreeing = 0 if value > best_value + same else agreeing
                     best, best_value, best_name = postures, value, name
-                agreeing += offer.independent and abs(value - best_value) <= AGREES
+                agreeing += offer.independent and abs(value - best_value) <= same
                 progress(budget.used(done), budget.starts, f"best {best_value:.7g}")
-                if best_bound is not None and problem.criterion.efficiency(best_value, best_bound.value, p) >= REACHED:
+                if best_bound is not None and problem.criterion.efficiency(best_value, best_bound.value, p) >= reached:
                     status = Status.bound_reached
                 elif done >= budget.starts:
                     status = Status.starts_finished

@@ -23,12 +23,9 @@ from identification import Arm, InputError, Model, Progress, dump_arm, nearest, 
 if TYPE_CHECKING:
     from doe.design import Design
 
-AGREES = 1e-9  # between the solver's value and ours
-HIT = 1e-6  # a run has found the best known plan if its loss of efficiency is below this
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
-OWN = 0  # in the column `starts`: the solver's own number
 COLUMNS: dict[str, Any] = {"parameters": pl.Int64, "correct": pl.Boolean}
 COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds", "peak_memory_mb"), pl.Float64)
 
@@ -90,7 +87,7 @@ def compare(
         range(comparison.repeats),
     )
     keys: list[Key] = [
-        {**arm, "criterion": name, "runs": m, **setting, "starts": starts or OWN}
+        {**arm, "criterion": name, "runs": m, **setting, "starts": starts or 0}  # 0: the solver's own number
         | {"limit_s": comparison.seconds, "repeat": repeat}
         for arm, name, m, setting, starts, repeat in grid
     ]
@@ -134,7 +131,8 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
     violation = float(max(0.0, *outside))
     # [rad] outside the joint limits, or below zero in a constraint's margin
     correct = len(postures) == runs and design.plan.weights is None and violation <= 1e-9
-    correct &= bool(np.isclose(value, design.value, rtol=0.0, atol=AGREES))
+    agrees = 1e-9  # between the solver's value and ours
+    correct &= bool(np.isclose(value, design.value, rtol=0.0, atol=agrees))
     return {
         "outcome": design.status.name,
         "starts_done": design.starts,
@@ -145,7 +143,7 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
         "efficiency": None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters),
         "parameters": problem.parameters,
         "violation": violation,
-        "correct": correct and (bound is None or bool(value <= bound.value + AGREES)),
+        "correct": correct and (bound is None or bool(value <= bound.value + agrees)),
         "seconds": design.seconds,
     }
 
@@ -178,7 +176,7 @@ def summary(rows: pl.DataFrame) -> pl.DataFrame:
 
 def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     """The rows with `good` (done and correct), `loss` of efficiency against the best value known of the problem, and
-    `hit`. Columns that no row has are added, empty.
+    `hit`: the best known plan was found. Columns that no row has are added, empty.
 
     For every criterion the ratio of two efficiencies against one bound is the efficiency against the best plan; D
     needs no bound for it.
@@ -189,4 +187,4 @@ def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     relative = pl.col("efficiency") / pl.when(good).then(pl.col("efficiency")).max().over(PROBLEM)
     d_efficiency = ((pl.col("value") - best) / pl.col("parameters")).exp()
     loss = pl.when(good).then(1.0 - pl.when(pl.col("criterion") == "D").then(d_efficiency).otherwise(relative))
-    return rows.with_columns(good.alias("good"), loss.alias("loss"), (loss <= HIT).fill_null(value=False).alias("hit"))
+    return rows.with_columns(good.alias("good"), loss.alias("loss"), (loss <= 1e-6).fill_null(value=False).alias("hit"))

@@ -60,7 +60,6 @@ from identification.kinematics.counting import in_columns, in_joints
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
-MOST_TASKS = 100_000  # of a cell: each is a row of a table
 MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
 
 
@@ -147,8 +146,8 @@ class Study:
         for what, given in (names | {"arms": asked.arms}).items():
             if len(set(given)) < len(given):
                 raise InputError(f"{what}: name {max(given, key=given.count)!r} is given twice, allowed: once")
-        if asked.replications / asked.block > MOST_TASKS:
-            least = f"at least {-(-asked.replications // MOST_TASKS)} for {asked.replications} replications"
+        if asked.replications / asked.block > (most_tasks := 100_000):  # of a cell: each is a row of a table
+            least = f"at least {-(-asked.replications // most_tasks)} for {asked.replications} replications"
             raise InputError(f"block: found {asked.block}, allowed: {least}")
         known = {*SOLVERS, DFT, RANDOM}
         for name, plan in plans.items():

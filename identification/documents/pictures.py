@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 MANY = 500  # more points are drawn smaller, as pixels in vector formats
 
-SHORT = 0.3  # of the longest lever: below, a row counts less
 POINTS = 721  # of a line
 FAR = 0.1  # share of the range without rows over which no line is drawn
 READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
@@ -76,7 +75,7 @@ class Compared:
 def joint_errors(levers: Array, residuals: Array) -> Array:
     """(m, n) errors of each joint [rad, mm] that residuals (m, d) [mm] mean, by levers (m, d, n)."""
     squares = np.sum(levers**2, axis=1)
-    clear = np.maximum(squares, SHORT**2 * squares.max(axis=0))
+    clear = np.maximum(squares, 0.3**2 * squares.max(axis=0))  # of shorter levers a row counts less
     along = np.einsum("mdn,md->mn", levers, residuals)
     return np.divide(along, clear, out=np.zeros_like(along), where=clear > 0.0)
 

@@ -30,7 +30,6 @@ from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
 
 SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
-DIGITS = 6  # of a value, significant: labels and files hold it exactly
 # formulas of earlier versions -> those of today
 RENAMED = {"bending": "deflections and slopes", "frame_errors": "joint_turns and joint_shifts"}
 
@@ -62,11 +61,11 @@ class Setting:
         return setting if isinstance(setting, cls) else cls(*setting, whole=True, symbolic=False)  # type: ignore[misc]
 
     def scan(self, scope: Scope) -> list[float]:
-        """The distinct values to try, ascending, rounded as in labels and files."""
+        """The distinct values to try, ascending, rounded to the six digits that labels and files hold."""
         if self.values is None:
             return [float(k) for k in range(int(self.low), int(self.high) + 1)]
         values = self.values(scope) if callable(self.values) else self.values
-        return sorted({float(f"{value:.{DIGITS}g}") for value in values if self.allows(value)})
+        return sorted({float(f"{value:.6g}") for value in values if self.allows(value)})
 
     def allows(self, value: float) -> bool:
         """Whether this value is allowed in an arm file."""

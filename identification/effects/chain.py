@@ -143,6 +143,10 @@ class Chain:
             by_joint.append(ca.dot(ca.DM(joint.axis), load))
         return ca.vertcat(*by_joint)
 
+    def loaded(self, payload: ca.SX, turn: ca.SX, shift: ca.SX) -> Chain:
+        """The chain with these loads, as at the places `OF_LOAD`."""
+        return replace(self, payload=payload, turn=turn, shift=shift)
+
     def moment(self, joint: int) -> ca.SX:
         """(3,) moment [N m] of all loads beyond a joint, from 0, about the origin of its frame, in the frame's axes."""
         frame = self.frames[joint + 1]
@@ -202,7 +206,7 @@ def position_and_state(
     add(OF_LOAD, chain)
     additions["payload"] += chain.payload
     loads, lengths = [additions[place] for place in OF_LOAD], drawn.link_lengths(geometry)
-    add([place for place in sizes if place not in (*OF_LOAD, "instrument")], _loaded(chain, *loads), lengths)
+    add([place for place in sizes if place not in (*OF_LOAD, "instrument")], chain.loaded(*loads), lengths)
     tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.reference)
     add(["instrument"], chain, tip=tip)
     instrument = drawn.instrument
@@ -222,27 +226,3 @@ def contribution(
     if effect.joint is not None and place in BY_JOINT and value.numel() * len(effect.chain) == size:
         return effect.at_joint(value)
     return ca.SX.zeros(size) + value
-
-
-def in_state(chain: Chain, state: ca.SX) -> Chain:
-    """The chain with the loads of a state, see `state_slices`."""
-    where = state_slices(chain.geometry)
-    return _loaded(chain, *(state[where[place]] for place in OF_LOAD))
-
-
-def _loaded(chain: Chain, payload: ca.SX, turn: ca.SX, shift: ca.SX) -> Chain:
-    return replace(chain, payload=payload, turn=turn, shift=shift)
-
-
-def contributions(effect: Effect, chain: Chain, loaded: Chain, values: ca.SX, state: ca.SX) -> ca.SX:
-    """(P,) contributions of an effect at all places, given the state of the chain.
-
-    loaded : the chain `in_state`, shared by all effects as its torques are expensive to set up
-    """
-    where, parts = state_slices(chain.geometry), []
-    for place, size in widths(chain.geometry).items():
-        at = chain if place in OF_LOAD else loaded
-        has = hasattr(effect, place)
-        more = state[where["lengths"]], state[where["tip"]]
-        parts.append(contribution(effect, place, at, values, *more) if has else ca.SX.zeros(size))
-    return ca.vertcat(*parts)

@@ -23,7 +23,6 @@ from identification.kinematics.frames import rotation_to_z
 
 RARE = 0.2  # prior beside a common effect
 TORQUE = 100.0  # [N m] order of magnitude, for scales only
-WIDTHS = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # of hysteresis, in ranges of the joint: below backlash, above gear ratio
 PLANE, SPACE = (2,), (3,)
 STEP = Setting(-0.5, 1000.0, step_times)  # time of a step, see `clock`
 
@@ -273,7 +272,8 @@ def _hysteresis_widths(scope: Scope) -> list[float]:
         span = float(scope.arm.upper[joint] - scope.arm.lower[joint])
     else:
         span = float(np.ptp(scope.postures[:, joint]))
-    return [float(np.degrees(width * span)) for width in WIDTHS] if span > 0.0 else [1.0]
+    widths = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # in ranges of the joint
+    return [float(np.degrees(width * span)) for width in widths] if span > 0.0 else [1.0]
 
 
 def _wound_up(effect: Effect, chain: Chain) -> ca.SX:

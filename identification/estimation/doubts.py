@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm, Calibration, Machining
+from identification.arm import Arm, Machining
 from identification.arrays import Array, rows_in_words
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
@@ -57,7 +57,6 @@ FALL = 2.0  # of the RMS, when the position of the base is added: the data are i
 OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
-SHOWN = 3  # contradictions in a sentence
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 POSES = 1000  # random postures that stand for the joint limits
 FEW = "too few measurements"  # the beginning of that sentence
@@ -280,14 +279,6 @@ class Contradiction(NamedTuple):
     instead: tuple[str, ...] = ()
 
 
-def contradiction(name: str, before: Calibration, fit: Identification, instead: tuple[str, ...]) -> Contradiction:
-    """Of a parameter before, and of a fit without that prior."""
-    p, k = fit.model.parameters[now := fit.names.index(name)], before.parameter_names.index(name)
-    figures = before.values[name], np.sqrt(np.asarray(before.covariance)[k, k]), fit.parameters[now], fit.std[now]
-    prior, prior_std, value, std = (float(x * p.to_file) for x in figures)
-    return Contradiction(name, p.file_unit, prior, prior_std, value, std, instead)
-
-
 def contradiction_warnings(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
     """The warning;  without_prior : parameters without a prior."""
     if not contradictions:
@@ -296,9 +287,9 @@ def contradiction_warnings(contradictions: Sequence[Contradiction], without_prio
         f"{one.name} is {one.prior:.4g} +- {one.prior_std:.2g} {one.unit} in the earlier calibration, {one.value:.4g} "
         f"+- {one.std:.2g} by these measurements"
         + (f" (or instead {', '.join(one.instead)}: they do not tell)" if one.instead else "")
-        for one in contradictions[:SHOWN]
+        for one in contradictions[:3]
     )
-    rest = f"; and {len(contradictions) - SHOWN} more" if len(contradictions) > SHOWN else ""
+    rest = f"; and {len(contradictions) - 3} more" if len(contradictions) > 3 else ""
     words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
     sentence = f"the measurements contradict the prior: {shown}{rest} (others as there)"
     do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.doubts import contradiction, doubts, far_from_drawing, far_rows, flange_turns
+from identification.estimation.doubts import Contradiction, doubts, far_from_drawing, far_rows, flange_turns
 from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
     METHODS,
@@ -155,8 +155,14 @@ def estimate_with_prior(
     others = {name: earlier.values[name] for name in earlier.parameter_names if name not in names}
     held = replace(model, held={**model.fixed, **others})
     free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
-    before = conditioned(earlier, others)
-    return replace(fit, contradictions=tuple(contradiction(name, before, free, names[name]) for name in names))
+    before, contradictions = conditioned(earlier, others), []
+    for name, instead in names.items():
+        p, k = free.model.parameters[now := free.names.index(name)], before.parameter_names.index(name)
+        old = before.values[name], np.sqrt(np.asarray(before.covariance)[k, k])
+        figures = *old, free.parameters[now], free.std[now]
+        prior_value, prior_std, value, std = (float(x * p.to_file) for x in figures)
+        contradictions.append(Contradiction(name, p.file_unit, prior_value, prior_std, value, std, instead))
+    return replace(fit, contradictions=tuple(contradictions))
 
 
 def without_outliers(

@@ -25,8 +25,6 @@ from identification.running import Status
 GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
 ITERATIONS = 200
 SMALL_FALL = 1e-8  # of a sum of squares, relative
-RIDGE = 1e-14  # of a normal matrix of unit columns: keeps its inverse alive where it is singular and not used
-NORMAL = 1e10  # condition of a normal matrix up to which it gives steps: four digits, and the next step mends the rest
 VANISHED = 1e-4  # of the length that a column had at the start: its parameter has no effect to speak of
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
@@ -269,7 +267,8 @@ def damped_steps(
     wide = columns.shape[1] < columns.shape[2]
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
-    normal[:, diagonal, diagonal] += RIDGE if wide else RIDGE + held
+    # 1e-14 keeps the inverse alive where it is singular and not used
+    normal[:, diagonal, diagonal] += 1e-14 if wide else 1e-14 + held
     try:
         inverse = np.linalg.inv(normal)
     except np.linalg.LinAlgError:  # one of them has a pivot that is exactly zero
@@ -282,7 +281,8 @@ def damped_steps(
     once = inverse @ (residuals if wide else gradient)[:, :, None]
     steps, softer = ((across @ a if wide else a)[:, :, 0] for a in (once, inverse @ once))
     stiffness = _stiffness(steps, softer)
-    rest = ~(condition < min(NORMAL, tolerance**-2))
+    # up to a condition of 1e10 the normal matrix gives four digits of the steps, and the next step mends the rest
+    rest = ~(condition < min(1e10, tolerance**-2))
     if rest.any():
         truncated = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
         steps[rest], gradient[rest], stiffness[rest] = truncated

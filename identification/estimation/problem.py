@@ -42,10 +42,6 @@ from identification.running import Status
 
 WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
 ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
-LEAST = 1e-12  # [mm] of noise: data without any
-LARGEST = 1e3  # noise in units of sigma, or of the scatter of a fit without the parameters that have a prior
-CONTRADICTED = 0.01  # level of a contradiction that is said
-ROUNDING = 1e-14  # of a coordinate, after a chain of some ten operations
 RELIANCE = ("given", "estimated")
 SOURCES = {  # what an effect needs -> where it comes from
     "temperature": "with it",
@@ -253,7 +249,8 @@ class Problem:
     @cached_property
     def rounding(self) -> Array:
         """(K,) norms of the weighted residuals that rounding errors of coordinates of this size make."""
-        return ROUNDING * np.sqrt(np.einsum("kmd,m->k", self.positions**2, self.weights))
+        # 1e-14 of a coordinate, after a chain of some ten operations
+        return 1e-14 * np.sqrt(np.einsum("kmd,m->k", self.positions**2, self.weights))
 
     @cached_property
     def prior_rows(self) -> Array:
@@ -367,7 +364,8 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     unit = 1.0 if has_sigma else max(scatter, 1e-12)
     if spare == 0:
         return unit, (1.0, 1.0)
-    least, largest = unit if has_sigma else unit / LARGEST, unit if holds else LARGEST * unit
+    # in units of sigma, or of the scatter of a fit without the parameters that have a prior
+    least, largest = unit if has_sigma else unit / 1e3, unit if holds else 1e3 * unit
 
     def fitted(widths: tuple[float, float], share: float) -> tuple[float, float]:
         """-2 log of the likelihood, and the noise, from a share of the rows."""
@@ -421,7 +419,7 @@ def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]]
         freedom = problem.equations - decomposed.determined(jacobian)
         if problem.reliance == "given" or (problem.sigma is not None and noise == 1.0):
             freedom = np.inf
-        if freedom < 1.0 or noise <= LEAST:
+        if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
             return explained, *first
 
         left, rest = (
@@ -449,7 +447,7 @@ def worst_contradicted(left: Mapping[str, float], freedom: float) -> dict[str, t
     def p_value(drop: float) -> float:
         return float(chdtrc(1.0, max(drop, 0.0)) if np.isinf(freedom) else fdtrc(1.0, freedom, max(drop, 0.0)))
 
-    if best == "" or p_value(left[""] - left[best]) * (len(left) - 1) >= CONTRADICTED:
+    if best == "" or p_value(left[""] - left[best]) * (len(left) - 1) >= 0.01:
         return None
     return {best: tuple(name for name in left if name not in ("", best) and p_value(left[name] - left[best]) > 0.05)}
 

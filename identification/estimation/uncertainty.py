@@ -29,14 +29,11 @@ from identification.kinematics.parameters import ParameterSet
 from identification.measurements import Measurements
 
 # reasons: identification/README.md, "Covariance and intervals"
-BELIEVED = (0.1, 0.99)  # p-values of chi2 between which intervals rely on the sigma that is given
 LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
-FEWEST = 2.0  # degrees of freedom: with no more, Student's t has no variance
 FREEDOM = "interval_dof"  # key of a calibration's provenance
 # derived: robust standard deviations in a plane, the same chance in space. At 6 at most 3 in 10,000 clean data sets of
 # 8 to 200 rows lose a row; at 4 it would be 3 to 70 in 1,000, at 3 from 4 % to 89 %
 OUTLIER = 6.0
-MOST_OUTLIERS = 0.25  # of the rows; derived: the robust scale is then 1.26 times too large; more is structure
 CHANCE = 1e-3  # convention: of calling outliers that are independent of each other structure, in one data set
 # of rows that count as independent, and parts in cross-validation. Convention: the fewest that Ibragimov and Mueller
 # advise, since groups must be long to be independent
@@ -148,17 +145,18 @@ def uncertainty(
     """
     p, plain = float(chdtrc(rows.freedom, rows.squares)) if rows.freedom > 0 else None, decomposed.covariance
     several = int(rows.postures.max()) + 1 < len(rows.postures)  # which share what is left unexplained there
-    trusted = p is None or BELIEVED[0] <= p <= BELIEVED[1] if noise is None else noise == 1.0
+    least, most = 0.1, 0.99  # p-values of chi2 between which intervals rely on the sigma that is given
+    trusted = p is None or least <= p <= most if noise is None else noise == 1.0
     common, spare = rows.of_postures(decomposed.root) if several else (0.0, 0.0)
     if trusted and spare >= 1.0:
-        trusted = float(chdtrc(spare, common)) >= BELIEVED[0]
+        trusted = float(chdtrc(spare, common)) >= least
     if sigma_given and (reliance == "given" or (reliance is None and trusted)):
         return Uncertainty("given", plain, np.full(len(plain), np.inf))
     variance = noise**2 if noise else rows.squares / rows.freedom if rows.freedom > 0 else np.nan
     freedom = rows.freedom if noise is None else max(rows.freedom, 1.0)
     if reliance is None and p is not None:
-        misfit = doubtful or (sigma_given and p < BELIEVED[0] and noise is None)
-        if several or not (sigma_given and p > BELIEVED[1]):
+        misfit = doubtful or (sigma_given and p < least and noise is None)
+        if several or not (sigma_given and p > most):
             robust = _robust(rows, decomposed.root, misfit, several, variance)
             if robust is not None:
                 return robust
@@ -188,7 +186,7 @@ def _robust(rows: WhiteRows, root: Array, misfit: bool, several: bool, variance:
     plain = np.sum(root**2, axis=1)
     while True:
         made = sandwich(rows.jacobian, rows.residual, root, groups, variance)
-        enough = made is not None and made[1].min() >= FEWEST
+        enough = made is not None and made[1].min() >= 2.0  # with fewer, Student's t has no variance
         if made is not None and enough:
             ratio = np.diag(made[0])[plain > 0.0] / plain[plain > 0.0]  # of the variances to those of white noise
             width = float(np.mean(np.log(np.maximum(ratio, np.finfo(float).tiny))))
@@ -353,7 +351,7 @@ def outlying(
     blocks, held_basis = basis[: m * d].reshape(m, d, -1), basis[m * d :]
     moment = held_basis.T @ (np.zeros(len(held_basis)) if left is None else left)
     kept, limit = np.ones(m, dtype=bool), limit_of(d)
-    while np.mean(kept) >= 1.0 - MOST_OUTLIERS:
+    while np.mean(kept) >= 0.75:  # derived: the robust scale is then 1.26 times too large; more is structure
         squares = studentised(residual, blocks, kept, held_basis, moment)
         worst = np.argsort(squares)[-(1 + m // 1000) :]  # several at once only to save effort
         if squares[worst[-1]] <= limit:

@@ -400,15 +400,6 @@ def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
     return [_row(table) for table in tables], next((table.convention for table in tables if table.convention), STANDARD)
 
 
-def urdf_beside(path: PathLike, out: PathLike | None) -> dict[PathLike, bytes]:
-    """The URDF file that has to be written for a copy at `out` of the arm file at `path`: none if it is there."""
-    name = read_toml(path).get("urdf")
-    if out is None or name is None or name.lstrip().startswith("<"):
-        return {}
-    source, copy = Path(path).parent / name, Path(out).parent / name
-    return {} if copy.exists() and copy.read_bytes() == source.read_bytes() else {copy: source.read_bytes()}
-
-
 # -- writing -----------------------------------------------------------------------------------------------------------
 def dump_arm(arm: Arm) -> str:
     """The text of an arm file for `arm`; `load_arm` reads the same arm from it, to rounding (1e-14).

@@ -138,7 +138,17 @@ def measurement_columns(
     if measurements.commanded is not None:
         columns |= posture_columns(measurements.commanded, joint_types, "commanded")
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
-    columns |= _order_columns(measurements)
+    if (order := measurements.order) is not None:
+        # `order` or `time_s`; both where the order, read again, would not have the same gaps
+        gaps = np.zeros(len(order)) if measurements.gaps is None else measurements.gaps
+        again, counts = np.zeros(len(order), dtype=bool), np.empty(len(order))
+        for rows in measurements.session_rows:
+            again[rows] = gaps_of(order[rows])
+            sequence = rows[np.argsort(order[rows], kind="stable")]
+            counts[sequence] = np.arange(len(rows)) + np.cumsum(gaps[sequence])
+        counted = np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0)
+        columns["order" if counted else "time_s"] = order
+        columns |= {"order": counts} if gaps.any() and not counted else {}
     directions, counting = measurements.directions, counting_in(joint_types)
     if directions is not None and counting is not None:
         directions = counting.signs_of_columns(directions)
@@ -305,21 +315,6 @@ def angle_columns(orientations: Array) -> Columns:
 
     angles = np.round(np.degrees(to_angles(orientations)), 12) + 0.0
     return {f"r{axis}_deg": column for axis, column in zip("xyz", angles.T, strict=True)}
-
-
-def _order_columns(measurements: Measurements) -> Columns:
-    """`order` or `time_s`; both where the order, read again, would not have the same gaps."""
-    if (order := measurements.order) is None:
-        return {}
-    gaps = np.zeros(len(order)) if measurements.gaps is None else measurements.gaps
-    again, counts = np.zeros(len(order), dtype=bool), np.empty(len(order))
-    for rows in measurements.session_rows:
-        again[rows] = gaps_of(order[rows])
-        sequence = rows[np.argsort(order[rows], kind="stable")]
-        counts[sequence] = np.arange(len(rows)) + np.cumsum(gaps[sequence])
-    if np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0):
-        return {"order": order}
-    return {"time_s": order, "order": counts} if gaps.any() else {"time_s": order}
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
-from identification.effects.chain import Chain, condition_slices, contributions, in_state, state_slices, widths
+from identification.effects.chain import OF_LOAD, Chain, condition_slices, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.error_curve import local_splines
 from identification.gap.fit import At, Rows
@@ -191,10 +191,11 @@ Key = tuple[type[Effect], int | None, tuple[Any, ...]]
 def _chains(arm: Arm, remembers: bool) -> tuple[tuple[ca.SX, ca.SX, ca.SX], Chain, Chain]:
     """CasADi symbols of posture (n), conditions and state, and the nominal chain, without and with loads."""
     extra = ("past",) * remembers
-    ends = (max(p.stop for p in s.values()) for s in (condition_slices(arm.links, extra), state_slices(arm.chain)))
+    where = state_slices(arm.chain)
+    ends = (max(p.stop for p in s.values()) for s in (condition_slices(arm.links, extra), where))
     q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
     chain = Chain.of(arm, q, c, extra)
-    return (q, c, state), chain, in_state(chain, state)
+    return (q, c, state), chain, chain.loaded(*(state[where[place]] for place in OF_LOAD))
 
 
 @lru_cache
@@ -202,6 +203,7 @@ def _slopes(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> tuple[Evaluate,
     """Function of arrays (q, c, state, settings) that gives the Z slopes of some effects that are not identically
     zero, (..., Z, 1); and of each effect (its parameter, place, number of the slope)."""
     symbols, chain, loaded = _chains(arm, remembers)
+    lengths_and_tip = [symbols[2][state_slices(arm.chain)[part]] for part in ("lengths", "tip")]
     scanned = {s: ca.SX.sym(s) for _, _, settings in keys for s in settings if isinstance(s, str)}
     slopes: list[ca.SX] = []
     places: dict[Key, list[tuple[int, int, int]]] = {}
@@ -209,7 +211,14 @@ def _slopes(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> tuple[Evaluate,
         cls, joint, settings = key
         effect = cls(arm.chain, joint, dict((s, scanned[s]) if isinstance(s, str) else s for s in settings))
         v, neutral = ca.SX.sym("v", len(effect.parameters)), ca.DM([p.neutral for p in effect.parameters])
-        added = contributions(effect, chain, loaded, v, symbols[2])
+        added = ca.vertcat(  # at all places
+            *(
+                contribution(effect, place, chain if place in OF_LOAD else loaded, v, *lengths_and_tip)
+                if hasattr(effect, place)
+                else ca.SX.zeros(size)
+                for place, size in widths(arm.chain).items()
+            )
+        )
         slope, first = ca.sparsify(ca.substitute(ca.jacobian(added, v), v, neutral)), sum(s.numel() for s in slopes)
         nonzero = enumerate(zip(*slope.sparsity().get_triplet(), strict=True), start=first)
         places[key] = [(column, place, number) for number, (place, column) in nonzero]

@@ -37,10 +37,10 @@ from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, Posterior, log_odds_of_sizes
 from identification.information import spectrum
+from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.counting import joint_range
 from identification.measurements import Measurements, repeats_of
 from identification.model import Model
-from identification.model.minimal import placed_calibration
 
 if TYPE_CHECKING:
     from identification.validate import Offered
@@ -409,7 +409,13 @@ class Diagnosis(Documented):
         entries["probability"] = self.probability
         named = chosen.calibration
         named = replace(named, provenance=MappingProxyType({**named.provenance, **entries}))
-        return placed_calibration(self.arm, named)
+        # with the values that a fit of a `practical` spatial arm took as they were, and where base and points are
+        chain = self.arm.chain
+        kept = {} if self.arm.calibration is None else self.arm.calibration.values
+        values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(named.values)
+        geometry = CorrectedGeometry(chain, values)
+        tools, axes = MappingProxyType(geometry.tools), MappingProxyType(geometry.tool_axes)
+        return replace(named, values=values, base=geometry.base, tools=tools, tool_axes=axes)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""

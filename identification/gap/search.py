@@ -35,7 +35,7 @@ from identification.gap.blocks import Block, Library, Linearized, linearized, wi
 from identification.gap.fit import At, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
-from identification.running import Tell, say_nothing
+from identification.running import Tell
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
@@ -286,7 +286,9 @@ class Posterior:
 Walked = tuple[NoiseModel, Linearized, list[Weighed], Counter[Key], float]  # the last: log odds of the noise, for none
 
 
-def posterior_of(library: Library, rows: Rows, generator: np.random.Generator, tell: Tell = say_nothing) -> Posterior:
+def posterior_of(
+    library: Library, rows: Rows, generator: np.random.Generator, tell: Tell = lambda _: None
+) -> Posterior:
     """The posterior of these rows, around a likely set, under each noise that is not unlikely.
 
     Of more than `MOST_ROWS` rows a random sample is searched (random, as every fourth row of a grid may have the same

@@ -53,8 +53,6 @@ from identification.workspace import ColumnLimits
 NOTHING = 1e-6  # [mm] RMS that is no measurement's: below, nothing is compared
 GEOMETRY = {LENGTH_ERROR: "length", JOINT_OFFSET: "zero"}
 SOURCES = {"sigma": "for the sigma_mm given", "repeats": "for what repeats scatter by", "residuals": "by the residuals"}
-G = 9.81  # [m/s^2]
-LEVER = 1e-3  # of the largest torque: an upright first axis has none but rounding
 LENGTH_OFFSET = "length_offset"  # the effect
 
 
@@ -439,12 +437,13 @@ def sag(
     if arm.gravity is not None:
         return None, ""
     kilograms, down = np.ones(arm.links) if masses is None else np.asarray(masses, dtype=float), np.zeros(arm.dimension)
-    down[-1] = -G
+    down[-1] = -9.81  # [m/s^2]
     heavy = replace(arm, gravity=Gravity(down, kilograms, np.full(arm.links, 0.5)))
     torques = Model(heavy).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)
     sizes = np.sqrt(np.mean(torques**2, axis=0))
     modelled = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
-    joints = [j for j in (np.flatnonzero(sizes > LEVER * sizes.max()) + 1).tolist() if j not in modelled]
+    # an upright first axis has no torque but rounding
+    joints = [j for j in (np.flatnonzero(sizes > 1e-3 * sizes.max()) + 1).tolist() if j not in modelled]
     soft = heavy.with_effects(*arm.effects, *(EffectSpec("joint_compliance", j) for j in joints))
     try:
         sagging = estimate(Model(with_sessions(soft, measurements)), measurements)

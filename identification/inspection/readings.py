@@ -33,12 +33,8 @@ UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inch
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit or reading is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
-ENOUGH = 200  # rows that are used: a wrong sign shows in far fewer
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
-OTHERS = 2  # readings that are named beside the simplest
-KEPT = 4  # effort: readings from which the next kind of change starts
 ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
-MANY = 6  # joints, up to which all combinations of signs are tried
 
 
 # -- what the drawing leaves -------------------------------------------------------------------------------------------
@@ -58,7 +54,8 @@ def some_of_one_point(measurements: Measurements) -> Measurements:
         if names is not None:
             each, counts = np.unique(names[rows], return_counts=True)
             rows = rows[names[rows] == each[counts.argmax()]]
-    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
+    # 200 of them: a wrong sign shows in far fewer
+    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, 200).astype(int))])
 
 
 def _few(arm: Arm, rows: Measurements) -> bool:
@@ -419,7 +416,7 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
         ranked = sorted(tried.values(), key=lambda reading: reading.rms)
         if ranked[0].rms < DRAWN * arm.reach:
             break
-        whole = [reading for reading in ranked if not reading.moved_zeros][:KEPT]
+        whole = [reading for reading in ranked if not reading.moved_zeros][:4]  # effort
         starts = ranked[:1] if stage is zero else [tried[plain], *([] if stage is _pairs_and_zero else whole)]
         for reading in (other for start in dict.fromkeys(starts) for other in stage(replace(start, rms=0.0), arm)):
             if reading not in tried:
@@ -434,7 +431,7 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
         tried |= {r: replace(r, rms=left(r)) for r in _signs(plain, arm) if r not in tried}
     as_simple = (r for r in tried.values() if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and r.rms <= ALIKE * best.rms), key=lambda reading: reading.rms)
-    best, *alike = map(placed, (best, *alike[:OTHERS]))
+    best, *alike = map(placed, (best, *alike[:2]))  # two are named beside the simplest
     return Readings(written, best, tuple(alike), explained, best.counting(arm.counting) if explained else None)
 
 
@@ -488,9 +485,9 @@ def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:
 
 
 def _signs(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """All combinations of signs, of many joints those with up to two changes, with and without a mirrored frame."""
+    """All combinations of signs, of more than six joints with up to two changes, with and without a mirrored frame."""
     for signs in product((1, -1), repeat=arm.links):
-        if arm.links <= MANY or sum(sign < 0 for sign in signs) <= 2:
+        if arm.links <= 6 or sum(sign < 0 for sign in signs) <= 2:
             changed = replace(best, signs=signs)
             yield changed
             yield from _mirrored(changed, arm)

@@ -29,9 +29,6 @@ from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, 
 RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
 # rounds, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
 PATIENCE = 3
-RADII = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
-STEP = 1e-5  # [rad] of a difference quotient
-STEPS = 4  # effort: of Newton's method for coordinates that follow from distances
 TOUCHES = 1e-6  # [mm] by which these are kept
 DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
 TURNS = frozenset(error_names(PLACE)[3:])
@@ -158,11 +155,12 @@ class Sphere(Distance):
             return super().place(rows)
         rows = rows._replace(readings=np.zeros((len(rows.frames), 1)))
         one = _about_centers(rows, np.zeros(len(rows.frames)))  # the algebraic fits are those of any radius
-        turns, shifts, tools = (np.concatenate([part] * len(RADII)) for part in one[:3])
-        starts = Starts(turns, shifts, tools, np.repeat(RADII * rows.reach, len(one.tools))[:, None])
+        radii = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
+        turns, shifts, tools = (np.concatenate([part] * len(radii)) for part in one[:3])
+        starts = Starts(turns, shifts, tools, np.repeat(radii * rows.reach, len(one.tools))[:, None])
         # effort: the radius is not right
         starts, squares = followed(self, rows, starts, slice(0, 3), PATIENCE, rounds=10, hold=True)
-        best = np.argmin(squares.reshape(len(RADII), -1), axis=1) + len(one.tools) * np.arange(len(RADII))
+        best = np.argmin(squares.reshape(len(radii), -1), axis=1) + len(one.tools) * np.arange(len(radii))
         return searched(self, rows, Starts(*(part[best] for part in starts)), slice(0, 3), PATIENCE)
 
     def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
@@ -217,10 +215,10 @@ class Plane(Instrument):
             """How far two of the rotations, without that about the axis held, tilt a normal in the direction they tilt
             it least [1]."""
             rotation, held = choice
-            turn, steps = np.array([rotation[f"w{axis}"] for axis in AXES]), STEP * np.eye(3)
+            turn, steps = np.array([rotation[f"w{axis}"] for axis in AXES]), 1e-5 * np.eye(3)  # [rad]
             free = [k for k in range(3) if AXES[k] != held]
             ends = [[first[2, :3] @ from_own_axes(*(turn + sign * steps[k])) for sign in (1.0, -1.0)] for k in free]
-            return float(np.linalg.svd([(up - down) / (2.0 * STEP) for up, down in ends], compute_uv=False)[-1])
+            return float(np.linalg.svd([(up - down) / 2e-5 for up, down in ends], compute_uv=False)[-1])
 
         angles = np.arange(0.0, np.pi, np.pi / 6.0)
         spun = [pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base for angle in angles]
@@ -504,7 +502,7 @@ class Socket(Instrument):
         free, following = iter(range(values.numel())), self._following
         places = [ca.SX(float(x)) if k in following else values[next(free)] for k, x in enumerate(self._starts)]
         pairs, lengths = self._pairs
-        for _ in range(STEPS if pairs else 0):
+        for _ in range(4 if pairs else 0):  # effort: steps of Newton's method
             cups = [ca.vertcat(*places[3 * k : 3 * k + 3]) for k in range(len(self.cups))]
             apart = ca.vertcat(*(ca.norm_2(cups[b] - cups[a]) for a, b in pairs))
             for k, closing in following.items():

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from identification.instruments.base import Instrument
 
 ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a least-squares fit goes on from here
-ROUNDING = 1e-12  # of lengths, in reaches
 
 
 class Placement(NamedTuple):
@@ -156,7 +155,8 @@ def followed(
         )
         change[:, free] = step
         promised = np.einsum("sf,sf->s", gradient, step)  # fall of the sum of squares, half of it or more
-        settled = np.all(promised <= ENOUGH * squares + len(frames) * (ROUNDING * scales[0]) ** 2)
+        # of lengths 1e-12 reaches are rounding
+        settled = np.all(promised <= ENOUGH * squares + len(frames) * (1e-12 * scales[0]) ** 2)
         moved = starts.moved(change * scales)
         new = _linear(instrument, moved, frames, readings, scales, free)
         better = new[0] < squares

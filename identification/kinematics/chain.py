@@ -51,7 +51,6 @@ from identification.vectorize import Evaluate, vectorize
 DIMENSION = 3  # of space
 IN_SPACE, IN_PLANE = "xyz", "xy"
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
-ALIGNED = 1.0 - 1e-12  # cosine from which an axis is one of the frame's own
 Values = Mapping[str, ca.SX | float]  # parameter name -> value
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 Complex = NDArray[np.complex128]
@@ -81,7 +80,7 @@ class Joint(ByValue):
     def along(self) -> int | None:
         """Number of the axis of its frame that is the joint's, None: it lies between."""
         k = int(np.argmax(np.abs(self.axis)))
-        return k if abs(self.axis[k]) >= ALIGNED else None
+        return k if abs(self.axis[k]) >= 1.0 - 1e-12 else None  # but for rounding
 
     def moved(self, frame: Frame, q: ca.SX) -> Frame:
         """The joint's frame after it moved by q [rad, mm]."""

@@ -10,21 +10,18 @@ Which of several equivalent ones is kept is a choice: those that an engineer loo
 from __future__ import annotations
 
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
-from identification.arm import Arm, Calibration
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
-from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import Conditions, Measurements
 from identification.model.arm_model import Model
 from identification.model.placed import placed_model
 
-POSTURES = 100  # at random: three equations each for some forty parameters
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
 
@@ -49,7 +46,8 @@ def minimal(
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
     if postures is None:
         arm = model.arm
-        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSTURES, arm.links))
+        # three equations each for some forty parameters
+        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (100, arm.links))
     several, given = len(chain.tools) > 1, [conditions or Conditions()]
     points = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(chain.tools))]
     rows = [model.jacobian(postures, None, at) for at in (points if several and conditions is None else given)]
@@ -75,34 +73,20 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
         return minimal(placed, least)
     if chain.instrument.own_targets:
         shown = minimal(placed, least, measurements.postures, measurements.conditions)
-        return _of_drawn_size(shown) if chain.instrument.size_is_open[0] else shown
+        if not chain.instrument.size_is_open[0]:
+            return shown
+        # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better
+        # that is next to nothing: the longest step that is a parameter stays as drawn
+        steps: dict[str, float] = {}
+        for j, joint in enumerate(shown.arm.chain.joints, start=1):
+            along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
+            steps |= dict(zip(error_names(j)[:3], along.tolist(), strict=True))
+        longest = max((name for name in shown.names if name in steps), key=steps.__getitem__, default="")
+        fixed = shown.arm.chain.fixed | ({longest} if longest else set())
+        return replace(shown, arm=replace(shown.arm, chain=replace(shown.arm.chain, fixed=fixed)))
     longest_session = measurements.rows(max(measurements.session_rows, key=len))
     shown = minimal(placed_model(model, longest_session), least, longest_session.postures)
     return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.arm.chain.fixed)))
-
-
-def _of_drawn_size(model: Model) -> Model:
-    """The model with the longest step that is a parameter as drawn: readings that do not show the size of the arm would
-    all the same, where they do not fit, fit an arm better that is next to nothing."""
-    chain = model.arm.chain
-    steps: dict[str, float] = {}
-    for j, joint in enumerate(chain.joints, start=1):
-        along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
-        steps |= dict(zip(error_names(j)[:3], along.tolist(), strict=True))
-    longest = max((name for name in model.names if name in steps), key=steps.__getitem__, default="")
-    fixed = chain.fixed | ({longest} if longest else set())
-    return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=fixed)))
-
-
-def placed_calibration(arm: Arm, calibration: Calibration) -> Calibration:
-    """What a fit of a `practical` spatial arm found, with the values that it took as they were, and where base and
-    measured points are; of a planar arm as it is."""
-    chain = arm.chain
-    kept = {} if arm.calibration is None else arm.calibration.values
-    values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(calibration.values)
-    geometry = CorrectedGeometry(chain, values)
-    tools, axes = MappingProxyType(geometry.tools), MappingProxyType(geometry.tool_axes)
-    return replace(calibration, values=values, base=geometry.base, tools=tools, tool_axes=axes)
 
 
 def independent(columns: Array, least: float = DISTINCT) -> list[int]:

@@ -23,7 +23,6 @@ from identification.measurements import Measurements
 from identification.model.arm_model import Model
 
 UNNAMED = "1"  # measured point, as an arm file has it that names none
-ENOUGH = 500  # rows: a start is good to far less than the errors of the geometry that it leaves out
 FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 
 
@@ -70,8 +69,8 @@ def _place(name: str) -> str:
 
 
 def some(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:
-    """As many of these rows as a start needs."""
-    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, ENOUGH).astype(int))])
+    """As many of these rows as a start needs to be good to far less than the errors of the geometry."""
+    return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, 500).astype(int))])
 
 
 def _markers(measurements: Measurements) -> NDArray[np.int64]:

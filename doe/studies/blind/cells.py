@@ -53,7 +53,6 @@ PHYSICS = ("memory_hysteresis", "two_joint_cable", "gear_wear", "cross_talk", "s
 OF_ARM = (*LIBRARY_WHOLE, "thermal_transient", "base_step", *LOADS, *PHYSICS_WHOLE, "step_drift")
 NOT_INSIDE = {*OUTSIDE, *SPACE_OUTSIDE, *PHYSICS} - set(SINCE_INSIDE)
 COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
-SEEN = 0.02  # of an effect's length that must be left beside the geometry
 EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one of it; in 20 draws or never
 WALK = "walk"  # the noise that may be reported as a drift in time
 FRESH = 200  # rows of the hold-out
@@ -433,7 +432,7 @@ def sized(truth: TrueArm, run: RowConditions, effect: Drawn, lam: float, span: A
     name, joint, values = SINCE_INSIDE.get(effect[0], effect[0]).rstrip("*"), *effect[1:]
     whole = column(truth, run, (name, joint, values))
     seen = float(np.linalg.norm(off(base_jacobian(truth, run) if span is None else span, whole)))
-    if seen <= SEEN * np.linalg.norm(whole):
+    if seen <= 0.02 * np.linalg.norm(whole):  # hardly anything of its length is left
         return None
     return name, joint, scaled_amplitudes(values, lam * truth.sigma / seen)
 

@@ -22,7 +22,6 @@ from identification import Array, Measurements
 
 G = 9.81
 UPRIGHT = np.array([0.0, 0.0, 1.0])
-OUTLIERS = 3  # rows of a set that are wrong
 Values = dict[str, Any]
 Drawn = tuple[str, int | None, Values]  # an effect: its name, its joint from 1 and its values
 OF_GRAVITY = ("joint_compliance", "gravity_backlash", "bearing_compliance", "link_bending")
@@ -387,9 +386,9 @@ def noise(truth: TrueArm, run: RowConditions, rng: np.random.Generator, kind: st
     elif kind == "reach":
         e *= 0.5 + 1.5 * np.linalg.norm(p, axis=1, keepdims=True) / reach
     elif kind == "outliers":
-        worst = rng.choice(m, OUTLIERS, replace=False)
-        angle = 2.0 * np.pi * rng.random(OUTLIERS)
-        away = np.column_stack([np.cos(angle), np.sin(angle)]) if d == 2 else rng.standard_normal((OUTLIERS, d))
+        worst = rng.choice(m, 3, replace=False)
+        angle = 2.0 * np.pi * rng.random(3)
+        away = np.column_stack([np.cos(angle), np.sin(angle)]) if d == 2 else rng.standard_normal((3, d))
         e[worst] += 15.0 * sigma * away / np.linalg.norm(away, axis=1, keepdims=True)
     elif kind == "serial":
         for i in range(1, m):

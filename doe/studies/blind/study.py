@@ -53,13 +53,11 @@ FURTHER_RUNS = (2, 8, 16)  # more postures for an ambiguous set
 PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
 NOTHING, OUTSIDE = "nothing", "outside the library"
 ALL, ALL_OUTSIDE = "all sets", "all outside the library"  # stand for a cell where a figure is of all of them together
-SURE = 0.9  # probability with which no name should be said where the library has none
 KEEPS = "confirmed with 3 x the reachable error"
 MEDIANS = ("error / geometry",)  # measures with single large values: the median of the sets
 OF_ALL = ("intervals, base", "intervals, effects", "contradiction")  # measures of all cells together
 OUTCOMES = ("met", "within its error", "missed")
 EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)  # bins of what is said with which probability
-MIDDLE = (0.7, 0.95)  # where a good classifier is easily too sure
 FOLLOWING = {  # where an effect of the library is that has no joint
     "time": ("base_drift", "base_rotation_drift", "base_step", "thermal_transient", "joint_step", "link_step"),
     "temperature": ("thermal_growth",),
@@ -317,7 +315,8 @@ def scored_set(row: Said) -> Judged:
         judged["size of the set"] = len(row["candidates"] or ()) or None
     if outside:
         judged["no effect"] = verdict == "none"
-        judged[f"named at {SURE:g}"] = verdict in ("named", "ambiguous") and (row.get("probability") or 0.0) >= SURE
+        # with such a probability no name should be said where the library has none
+        judged["named at 0.9"] = verdict in ("named", "ambiguous") and (row.get("probability") or 0.0) >= 0.9
     if outside and row["place"] is not None:  # an effect of the library is at its joint, or at what it follows
         right, said = set(row["place"].split(" or ")), [{row["where"]}] if unknown and row["where"] else []
         for name, _, joint in (key.partition(":") for key in named):
@@ -447,8 +446,9 @@ def reliability(sets: Sequence[Judged], edges: Sequence[float] = EDGES) -> list[
 
 
 def calibration(sets: Sequence[Judged]) -> Iterator[Judged]:
-    """Expected calibration error, and how much too sure the middle of the scale is, with their standard errors."""
-    for measure, edges in (("calibration error", EDGES), ("said less right, 0.7 to 0.95", MIDDLE)):
+    """Expected calibration error, and how much too sure the middle of the scale is, where a good classifier easily is,
+    with their standard errors."""
+    for measure, edges in (("calibration error", EDGES), ("said less right, 0.7 to 0.95", (0.7, 0.95))):
         rows = reliability(sets, edges)
         if total := sum(row["count"] for row in rows):
             value = sum(row["count"] / total * abs(row["said"] - row["right"]) for row in rows)

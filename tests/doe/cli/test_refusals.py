@@ -375,7 +375,7 @@ def test_measurements_in_other_units(folder: Folder, columns: str, factor: float
         ("score arm.toml plan.csv --picture p.svg", "doe.plan.accuracy.criterion_values"),
         ("advise arm.toml --runs 4 --picture p.svg", "doe.report.design.advice_document"),
         ("validate truth.toml data.csv --picture p.svg", "identification.documents.identification.validation_actions"),
-        ("compare arm.toml --runs 8 --cluster tcp://127.0.0.1:9 --out folder", "doe.jobs.chosen_workers"),
+        ("compare arm.toml --runs 8 --cluster tcp://127.0.0.1:9 --out folder", "doe.jobs.cluster"),
     ],
 )
 def test_an_answer_that_cannot_be_given_leaves_nothing(

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doe.discrimination.t_optimal import POOL, RivalPredictions, discriminate, possible_conditions
+from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.problem.constraints import constraints_of
 from identification.arm import Arm, Gravity
 from identification.errors import InputError
@@ -46,8 +46,9 @@ def ambiguous() -> tuple[Diagnosis, Measurements]:
 
 def random_pool(seed: int) -> tuple[np.ndarray, Conditions]:
     generator = np.random.default_rng(seed)
-    postures = generator.uniform(ARM.lower, ARM.upper, (POOL, 3))
-    return postures, possible_conditions(ARM, POOL, generator, None)
+    postures = generator.uniform(ARM.lower, ARM.upper, (1500, 3))
+    directions = generator.choice(np.array([-1.0, 1.0]), (1500, 3))
+    return postures, Conditions(np.zeros(1500), None, np.full(1500, 0.5), directions)
 
 
 def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:

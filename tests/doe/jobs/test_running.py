@@ -23,13 +23,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from doe.cli.verb import JobOptions
 from doe.jobs import (
     LOST,
     SERIAL,
     RowTable,
     Workers,
     call,
-    chosen_workers,
     cluster,
     journal_of,
     parquet,
@@ -290,10 +290,10 @@ def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPat
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    assert (chosen_workers(1).count, chosen_workers(3).count) == (1, 3)
+    assert (JobOptions(workers=1).where().count, JobOptions(workers=3).where().count) == (1, 3)
     monkeypatch.setattr("joblib.externals.loky.backend.synchronize.SemLock.__init__", refuse)
     with pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
-        rows(work.draw, chosen_workers(2))
+        rows(work.draw, processes(2))
 
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------
