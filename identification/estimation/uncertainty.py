@@ -260,16 +260,17 @@ def sandwich(
     held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
     held = root @ held @ root.T
     freedom = np.full(len(root), np.inf)
-    for k, row in enumerate(root):
+    every = (root @ np.moveaxis(vectors, 1, 0).reshape(root.shape[1], -1)).reshape(len(root), *leverages.shape)
+    for k, turned in enumerate(every):
         # 2 E^2 / var of the variance |P^T e|^2 under white noise e of variance one, P^T P = diag(d) - W W^T:
-        # d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a
-        turned = row @ vectors
+        # d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a, which is V_g w_g with orthonormal V_g
         diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
-        inner = (vectors @ (leverages * factors * turned)[:, :, None])[:, :, 0]
-        lengths = np.sum(inner**2, axis=1)
-        if min(inner.shape) > 200:  # groups, and combinations: what two groups share through the fit is left out
+        weights = leverages * factors * turned
+        lengths = np.sum(weights**2, axis=1)
+        if min(vectors.shape[:2]) > 200:  # groups, and combinations: what two groups share through the fit is left out
             squares = np.sum(lengths**2)
         else:
+            inner = (vectors @ weights[:, :, None])[:, :, 0]
             squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))
         first = diagonal.sum() - lengths.sum() + max(held[k, k], 0.0)
         second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * lengths) + squares
