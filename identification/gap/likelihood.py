@@ -95,7 +95,7 @@ class Products:
     def beside(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
         large = self.state([(block, len(SIZES) - 1) for block in blocks])
-        gram, freedom = self.gram - large.rows.T @ large.covariance @ large.rows, self.freedom - len(large.places)
+        gram, freedom = self.gram - large.rows.T @ large.solve(large.rows), self.freedom - len(large.places)
         return Products(gram, large.scores, large.squares, freedom, self.starts, self.signs, self.limits)
 
     def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
@@ -177,20 +177,26 @@ class State:
         return self.products.gram[self.places]
 
     @cached_property
+    def _factor(self) -> Array:
+        """(k, k) lower Cholesky factor of G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
+        inner = self.products.gram[np.ix_(self.places, self.places)]
+        inner[np.diag_indices(len(inner))] += self.sizes**-2.0
+        return lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0] if self.key else inner
+
+    def solve(self, table: Array) -> Array:
+        """(k, n) of the coefficients' covariance, for unit sigma, times a table (k, n)."""
+        return np.asarray(lapack.dpotrs(self._factor, table, lower=1)[0]) if table.size else table
+
+    @cached_property
     def covariance(self) -> Array:
         """(k, k) of its coefficients, for unit sigma."""
-        inner, diagonal = self.products.gram[np.ix_(self.places, self.places)], np.diag_indices(len(self.places))
-        inner[diagonal] += self.sizes**-2.0
-        if not self.key:
-            return inner
-        half = lapack.dpotri(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0], lower=1)[0]
-        half[diagonal] *= 0.5
-        return np.asarray(half + half.T)
+        half = lapack.dpotri(self._factor, lower=1)[0] if self.key else self._factor
+        return np.asarray(half + np.tril(half, -1).T)
 
     @cached_property
     def mean(self) -> Array:
         """(k,) of its coefficients."""
-        return np.asarray(self.covariance @ self.products.right[self.places])
+        return self.solve(self.products.right[self.places][:, None])[:, 0]
 
     @cached_property
     def _more(self) -> tuple[Array, Array, Array]:
@@ -198,7 +204,7 @@ class State:
         (w, P) how they take up a unit of each column."""
         assert self.larger is not None
         out = ~np.isin(self.larger.places, self.places)
-        part = self.larger.covariance[out]
+        part = self.larger.solve(np.eye(len(out))[:, out]).T
         return self.larger.mean[out], np.asarray(np.linalg.inv(part[:, out])), part @ self.larger.rows
 
     @cached_property
@@ -227,7 +233,7 @@ class State:
             _, inner, taken = self._more
             return self._changed(self.larger.within, taken, inner @ taken)
         own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
-        return self._changed(own, self.rows, -self.covariance @ self.rows)
+        return self._changed(own, self.rows, -self.solve(self.rows))
 
     def _changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
         """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
@@ -242,7 +248,7 @@ class State:
     @property
     def ratio(self) -> float:
         """Log likelihood ratio against nothing missing, signs left out."""
-        volume = 2.0 * float(np.sum(np.log(self.sizes))) - float(np.linalg.slogdet(self.covariance)[1])
+        volume = 2.0 * float(np.sum(np.log(np.diag(self._factor) * self.sizes)))
         share = self.squares / max(self.products.squares, 1e-300)
         return -0.5 * volume - 0.5 * self.products.freedom * float(np.log(share))
 
@@ -250,7 +256,8 @@ class State:
     def signed(self) -> float:
         """Log of the factor by which the signs that physics allows make the set likelier."""
         signs = np.repeat(self.products.signs[[*self.blocks]], self.products.widths[[*self.blocks]])
-        deviations = np.sqrt(np.maximum(np.diag(self.covariance)[signs] * self.variance, 1e-300))
+        spread = np.diag(self.solve(np.eye(len(signs))[:, signs])[signs])
+        deviations = np.sqrt(np.maximum(spread * self.variance, 1e-300))
         return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / deviations)))
 
     def without(self, block: int | None) -> State:
@@ -265,7 +272,7 @@ class State:
             return State(self.products, self.key, given=self.within)
         products, (block, size) = self.products, pair
         own = products.places([block])
-        left = products.gram[own] - products.gram[np.ix_(own, self.places)] @ self.covariance @ self.rows  # (w, P) of V
+        left = products.gram[own] - self.solve(self.rows[:, own]).T @ self.rows  # (w, P) of V
         inner = left[:, own] + SIZES[size] ** -2.0 * np.eye(len(own))
         given = self._changed(self.within, left, -np.linalg.solve(inner, left))
         return State(products, tuple(sorted((*self.key, pair))), given=given)
