@@ -149,8 +149,8 @@ class MisidentificationBound:
 
     @cached_property
     def _drawn(self) -> tuple[Array, NDArray[np.intp], Array]:
-        """(D, K) directions of effects in the scaled parameters, each `LAMBDA` long on random postures; (D,) the effect of
-        each and (D,) its probability.
+        """(D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters; (D,) the effect that each is
+        of, and (D,) its probability.
         """
         schur, whole = self._off_base(self.reference)[0], np.diag(self.reference)[self.base :]
         rows, owners, probabilities = [], [], []
