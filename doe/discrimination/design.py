@@ -58,8 +58,6 @@ TURN = 2.0 * np.pi  # [rad]
 MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
 CLOUD = 512  # effort: postures
 LEAST_GAIN = 1e-3  # effort: of the criterion, below which the swaps end, ten of it for the pools
-
-
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
 # effects with as many parameters: their bases (K, G, s); (D, G) False where a direction belongs to the rival itself;
@@ -115,24 +113,26 @@ class MisidentificationBound:
         p = self.base
         usable = np.isfinite(log_determinants(information[..., :p, :p]))
         schur = self._off_base(np.where(usable[..., None, None], information, self.reference))[0]
-        seen = self.directions @ schur
-        lengths = np.sum(seen * self.directions, axis=-1)
-        total = np.sum(self._probabilities * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
+        directions, _, probabilities = self._drawn
+        seen = directions @ schur
+        lengths = np.sum(seen * directions, axis=-1)
+        total = np.sum(probabilities * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
         for rivals in self._rivals:
             explained = np.sum(np.multiply(*_fit(rivals, schur, seen)), axis=-1)
             d = np.sqrt(np.maximum(lengths[..., None] - explained, 0.0))
-            total = total + np.sum(self._probabilities[:, None] * rivals[1] * ndtr(-0.5 * d), axis=(-2, -1))
+            total = total + np.sum(probabilities[:, None] * rivals[1] * ndtr(-0.5 * d), axis=(-2, -1))
         return np.where(usable, total, np.inf)
 
     def gradient(self, information: Array) -> Array:
         """(p + K, p + K) derivative of -log of `wrong`: each pair adds its residual's u u^T (envelope theorem)."""
         schur, base = self._off_base(information)
-        rows, probabilities = [self.directions], [self._probabilities]
+        directions, _, shares = self._drawn
+        rows, probabilities = [directions], [shares]
         for rivals in self._rivals:
-            fitted = _fit(rivals, schur, self.directions @ schur)[1]
-            beside = self.directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, rivals[0])
+            fitted = _fit(rivals, schur, directions @ schur)[1]
+            beside = directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, rivals[0])
             rows.append(beside.reshape(-1, beside.shape[-1]))
-            probabilities.append((self._probabilities[:, None] * rivals[1]).ravel())
+            probabilities.append((shares[:, None] * rivals[1]).ravel())
         u = np.vstack(rows)
         # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
         d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), 0.05)
@@ -149,7 +149,9 @@ class MisidentificationBound:
 
     @cached_property
     def _drawn(self) -> tuple[Array, NDArray[np.intp], Array]:
-        """(D, K) directions, (D,) the effect of each and (D,) its probability."""
+        """(D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters; (D,) the effect that each is
+        of, and (D,) its probability.
+        """
         schur, whole = self._off_base(self.reference)[0], np.diag(self.reference)[self.base :]
         rows, owners, probabilities = [], [], []
         for number, basis in enumerate(self.bases):
@@ -163,15 +165,6 @@ class MisidentificationBound:
             probabilities += [float(self.weights[number]) / len(shown) for _ in shown]
         weights = np.array(probabilities)
         return np.array(rows), np.array(owners, dtype=np.intp), weights / weights.sum()
-
-    @property
-    def directions(self) -> Array:
-        """(D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters."""
-        return self._drawn[0]
-
-    @property
-    def _probabilities(self) -> Array:
-        return self._drawn[2]
 
     @cached_property
     def _rivals(self) -> tuple[Rivals, ...]:

@@ -353,7 +353,7 @@ def test_an_effect_that_the_base_model_explains_plays_no_part() -> None:
     mean = reference.T @ reference / (len(reference) / 2)
     everything = MisidentificationBound(OWN, BASES[:3], WEIGHTS[:3], mean)
     without = MisidentificationBound(OWN, (BASES[0], BASES[2]), WEIGHTS[[0, 2]], mean)
-    assert len(everything.directions) == 5
+    assert len(everything._drawn[0]) == 5
     assert float(everything.wrong(information)) == pytest.approx(float(without.wrong(information)), rel=1e-12)
     np.testing.assert_allclose(everything.gradient(information), without.gradient(information), rtol=1e-9, atol=1e-12)
 
