@@ -133,7 +133,8 @@ class ArmModel(Model):
                 break
         if len(kept) < 100:  # with fewer a plan has no choice
             reason = f"touched within limits and constraints at {len(kept)} of {BATCH * BATCHES} random postures led to"
-            raise InputError(f"instrument: the {chain.instrument.kind} is {reason} it, allowed: one within reach")
+            side = ", its normal on the side of the arm" if "normal" in chain.instrument.keys else ""
+            raise InputError(f"instrument: the {chain.instrument.kind} is {reason} it, allowed: one within reach{side}")
         what = f"{len(kept)} random postures that touch the {chain.instrument.kind} as the arm is best known"
         warnings.warn(f"instrument: plans are chosen from {what}, and bounds are over these", stacklevel=2)
         return kept

@@ -72,6 +72,8 @@ def test_a_stylus_that_passes_through_does_not_touch() -> None:
     assert model.gaps(q).max() < 1e-6
     over = replace(arm.chain, base=pose(rotation=np.diag([1.0, -1.0, -1.0])) @ arm.chain.base)  # from below
     assert not ArmModel(replace(arm, chain=over)).clear_of_surface(q).any()
+    with pytest.raises(InputError, match="its normal on the side of the arm"):
+        _ = DesignProblem.of(Model(replace(arm, chain=over))).choices
 
 
 @pytest.mark.usefixtures("few")
