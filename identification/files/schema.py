@@ -138,8 +138,14 @@ class StrictTable(BaseModel):
             _refuse(key, f"found in the file of {this}, allowed: in that of {other}")
         for key, field in fields.items():
             if key not in values and (field.is_required() or _mark(field).get("needed")):
-                _refuse(key, "is missing, allowed: a value for it")
+                _refuse(key, missing(key))
         return values
+
+
+def missing(key: str) -> str:
+    """That a key is missing, and in which unit its value is, which stands at the end of its name."""
+    unit = key.rpartition("_")[2]
+    return f"is missing, allowed: a value for it{f' [{unit}]' if unit in ('mm', 'deg', 'kg') else ''}"
 
 
 def _mark(field: FieldInfo) -> dict[str, Any]:
@@ -169,7 +175,7 @@ def _has_keys_of_its_kind(table: Any, kinds_of: Mapping[str, Iterable[str]], dim
             allowed = f"for {', '.join(owners)}" if owners else "left out"
             _refuse(key, f"found for kind {table.kind}, allowed: {allowed}")
         if not present and key in keys[table.kind]:
-            _refuse(key, "is missing, allowed: a value for it")
+            _refuse(key, missing(key))
 
 
 def _constraint(table: Any, info: ValidationInfo) -> Any:
@@ -392,7 +398,7 @@ def validated(file: type[F], tables: Mapping[str, Any], place: str = "", dimensi
     if kind == "key":
         raise InputError(f"{place}{key}: {detail['msg']}")
     if kind == "missing":
-        raise InputError(f"{place}{key}: is missing, allowed: a value for it")
+        raise InputError(f"{place}{key}: {missing(key)}")
     if kind in ("too_long", "too_short"):
         found = f"{len(value)} values"
     else:

@@ -245,7 +245,7 @@ BAD = [  # values that are of the right type: what to replace, by what, and what
     (BY_URDF, '"tool0"', '"tool1"', "did you mean 'tool0'?"),
     (BY_URDF, 'kind = "spatial"', 'kind = "space"', "kind: found 'space'"),
     (BY_URDF, "lower = [-300.0]", "lower = [900.0]", "joint_limits_mm: joint 1"),
-    (BY_URDF, "z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing"),
+    (BY_URDF, "z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing, allowed: a value for it [mm]"),
     (BY_URDF, "z_mm = [100.0, 2000.0]", "z_mm = [100.0, 20.0]", "constraints[1].z_mm: found [100.0, 20.0]"),
     (BY_URDF, '"keep_out_sphere"', '"keep_out_circle"', "constraints[2].kind: found 'keep_out_circle'"),
     (BY_URDF, "end_mm = [350.0, 200.0, 900.0]", "end_mm = [350.0, 200.0, 0.0]", "constraints[3].end_mm: found"),
