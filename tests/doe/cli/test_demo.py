@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from identification.files.arm import load_arm
+from identification.workflow import VERBS
 from tests.doe.cli.conftest import Folder, Outcome
 
 
@@ -94,8 +95,8 @@ def test_the_demo_files_feed_the_other_commands_which_say_the_same(demo: tuple[F
 @pytest.mark.parametrize(
     ("words", "step", "directory"),
     [
-        ("--json", "diagnose_files", "armcal-demo-2"),
-        ("--out half", "diagnose_files", "half"),
+        ("--json", "diagnose", "armcal-demo-2"),
+        ("--out half", "diagnose", "half"),
         ("--spatial --out six", "solve", "six"),
     ],
 )
@@ -107,11 +108,12 @@ def test_ctrl_c_says_which_files_are_left(
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(f"doe.demo.run.{step}", stopped)
+    place, value = ("VERBS", {**VERBS, step: (stopped, "")}) if step in VERBS else (step, stopped)
+    monkeypatch.setattr(f"doe.demo.run.{place}", value)
     (folder.path / "armcal-demo").mkdir()
     done = folder.armcal(f"demo {words}")
     assert (done.code, f"the files in {directory}" in done.err) == (1, True)
-    assert (folder.path / directory / "data.csv").exists() == (step == "diagnose_files")
+    assert (folder.path / directory / "data.csv").exists() == (step == "diagnose")
     assert not (folder.path / directory / "report.html").exists()
     assert ('kind = "spatial"' in folder.read(f"{directory}/arm.toml")) == (directory == "six")
     assert folder.armcal(f"demo --out {directory}").code == 2  # without --force
