@@ -130,11 +130,6 @@ class PostureCondition(Protocol):
         ...
 
 
-def distance_to_segment(point: Array, start: Array, end: Array) -> Array:
-    """(...) distance of points (..., d) from segments."""
-    return np.asarray(np.linalg.norm(nearest_on_segment(point, start, end) - point, axis=-1))
-
-
 def nearest_on_segment(point: Array, start: Array, end: Array) -> Array:
     """(..., d) the points of segments that are nearest to points (..., d)."""
     along = end - start
