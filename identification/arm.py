@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
+from identification.bodies import Cell
 from identification.document import html_lines, html_table
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
@@ -168,6 +169,7 @@ class Arm(ByValue):
     gear_ratios: Array | None = None  # (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
     machining: Machining = Machining()  # what that geometry may be off by
     counting: Counting | None = None  # of the controller's columns, commands and limits; None: as the model counts
+    cell: Cell | None = None  # bodies that must not touch; None: nothing is known of any
 
     def __post_init__(self) -> None:
         chain: Any = self.chain

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
+from identification.bodies import Cell
 from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
@@ -85,6 +86,15 @@ class ArmModel(Model):
     def space(self) -> int:
         """2 in the plane, 3 in space."""
         return self.arm.dimension
+
+    @property
+    def cell(self) -> Cell | None:
+        """Bodies of the arm and around it; None: nothing is known of any."""
+        return self.arm.cell
+
+    def joint_frames(self, postures: ArrayLike) -> Array:
+        """(m, n + 1, 4, 4) [mm] in the frame of the base, as best known: see `KinematicChain.joint_frames`."""
+        return self.arm.chain.joint_frames(np.atleast_2d(np.asarray(postures, dtype=float)), self._geometry_values)
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""

@@ -33,6 +33,7 @@ LAYERS = {
     "identification.kinematics.parameters": 1,
     "identification.instruments": 1,
     "identification.arm": 1,
+    "identification.bodies": 1,
     "identification.workspace": 1,
     "identification.error_curve": 1,
     "identification.newton_ascent": 1,

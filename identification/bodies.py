@@ -1,0 +1,58 @@
+"""What an arm and its cell take up in space: bodies as plain data, in millimetres.
+
+A body is made of convex pieces that together contain it, so that a clearance of the pieces is one of the body: capsules
+(all points within a radius of a segment; a segment of no length is a sphere), and boxes where the body does not move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identification.arrays import Array, ByValue, readonly
+from identification.errors import InputError
+
+CLEARANCE = 20.0  # [mm] usual smallest distance of two bodies: what cables, covers and a calibration of old are off by
+
+
+@dataclass(frozen=True, eq=False)
+class Body(ByValue):
+    """A rigid part of the arm, of what it carries, or of the cell around it.
+
+    name : as messages have it: a link of the URDF, or the name in the arm file
+    joint : it moves with, from 1; 0: it stands still with the arm's base
+    capsules : (k, 7) the two ends of each axis [mm] and the radius [mm], in the frame of the joint after it moved, of
+        joint 0 in that of the arm's base
+    boxes : (k, 15) center (3), rows of the rotation matrix (9) and half sizes (3) of each [mm], in the same frame; of
+        bodies that stand still only
+    triangles : (t, 3, 3) corners [mm] of what it looks like, in the same frame; none: its pieces are drawn
+    """
+
+    name: str
+    joint: int = 0
+    capsules: Array = field(default_factory=lambda: np.empty((0, 7)))
+    boxes: Array = field(default_factory=lambda: np.empty((0, 15)))
+    triangles: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
+
+    def __post_init__(self) -> None:
+        for name, shape in (("capsules", (-1, 7)), ("boxes", (-1, 15)), ("triangles", (-1, 3, 3))):
+            object.__setattr__(self, name, readonly(getattr(self, name), *shape))
+        if self.joint and len(self.boxes):
+            raise InputError(f"body {self.name}: boxes move with joint {self.joint}, allowed: capsules that cover them")
+
+
+@dataclass(frozen=True, eq=False)
+class Cell(ByValue):
+    """The bodies of an arm and around it, and how far they keep apart.
+
+    bodies : of the arm and of the cell
+    floor : [mm] height in the frame of the arm's base below which nothing may reach; None: there is no floor
+    clearance : [mm] smallest distance of two bodies, and of the arm from the floor
+    apart : pairs of names that are not looked at, as an SRDF file says
+    """
+
+    bodies: tuple[Body, ...] = ()
+    floor: float | None = None
+    clearance: float = CLEARANCE
+    apart: frozenset[frozenset[str]] = frozenset()
