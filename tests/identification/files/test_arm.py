@@ -174,6 +174,15 @@ ORIGIN = PLAIN + CALIBRATION + "[calibration.provenance]\n"
 BAD = [  # values that are of the right type
     ("", "empty"),
     ("links_mm = []", "links_mm: found 0"),
+    (PLAIN + "[measurement]\nsigma_mm = 0", "measurement.sigma_mm: found 0"),
+    # keys that stand elsewhere, or have another name
+    ("sigma_mm = 0.1\n" + PLAIN, "[measurement]"),
+    ("lengths_mm = [1.0]\n" + PLAIN, "'links_mm'"),
+    ("description = 'x'\n" + PLAIN, "description: "),
+    (PLAIN + "[base]", "spatial"),
+    (PLAIN + "[limits]", "'joint_limits_deg'"),
+    (LIMITS + "min = [0, 0]\nupper = [90, 90]", "'lower'"),
+    (PLANAR.replace("acceleration_m_s2", "g"), "'acceleration_m_s2'"),
     (LIMITS + "lower = [0, 0]\nupper = [90, -90]", "joint 2"),
     (LIMITS + "lower = [0]\nupper = [90, 90]", "joint_limits_deg.lower: found 1"),
     (PLAIN + "[joints]\nsign = [1, 0]", "joints.sign: found 0 for joint 2"),
@@ -192,6 +201,7 @@ BAD = [  # values that are of the right type
     (PLAIN + BASE + BASE, "base_offset"),
     (PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0', "transmission_ripple:1"),
     (PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1', "effects[1].b_deg: found -1"),
+    (PLAIN + CALIBRATION.replace("[0, 0]", "[0, -180]", 1), "calibration.length_errors_mm: found -180"),
     (PLAIN + CALIBRATION + "covariance = [[1]]", "calibration.parameters: is missing"),
     (PLAIN + TWO + "covariance = [[1, 0]]", "calibration.covariance: found 1 rows"),
     (PLAIN + TWO + "covariance = [[1], [2]]", "calibration.covariance: found 1 values"),
