@@ -13,7 +13,7 @@ import pytest
 
 from identification.errors import LONGEST_LINE, InputError, in_one_line
 from identification.files.csv import read_table
-from tests.doe.cli.conftest import ARM, CALIBRATION, LOWER, UPPER, Folder
+from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
 HEADER = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm\n"
 ROW = "0,0,0,0,660,0\n"
@@ -398,13 +398,6 @@ def test_a_robust_plan_of_an_arm_that_hardly_moves(folder: Folder) -> None:
         done = folder.armcal(f"{words} --quiet")
         assert done.code in (0, 1), done.err
         assert done.code == 0 or done.err.startswith("armcal: ")
-
-
-def test_commands_of_a_redundant_arm_without_constraints(folder: Folder) -> None:
-    """Postures that miss the joint limits are not led away from constraints that are not there."""
-    text = folder.read("truth.toml").replace(f"{LOWER}", f"{[-100.0] * 4}").replace(f"{UPPER}", f"{[100.0] * 4}")
-    folder.write("truth.toml", text)
-    assert folder.armcal("compensate truth.toml plan.csv").code == 0
 
 
 def test_a_plan_outside_the_limits_warns(folder: Folder) -> None:
