@@ -14,7 +14,6 @@ from doe.studies.blind import cells as hidden_effects
 from doe.studies.blind import simulator
 from doe.studies.blind.cells import random_truth
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.effects import library
 from identification.errors import InputError
 from identification.estimation import estimate as identify
 from identification.gap.diagnose import diagnose
@@ -118,20 +117,6 @@ def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
     assert found.extended_arm(found.named).effects == found.named.specs
     assert said["settings"] == {f"{ripple}:1.k": 12.0, f"{ripple}:2[k=20].k": 20.0, f"{ripple}:2[k=29].k": 29.0}
     assert diagnose(found.extended_arm(), rippled()).verdict == "none"
-
-
-def test_a_ripple_beside_one_that_is_in_the_arm() -> None:
-    known = [EffectSpec("transmission_ripple", j, {"k": k}) for j, k in ((1, 12.0), (2, 20.0))]
-    found = diagnose(ARM.with_effects(*known), rippled())
-    assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=29]",))
-
-
-def test_a_wave_of_no_whole_order_is_one_ripple_and_not_two() -> None:
-    rng = np.random.default_rng(22)
-    run = simulator.session(TRUTH, rng.uniform(-np.pi, np.pi, (120, 3)), rng)
-    wave = ("transmission_ripple", 2, {"k": 20.5, "a": 6e-4, "b": 6e-4})
-    found = diagnose(ARM, simulator.measure(replace(TRUTH, effects=[wave]), run, rng, "white"))
-    assert (found.verdict, found.effects) == ("named", ("transmission_ripple:2[k=20.5]",))
 
 
 def test_nothing_missing_gives_the_sizes_excluded() -> None:
@@ -396,27 +381,6 @@ def test_one_link_lists_its_exact_aliases() -> None:
     found = diagnose(arm, Measurements(q, np.column_stack([p.real, p.imag])))
     assert found.verdict == "ambiguous"
     assert {"joint_compliance", "joint_compliance:1"} <= {c.effects[0] for c in found.candidates}
-
-
-def test_a_users_own_effect_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    from identification.effects import base
-
-    class Square(library()["gear_ratio"]):  # type: ignore[misc]
-        name = "cable_square"
-        family = "cable"
-
-        def joint_angles(self, chain, values):  # type: ignore[no-untyped-def]
-            return self.at_joint(values[0] * chain.q[self.joint_index] ** 2, chain)
-
-    monkeypatch.setitem(base._LIBRARY, "cable_square", Square)
-    assert "cable_square" in library()
-    data = measured(None)
-    theta = data.postures.copy()
-    theta[:, 1] += 5e-4 * theta[:, 1] ** 2
-    p = simulator.position(TRUTH, simulator.session(TRUTH, theta, np.random.default_rng(0)))
-    positions = p + 0.05 * np.random.default_rng(2).normal(size=(60, 2))
-    found = diagnose(ARM, replace(data, positions=positions))
-    assert "cable_square:2" in [c.effects[0] for c in found.candidates]
 
 
 def test_on_a_grid_the_ripples_that_an_effect_imitates_are_told() -> None:
