@@ -244,6 +244,7 @@ def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Pa
         '[calibration.provenance]\nfile = "new.csv"\n'
     )
     assert written == moved.replace(text[start:end], new)
+    assert with_calibration(written, found) == written
     same(found, load(tmp_path, written).calibration)
 
 
@@ -260,13 +261,6 @@ def test_calibration_in_unusual_layouts(tmp_path: Path, text: str) -> None:
     found = Calibration.of(readonly([1, 2]), readonly([0.1, 0.2]), provenance={"file": "b", "fit": {"rms_mm": 0.1}})
     (tmp_path / "arm.toml").write_bytes(with_calibration(text, found).encode())
     same(found, load_arm(tmp_path / "arm.toml").calibration)
-
-
-def test_writing_a_calibration_twice_changes_nothing(tmp_path: Path) -> None:
-    calibration = load(tmp_path, FULL).calibration
-    assert calibration is not None
-    once = with_calibration(FULL, calibration)
-    assert with_calibration(once, calibration) == once
 
 
 def test_provenance_leaves_out_what_toml_cannot_say() -> None:
@@ -349,7 +343,7 @@ def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
 
 
 @given(arms())
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_round_trip(arm: Arm) -> None:
     same(arm, arm_from_tables(tomllib.loads(dump_arm(arm))))
 

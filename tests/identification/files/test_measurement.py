@@ -263,7 +263,7 @@ def assert_same(again: Measurements, data: Measurements) -> None:
 
 
 @given(measured())
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
     path, frame = tmp_path_factory.mktemp("data") / "data.csv", data.to_frame()
     path.write_text(measurement_text(data))

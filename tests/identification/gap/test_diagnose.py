@@ -116,7 +116,6 @@ def test_two_ripples_of_one_joint_are_named_beside_a_third() -> None:
     assert [f"{spec.key}[k={spec.values['k']:g}]" for spec in found.named.specs] == list(found.effects)  # same order
     assert found.extended_arm(found.named).effects == found.named.specs
     assert said["settings"] == {f"{ripple}:1.k": 12.0, f"{ripple}:2[k=20].k": 20.0, f"{ripple}:2[k=29].k": 29.0}
-    assert diagnose(found.extended_arm(), rippled()).verdict == "none"
 
 
 def test_nothing_missing_gives_the_sizes_excluded() -> None:
@@ -228,34 +227,27 @@ def test_held_out_gap_shrinks_to_the_noise() -> None:
 
 
 def test_exact_copies_of_rows_are_no_measurements() -> None:
-    """The same rows twice, in one session or as a second one, are what they are once, and outliers keep their rows."""
+    """The same rows as a second session are what they are once, and outliers keep their rows."""
     once = measured("encoder_eccentricity")
     wrong = replace(once, positions=once.positions + 5.0 * (np.arange(60) == 50)[:, None])
     twice = [*range(60), *range(60)]
     expected = diagnose(ARM, wrong)
     assert expected.outlier_rows == (51,)
-    sessions = replace(wrong.rows(twice), session=np.repeat(["A", "B"], 60))
-    for copied in (sessions, wrong.rows([0, *range(60)])):
-        found = diagnose(ARM, copied)
-        assert (found.verdict, found.effects) == (expected.verdict, expected.effects)
-        assert found.probabilities.best == expected.probabilities.best
-        assert found.gap.rms_after == pytest.approx(expected.gap.rms_after, rel=1e-6)
-        assert found.outlier_rows == ((52,) if len(copied) == 61 else (51,))
-        assert any("exact cop" in warning for warning in found.warnings)
+    found = diagnose(ARM, replace(wrong.rows(twice), session=np.repeat(["A", "B"], 60)))
+    assert (found.verdict, found.effects) == (expected.verdict, expected.effects)
+    assert found.probabilities.best == expected.probabilities.best
+    assert found.gap.rms_after == pytest.approx(expected.gap.rms_after, rel=1e-6)
+    assert found.outlier_rows == (51,)
+    assert any("exact cop" in warning for warning in found.warnings)
 
 
-def test_progress_goes_on_from_step_to_step() -> None:
-    shares: list[float] = []
-    diagnose(ARM, measured("encoder_eccentricity"), progress=lambda done, total, message: shares.append(done))
-    assert shares[0] == 0.0
-    assert shares[-1] == 1.0
+def test_order_of_rows_does_not_matter_when_conditions_are_given_and_progress_is_told() -> None:
+    shuffled, shares = measured("base_drift").rows(np.random.default_rng(3).permutation(60)), []
+    found = diagnose(ARM, shuffled, progress=lambda done, total, message: shares.append(done))
+    assert found.effects == ("base_drift",)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert all(np.diff(shares) > 0.0)
     assert sum(0.0 < share < 0.7 for share in shares) >= 3  # the long step
-
-
-def test_order_of_rows_does_not_matter_when_conditions_are_given() -> None:
-    shuffled = measured("base_drift").rows(np.random.default_rng(3).permutation(60))
-    assert diagnose(ARM, shuffled).effects == ("base_drift",)
 
 
 def test_sigma_of_the_data_sheet_does_not_decide() -> None:
@@ -265,13 +257,12 @@ def test_sigma_of_the_data_sheet_does_not_decide() -> None:
     assert any("times the sigma_mm" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(("wrong", "off"), [(3, 1.5), (12, 80.0)])
-def test_outliers_are_listed_and_left_out(wrong: int, off: float) -> None:
-    """A few, and a fifth of the rows."""
+def test_outliers_are_listed_and_left_out() -> None:
+    """A fifth of the rows."""
     data, rng = measured("backlash"), np.random.default_rng(4)
-    rows = np.sort(rng.choice(60, wrong, replace=False))
+    rows = np.sort(rng.choice(60, 12, replace=False))
     positions = data.positions.copy()
-    positions[rows] += off * (1.0 if wrong == 3 else rng.normal(size=(wrong, 2)))
+    positions[rows] += 80.0 * rng.normal(size=(12, 2))
     found = diagnose(ARM, replace(data, positions=positions))
     assert found.outlier_rows == tuple(rows + 1)
     assert found.effects == ("backlash:2",)
@@ -362,7 +353,7 @@ def test_poor_data_do_not_crash() -> None:
     assert diagnose(ARM, repeated).detectability.freedom == 2 * 5 - 6  # copies of five rows
 
 
-@pytest.mark.parametrize("m", [6, 7, 8])
+@pytest.mark.parametrize("m", [6, 8])
 def test_hardly_any_rows_do_not_crash(m: int) -> None:
     # 4 links, 8 parameters: from 6 rows on there are the 4 residual degrees of freedom that are asked for, and with an
     # effect named hardly any of them left for shapes
@@ -431,7 +422,7 @@ def test_the_best_set_comes_first_and_none_beats_it() -> None:
 def test_effects_of_an_arm_that_sags_with_three_reflectors_at_each_posture() -> None:
     """Compliance, two encoders and play beside 0.02 mm of noise of each row and 0.03 mm of each posture."""
     rng = np.random.default_rng(5)
-    data = measured_three(small_arm(rng, *OTHERS), random_postures(100, rng), rng)
+    data = measured_three(small_arm(rng, *OTHERS), random_postures(60, rng), rng)
     found = diagnose(drawn_arm(), data)
     hidden = {"joint_compliance", *(f"{name}:{joint}" for name, joint, _ in OTHERS)}
     assert set(found.named.keys) == hidden
