@@ -76,12 +76,33 @@ def _place(arm: Arm, hopeless: float = np.inf) -> Callable[[Array, Array], Place
 
 
 # -- units -------------------------------------------------------------------------------------------------------------
+def _without_far_rows(arm: Arm, q: Array, x: Array) -> tuple[float, NDArray[np.bool_]]:
+    """What the drawing leaves of postures (m, n) and positions (m, d), RMS [mm], without rows far from all others, and
+    which these are not: least squares of the nearest three quarters, by concentration steps (P. J. Rousseeuw, K. Van
+    Driessen, "Computing LTS regression for large data sets", 2006)."""
+    place, instrument, near = _place(arm), arm.chain.instrument, np.ones(len(q), dtype=bool)
+    if instrument.parameters:  # no placement says what these are
+        return place(q, x).rms, near
+    frames = arm.chain.tip_frames(q)
+    for _ in range(10):  # effort: mostly 3
+        base, tool, _ = place(q[near], x[near])
+        points = (frames[:, :3, :3] @ tool + frames[:, :3, 3]) @ base[:3, :3].T + base[:3, 3]
+        points = points[:, : len(instrument.axes)]
+        read = instrument.linearized(points, np.zeros(0), np.zeros((1, 1)))[0]
+        far = np.linalg.norm(x - read[:, : x.shape[1]], axis=1)
+        before, near = near, far <= np.quantile(far, 0.75)
+        if np.array_equal(before, near):
+            break
+    near = far <= FAR * np.median(far)
+    return place(q[near], x[near]).rms, near
+
+
 @lru_cache(maxsize=2)  # asked for before a fit, and again for its warnings
 def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], str | None]:
     """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
     where that fits the arm clearly better, in sentences; and an arm that reaches farther than any does. The same in a
     clause where there is no doubt: in the other units the rows are those of the drawing, but for what one may be off
-    by, and as read they are far from it for how far apart they are.
+    by, and as read they are far from it for how far apart they are. Rows far from all others do not count.
 
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
     are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %. Raises `InputError`
@@ -106,20 +127,20 @@ def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], 
     alike = not spread or drawn[1.0] < 2.0 * spread < 4.0 * drawn[1.0]
     if _few(arm, rows) or max(drawn.values()) < 1e-3 * arm.reach or (len(angle) == 1 and alike):
         return tuple(sentences), None
-    place, left = _place(arm), dict[tuple[float, float], float]()  # (factors) -> RMS, as a share of the spread
-    for turned, q in postures.items():
-
-        def rms(factor: float, q: Array = q, size: float = drawn[turned]) -> float:
-            return place(q, rows.positions * factor).rms / max(size, np.finfo(float).tiny)
-
-        left[turned, 1.0] = rms(1.0)
+    positions, place, left = rows.positions[:, : arm.chain.coordinates], _place(arm), dict[tuple[float, float], float]()
+    for turned, q in postures.items():  # (factors) -> RMS, as a share of the spread
+        size = max(drawn[turned], np.finfo(float).tiny)
+        left[turned, 1.0] = _without_far_rows(arm, q, positions)[0] / size
         if spread and drawn[turned]:  # what positions are to be multiplied by; a point far from the tip adds to spreads
-            near = min(drawn[turned] / spread * 2.0 ** np.arange(-3, 4), key=rms)
-            bounds = np.log([near / 2.0, near * 2.0])
-            best = minimize_scalar(lambda k, of=rms: of(float(np.exp(k))), bounds=bounds, options={"xatol": 1e-4})
-            factor = float(np.exp(best.x))
-            if max(factor, 1.0 / factor) > 2.0 and CLEARLY * rms(factor) < left[turned, 1.0]:
-                left[turned, factor] = rms(factor)
+            factors = drawn[turned] / spread * 2.0 ** np.arange(-3, 4)
+            ends = [_without_far_rows(arm, q, positions * factor) for factor in factors]
+            start, near = min(zip(factors, ends, strict=True), key=lambda pair: pair[1][0])
+            q, x = q[near[1]], positions[near[1]]
+            bounds, options = np.log([start / 2.0, start * 2.0]), {"xatol": 1e-4}
+            best = minimize_scalar(lambda k, q=q, x=x: place(q, x * np.exp(k)).rms, bounds=bounds, options=options)
+            factor, rest = float(np.exp(best.x)), float(best.fun) / size
+            if max(factor, 1.0 / factor) > 2.0 and CLEARLY * rest < left[turned, 1.0]:
+                left[turned, factor] = rest
     turned, factor = least = min(left, key=left.__getitem__)
     if CLEARLY * left[least] >= left[1.0, 1.0]:
         return tuple(sentences), None
@@ -147,10 +168,10 @@ def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], 
 
 
 def _spread(points: Array) -> float:
-    """Root mean square distance of points (m, d) from their mean, of distances (m, 1) that of the points they are of,
-    if these lie on all sides."""
-    square = float(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
-    return float(np.sqrt(square * (3.0 if points.shape[1] == 1 else 1.0)))
+    """Median distance of points (m, d) from their median, of distances (m, 1) that of the points they are of, if these
+    lie on all sides."""
+    off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    return float(np.median(off) * (np.sqrt(3.0) if points.shape[1] == 1 else 1.0))
 
 
 # -- orientations, markers, rows far from all others -------------------------------------------------------------------
