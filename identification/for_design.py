@@ -69,10 +69,11 @@ class ArmModel(Model):
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
-        place, each = Conditions.columns(self.joints, self.remembers), []
+        conditions, each = self.condition_table(np.zeros((1, self.joints)), Conditions())[0], []
+        for name in {"reference", "missing", "errors", "off"} & set(self._columns):  # none is measured or looked up
+            conditions[self._columns[name]] = float(name == "missing")
         for point in range(self.points_read):
-            conditions = np.array(self.neutral_conditions)
-            conditions[place : place + (self.points_read > 1)] = point
+            conditions[self._columns.get("marker", slice(0))] = point
             each.append(self.expressions.position_function(q, ca.DM(conditions), p))
         return ca.vertcat(*each)
 
