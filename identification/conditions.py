@@ -98,7 +98,9 @@ class Conditions(ByValue):
             past = np.broadcast_to(
                 postures[..., None] if self.past is None else np.asarray(self.past), (*postures.shape, REMEMBERED)
             )
-            columns.append(np.broadcast_to(past.reshape(*postures.shape[:-1], n * REMEMBERED), (*shape, n * REMEMBERED)))
+            columns.append(
+                np.broadcast_to(past.reshape(*postures.shape[:-1], n * REMEMBERED), (*shape, n * REMEMBERED))
+            )
         return np.concatenate(columns, axis=-1)
 
     @property
