@@ -109,8 +109,6 @@ class ArmModel(Model):
     def placed(self) -> ArmModel:
         """The same with its measured points in place, and without a sigma for a minimal set of parameters. Raises
         `InputError` for contacts with a surface whose place is not known; warns of points that are assumed."""
-        if self.arm.chain.positions_in_plane:
-            return self
         model = replace(self, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return design_model(minimal(model)) if model.sigma is None and model.prior else model
 
@@ -293,9 +291,8 @@ def design_model(model: Any) -> Any:
 
 def without_prior(arm: Arm) -> Arm:
     """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
-    if arm.chain.planar:
-        return arm
-    return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
+    model = Model(replace(arm, chain=with_points(arm.chain)))
+    return minimal(model, PRACTICAL).arm if model.prior else model.arm
 
 
 def with_scatter(arm: Arm) -> tuple[Arm, str]:
