@@ -16,8 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from doe.problem.model import Offers, offered
-from identification import REVOLUTE, Array, InputError, design_model
+from doe.problem.model import PRISMATIC, Offers, offered
+from identification import Array, InputError, design_model
 from identification.vectorize import vectorize
 
 # every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
@@ -75,7 +75,7 @@ def constraints_of(model: Any) -> tuple[Expression, ...]:
 def within_column(model: Offers, limit: Any, q: ca.SX) -> ca.SX:
     """(2,) A joint that the controller counts together with others stays within its limits; an angle is the distance
     that it is at full reach."""
-    unit = model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0
+    unit = 1.0 if model.joint_types[limit.joint - 1] == PRISMATIC else model.reach
     column = sum((c * q[j] for j, c in enumerate(limit.coefficients) if c), ca.SX(0.0))
     return unit * ca.vertcat(column - limit.lower, limit.upper - column)
 

@@ -15,7 +15,7 @@ from doe.problem.constraints import COLLISIONS
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
-from identification import EFFECT, Array, Model, Plan
+from identification import Array, Model, Plan
 from identification.document import Document, Pictures, PlanSteps, Section, Sheet, facts_sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    worst, missing = design.worst_deviations, missing_parameters(problem)
+    worst, missing = design.worst_deviations, problem.missing
     over = "" if worst is None else ", mean over the draws of the arm and worst of them"
     columns: dict[str, Array] = {}
     for which, deviations in (("", mean), ("worst ", worst)):
@@ -151,7 +151,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
         # above half of the deviation before, the prior says more of a parameter than the plan
-        if not mean.planar and p.kind != EFFECT and std > 0.5 * problem.deviations.get(p.name, np.inf)
+        if not mean.planar and not p.of_effect and std > 0.5 * problem.deviations.get(p.name, np.inf)
     ]
     names = ["" if p.name in {*missing, *weak} else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
     names = [str(link) for link in range(1, mean.length.size + 1)] if mean.planar else names
@@ -164,14 +164,9 @@ def accuracy(design: Design) -> list[Sheet | str]:
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]
 
 
-def missing_parameters(problem: DesignProblem) -> list[str]:
-    """Names of the parameters of effects that may be missing."""
-    return [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
-
-
 def missing_lines(design: Design) -> list[str]:
     """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
-    problem, missing = design.problem, missing_parameters(design.problem)
+    problem, missing = design.problem, design.problem.missing
     held = len(problem.deviations) - len(missing)
     lines = [f"{held} corrections of the geometry have the prior of its machining"] if held else []
     if missing:
@@ -182,7 +177,7 @@ def missing_lines(design: Design) -> list[str]:
         if equations < problem.parameters:
             few = f"{equations} equations for {problem.parameters} parameters"
             lines.append(f"{few}: so few runs stay far from the bound")
-    elif problem.model.sigma is not None and not any(p.kind == EFFECT for p in problem.model.parameters):
+    elif problem.model.sigma is not None and not any(p.of_effect for p in problem.model.parameters):
         lines.append("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")
     return lines
 

@@ -23,6 +23,7 @@ import numpy as np
 import polars as pl
 
 from doe.bounds.planar_theorem import pair_means
+from doe.criteria import information_matrix
 from doe.jobs import Row, frame_of
 from doe.studies.monte_carlo import Study, TruthTable, dft_postures, run_study
 from identification import (
@@ -35,7 +36,6 @@ from identification import (
     estimate,
     estimate_batch,
     estimate_each,
-    information_matrix,
     planar_chain,
     silent,
     spectrum,

@@ -8,7 +8,6 @@ import secrets
 import shutil
 import stat
 import sys
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
@@ -191,17 +190,3 @@ def _unnamed(folder: Path) -> int | None:
         if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
             return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
     return None
-
-
-def provide_temporary_folder(*folders: Path) -> None:
-    """Where the system has no folder for temporary files (a root file system that is read-only), name one of these,
-    the first that can be written to: some libraries want one as soon as they are loaded. Folders may be missing yet;
-    what counts is where they would be made."""
-    try:
-        tempfile.gettempdir()
-    except FileNotFoundError:
-        for folder in folders:
-            existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
-            if os.access(existing, os.W_OK):
-                os.environ["TMPDIR"] = str(existing)  # for processes started from here too
-                return
