@@ -20,7 +20,7 @@ import click
 
 from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
 from identification import InputError, Progress, load_sessions, nearest, silent
-from identification.document import Answer, Document, picture_bytes
+from identification.document import Answer, Document
 from identification.files.io import write_together
 from identification.workflow import Picture, Written
 
@@ -131,8 +131,7 @@ def written(
     contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
     """
     wanted = {path: content for path, content in contents.items() if path is not None}
-    files = {path: picture_bytes(c(), path) if callable(c) else c for path, c in wanted.items()}
-    write_together(files, force=force)
+    write_together(wanted, force=force)
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Union, get_
 import click
 
 from identification import InputError, JobError, Progress, silent
-from identification.document import Answer, check_picture
+from identification.document import Answer
 from identification.files.io import check_writable
 from identification.workflow import Folder, Picture, Written
 
@@ -309,9 +309,7 @@ def check_outputs(context: click.Context) -> None:
         if other != name and (context.command.name, name, other) not in UPDATES:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
         if kind is not FOLDER:
-            check_writable(path, context.params["force"])
-    for path in (path for _, kind, path in outputs if kind.picture):
-        check_picture(path)
+            check_writable(path, context.params["force"], picture=kind.picture)
     provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
 
 
@@ -521,21 +519,18 @@ def shown(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
-    from identification.document import rendered
-
     columns = os.environ.get("COLUMNS", "")
     width = None if sys.stdout.isatty() else 110
     if columns.isdecimal() and int(columns):
         width = int(columns)
     console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
-    for part in answer.shown:
-        for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):
-            # names in files may have control characters, which a terminal would obey
-            segments = (
-                Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
-                for s in console.render(one)
-            )
-            console.print(Segments(segments), end="")
+    for one in answer.rendered(console.width):
+        # names in files may have control characters, which a terminal would obey
+        segments = (
+            Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
+            for s in console.render(one)
+        )
+        console.print(Segments(segments), end="")
 
 
 def plain(value: Any) -> Any:

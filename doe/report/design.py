@@ -14,9 +14,10 @@ from doe.plan.spacing import distance_to_keep
 from doe.problem.constraints import COLLISIONS
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
+from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
 from identification import Array, Model, Plan
-from identification.document import Document, Pictures, PlanSteps, Section, Sheet, facts_sheet, in_a_sentence, number
+from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -87,7 +88,7 @@ def design_facts(data: Data, status: str) -> Sheet:
         optimal = f"no: {are} outside joint limits or constraints"
     upper = None if in_mm or not words else f"{number(bound['value'], 7)} ({words})"
     searched = f"{data['solver']}, {data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
-    return facts_sheet(
+    return Sheet.facts(
         [
             ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
             (f"value of {kind}", None if kind == "D" or in_mm else number(data["value"], 7)),
@@ -211,7 +212,7 @@ def plan_section(arm: Arm, plan: Plan, name: str = "", lead: str = "") -> Sectio
     lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
     title = f"The plan {name}".rstrip()
     if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem)) is not None:
-        return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
+        return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip()], steps)])
     sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
@@ -353,7 +354,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> 
     answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
     title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
     check = Sheet(("method", "over", "value", "upper bound", "Table I"), answers, title)
-    return Document("Weights", [], [facts_sheet(facts), support, *rest, check])
+    return Document("Weights", [], [Sheet.facts(facts), support, *rest, check])
 
 
 # -- missing effects ---------------------------------------------------------------------------------------------------
