@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 
 from identification import REVOLUTE, Array
-from identification.bodies import Body
 
 SAMPLES, SELDOM = 1000, 0.02  # random postures that tell what pairs do, and the share of them that is hardly any
 SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
@@ -51,30 +50,29 @@ class Clearance:
         """
         self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
         # a line of sight is a capsule from the base's frame to that of the measured point
-        sights = [Body(SIGHT, tip, np.r_[place, np.zeros(4)]) for place in trackers]
-        ground = [] if cell.floor is None else [Body(FLOOR)]
-        solid = [body for body in cell.bodies if len(body.capsules) + len(body.boxes)]
-        bodies = sorted([*ground, *solid, *sights], key=lambda body: body.joint)
-        joint = np.array([body.joint for body in bodies for _ in body.capsules], dtype=int)
+        none, no_box = np.empty((0, 7)), np.empty((0, 15))
+        sights = [(SIGHT, tip, np.r_[place, np.zeros(4)][None], no_box) for place in trackers]
+        ground = [(FLOOR, 0, none, no_box)] if cell.floor is not None else []
+        solid = [(body.name, body.joint, body.capsules, body.boxes) for body in cell.bodies]
+        names, joints, capsules, boxes = zip(*sorted([*ground, *solid, *sights], key=lambda body: body[1]), strict=True)
+        joint = np.repeat(joints, [*map(len, capsules)])
         self._frames = np.stack([np.where(joint == tip, 0, joint), joint])  # (2, K) of the ends of each axis
-        capsules = np.concatenate([np.empty((0, 7)), *(body.capsules for body in bodies)])
-        self._ends, self._radii = np.stack([capsules[:, :3], capsules[:, 3:6]]), capsules[:, 6]
-        self._boxes = np.concatenate([np.empty((0, 15)), *(body.boxes for body in bodies)])
-        self._floor = cell.floor
+        axes = np.concatenate(capsules)
+        self._ends, self._radii = np.stack([axes[:, :3], axes[:, 3:6]]), axes[:, 6]
+        self._boxes, self._floor = np.concatenate(boxes), cell.floor
         # pieces in this order: capsules, boxes, the floor
-        numbers = range(len(bodies))
-        owners = [k for kind in ("capsules", "boxes") for k in numbers for _ in getattr(bodies[k], kind)]
-        owner = np.array([*owners, *(k for k in numbers if bodies[k] in ground)], dtype=int)
+        numbers = range(len(names))
+        counts = [*map(len, capsules)], [*map(len, boxes)], [int(name == FLOOR) for name in names]
+        owner = np.concatenate([np.repeat(numbers, each) for each in counts])
         pairs, pieces = list[tuple[str, str]](), list[tuple[int, int, int]]()
         for one in numbers:
             for other in range(one):  # which stands still where one does: boxes and the floor come second
-                names = bodies[one].name, bodies[other].name
-                seen = bodies[one] in sights and bodies[other] in ground
-                if bodies[one].joint == bodies[other].joint or frozenset(names) in cell.apart or seen:
+                pair = names[one], names[other]
+                if joints[one] == joints[other] or frozenset(pair) in cell.apart or {*pair} == {SIGHT, FLOOR}:
                     continue
                 first, second = np.flatnonzero(owner == one), np.flatnonzero(owner == other)
                 pieces += [(len(pairs), a, b) for a in first.tolist() for b in second.tolist()]
-                pairs.append(names)
+                pairs += [pair] if len(first) and len(second) else []
         self._set_pieces(np.array(pieces, dtype=int).reshape(-1, 3))
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, tip - 1))
         apart = self.distance(drawn)

@@ -150,7 +150,7 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
         if build is in_sight and len(limit.tracker) != space:
             raise InputError(f"line_of_sight: a tracker in {len(limit.tracker)} dimensions, allowed: in {space}")
         made.append(Expression(partial(build, model, limit), len(model.joint_types), limit.kind))
-    if offers(model, "cell"):
+    if offers(model, "cell") and model.cell.bodies:
         sights = [np.array(limit.tracker) for limit in model.constraints if limit.kind == "line_of_sight"]
         made.append(Clearance(model, sights if model.space == 3 else ()))
     return tuple(made)
@@ -230,7 +230,8 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
         looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
-    links = [] if offers(model, "cell") else [*pairwise(points[:-1])]
+    solid = offers(model, "cell") and model.cell.bodies
+    links = [] if solid else [*pairwise(points[:-1])]
     gaps = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
     return ca.vertcat(*expressions, *gaps)
 
