@@ -17,7 +17,7 @@ from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENG
 from identification.arrays import Array
 from identification.conditions import gaps_of
 from identification.errors import InputError
-from identification.files.csv import Table, csv_text, read_table
+from identification.files.csv import VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
@@ -322,6 +322,7 @@ class PlanFile(NamedTuple):
     """What a plan file says, rows in the order of measurement.
 
     postures : (m, n) [rad, mm];  weights : (m,) shares, None: every row is one measurement
+    via : (m,) rows that are way-points, where these were asked for
     fit : how the measurements are to be fitted, as options of `armcal identify`
     cells : column of the file, but for `run` -> its texts, with decimal points
     conditions : `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n), None where the file has none;
@@ -330,25 +331,34 @@ class PlanFile(NamedTuple):
 
     postures: Array
     weights: Array | None
+    via: NDArray[np.bool_]
     fit: str
     cells: dict[str, list[str]]
     conditions: dict[str, Array | None]
 
 
 def read_plan(
-    path: PathLike, joints: JointTypes = None, *, conditions: bool = False, carried_out: bool = False
+    path: PathLike,
+    joints: JointTypes = None,
+    *,
+    conditions: bool = False,
+    carried_out: bool = False,
+    vias: bool = False,
 ) -> PlanFile:
-    """The CSV file `run,q1_deg,...,qn_deg[,weight]`, `# fit: ...` above, with or without conditions of the rows.
+    """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with or without conditions of the rows.
 
     joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
     conditions : read them too;  carried_out : the file is one of measurements, and has other columns
+    vias : read the way-points of the moves too, which nobody measures
 
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
-    table = read_table(path)
+    table = read_table(path, vias=vias)
     postures, weights = read_postures(table, joints), None
-    n = postures.shape[1]
+    n, via = postures.shape[1], np.zeros(len(postures), dtype=bool)
+    if vias and "kind" in table:
+        via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
     if not carried_out:
         if "weight" in table:
             weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
@@ -363,7 +373,7 @@ def read_plan(
             texts[:] = [text.replace(",", ".") if DECIMAL.fullmatch(text) else text for text in texts]
     wanted = ("payload_kg", "temperature_C")
     rows = _conditions(table, n if joints is None else joints, wanted) if conditions else {}
-    return PlanFile(postures, weights, table.fit, cells, rows)
+    return PlanFile(postures, weights, via, table.fit, cells, rows)
 
 
 def plan_file_text(
