@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.problem.constraints import constraints_of
-from identification import PRISMATIC, Arm, Array, InputError, Model, posture_columns
+from identification import PRISMATIC, Arm, Array, InputError, Model, Plan, posture_columns
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 PEAK = 15.0 / 8.0
@@ -84,8 +84,7 @@ class Program(NamedTuple):
 
 def program(
     arm: Arm,
-    postures: Array,
-    via: NDArray[np.bool_],
+    plan: Plan,
     robot: str,
     *,
     speed: int = 20,
@@ -93,9 +92,9 @@ def program(
     name: str = "armcal",
     template: Path | None = None,
 ) -> Program:
-    """The program for the rows of a plan, in their order.
+    """The program for the rows of an exact plan, in their order, its way-points (`Plan.via`) among them.
 
-    postures : (m, n) [rad, mm];  via : (m,) which of them are way-points;  robot : of `LANGUAGES`
+    robot : of `LANGUAGES`
     speed : [%] of the speed of joint moves;  settle : [s] from arrival to the measurement
     name : of the program, made one that all languages accept;  template : instead of the language's own
 
@@ -111,8 +110,9 @@ def program(
     slides = np.array([kind == PRISMATIC for kind in arm.joint_types])
     if robot == "ur" and slides.any():
         raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
-    check_rows(arm, postures, via)
-    columns, runs = in_units(arm, postures), np.where(via, 0, np.cumsum(~via)).tolist()
+    via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
+    check_rows(arm, plan.postures, via)
+    columns, runs = in_units(arm, plan.postures), np.where(via, 0, np.cumsum(~via)).tolist()
     units = [language.length if slide else language.angle for slide in slides]
     order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
     inner, outer = order[: language.arm], order[language.arm :]

@@ -12,6 +12,7 @@ import pytest
 from doe.program.program import LANGUAGES, Program, decimal, program
 from identification.arm import Arm
 from identification.errors import InputError
+from identification.files.measurement import Plan
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting
 from tests.doe.six_axis import LIMITED, TABLE
@@ -19,6 +20,7 @@ from tests.doe.six_axis import LIMITED, TABLE
 NUMBER = r"-?\d+\.\d+"
 VIA = np.array([False, True, True, False, False])
 POSTURES = np.random.default_rng(3).uniform(-1.0, 1.0, (5, 6))
+PLAN = Plan(POSTURES, via=VIA)
 SIX = [DHRow(a, np.radians(alpha), d) for a, alpha, d in TABLE]
 RAIL = DHRow(0.0, np.pi / 2, 100.0, type="prismatic", limits=(-900.0, 900.0))
 
@@ -150,7 +152,7 @@ FACTORS = {"ur": 1.0, "ros": 1.0, "abb": 180.0 / np.pi, "kuka": 180.0 / np.pi, "
 @pytest.mark.parametrize("robot", LANGUAGES)
 def test_a_program_says_what_the_plan_says(robot: str) -> None:
     """Positions to 1e-7 rad, each measured row with its pause and wait, way-points with neither."""
-    made = program(LIMITED, POSTURES, VIA, robot, settle=1.5)
+    made = program(LIMITED, PLAN, robot, settle=1.5)
     postures, pauses, waits = READERS[robot](made.text)
     np.testing.assert_allclose(postures / FACTORS[robot], POSTURES, rtol=0.0, atol=1e-7)
     assert pauses == [(1, 1), (4, 2), (5, 3)]
@@ -163,7 +165,7 @@ def test_a_program_says_what_the_plan_says(robot: str) -> None:
 def test_a_rail_is_an_external_axis_whatever_its_place_in_the_chain(robot: str) -> None:
     arm = Arm(chain_of([RAIL, *SIX]), sigma=0.05)
     rail = np.array([[-512.25], [730.125]])
-    made = program(arm, np.hstack([rail, POSTURES[:2]]), VIA[:2], robot)
+    made = program(arm, Plan(np.hstack([rail, POSTURES[:2]]), via=VIA[:2]), robot)
     postures, *_ = READERS[robot](made.text)
     in_file = np.hstack([rail * 1e-3, POSTURES[:2]])
     if robot != "ros":
@@ -181,7 +183,7 @@ def test_joints_are_written_as_the_controller_counts_them() -> None:
     """A FANUC: joint 3 is counted from the horizontal, its axis the other way; one joint with another sign and zero."""
     counting = Counting((1, 1, 1, -1, 1, 1), (0, 0, -2, 0, 0, 0), (0.0, 0.0, 0.0, np.radians(30.0), 0.0, 0.0))
     arm = replace(LIMITED, lower=np.full(6, -2.5), upper=np.full(6, 2.5), counting=counting)
-    postures, *_ = read_fanuc(program(arm, POSTURES, VIA, "fanuc").text)
+    postures, *_ = read_fanuc(program(arm, PLAN, "fanuc").text)
     q = np.degrees(POSTURES)
     shown = np.column_stack([q[:, 0], q[:, 1], q[:, 2] - q[:, 1], 30.0 - q[:, 3], q[:, 4], q[:, 5]])
     np.testing.assert_allclose(postures, shown, rtol=0.0, atol=1e-6)
@@ -189,7 +191,7 @@ def test_joints_are_written_as_the_controller_counts_them() -> None:
 
 def test_times_are_those_of_a_polynomial_that_keeps_the_speed() -> None:
     """No joint is faster than asked anywhere on 10 s^3 - 15 s^4 + 6 s^5, and one is just so fast."""
-    made = program(LIMITED, POSTURES, VIA, "ros", speed=30, settle=0.0)
+    made = program(LIMITED, PLAN, "ros", speed=30, settle=0.0)
     arrivals = np.array([move["seconds"] for move in made.moves])
     share = np.linspace(0.0, 1.0, 2001)
     shape = 10 * share**3 - 15 * share**4 + 6 * share**5
@@ -223,7 +225,7 @@ NAMES = {
 @pytest.mark.parametrize(("name", "made"), NAMES.items())
 def test_a_name_is_one_in_every_language(name: str, made: str) -> None:
     for robot in LANGUAGES:
-        assert program(LIMITED, POSTURES, VIA, robot, name=name).name == made
+        assert program(LIMITED, PLAN, robot, name=name).name == made
 
 
 @pytest.mark.parametrize("robot", LANGUAGES)
@@ -231,16 +233,16 @@ def test_no_name_of_an_arm_becomes_a_statement(robot: str) -> None:
     """Line ends, quotation marks and brackets in it; comments end where the line does."""
     chain = replace(LIMITED.chain, joints=tuple(replace(j, name='a"]\n: x') for j in LIMITED.chain.joints))
     arm = replace(LIMITED, chain=chain, name='evil\nStop;\r"]}\u2028 Ölarm')
-    plain = program(LIMITED, POSTURES, VIA, robot).text
-    text = program(arm, POSTURES, VIA, robot).text
+    plain = program(LIMITED, PLAN, robot).text
+    text = program(arm, PLAN, robot).text
     assert text.isascii()
     assert len(text.splitlines()) == len(plain.splitlines())
     np.testing.assert_array_equal(READERS[robot](text)[0], READERS[robot](plain)[0])
 
 
-def refusal(arm: Arm, robot: str, *, via: np.ndarray = VIA, postures: np.ndarray = POSTURES, **options: object) -> str:
+def refusal(arm: Arm, robot: str, postures: np.ndarray = POSTURES, **options: object) -> str:
     with pytest.raises(InputError) as caught:
-        program(arm, postures, via, robot, **options)
+        program(arm, Plan(postures), robot, **options)
     return str(caught.value)
 
 
@@ -269,7 +271,7 @@ def test_a_template_of_ones_own_knows_what_is_documented(tmp_path: Path) -> None
 {% endfor %}{{ name }} {{ robot }} {{ speed }} {{ settle }} {{ units|length }}{{ external_units|length }}
 {{- postures|length }}"""
     (tmp_path / "mine.j2").write_text(text)
-    made: Program = program(LIMITED, POSTURES, VIA, "abb", speed=7, template=tmp_path / "mine.j2")
+    made: Program = program(LIMITED, PLAN, "abb", speed=7, template=tmp_path / "mine.j2")
     lines = made.text.splitlines()
     assert [line.split()[1] for line in lines[:3]] == ["1", "2", "3"]
     np.testing.assert_allclose(numbers(lines[2]), np.degrees(POSTURES[4]), atol=1e-6)
