@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.problem.constraints import constraints_of
-from identification import PRISMATIC, Arm, Array, InputError, Model, Plan, posture_columns
+from identification import PRISMATIC, Arm, Array, InputError, Model, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 PEAK = 15.0 / 8.0
@@ -161,7 +161,7 @@ def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
 
 def in_units(arm: Arm, postures: Array) -> Array:
     """(m, n) what the controller shows [deg, mm] at postures (m, n) [rad, mm]."""
-    return np.column_stack([*posture_columns(postures, arm.joint_types).values()])
+    return Plan(postures, joint_types=arm.joint_types).displayed
 
 
 def limits_in_units(arm: Arm) -> Array:
