@@ -117,7 +117,7 @@ def program(
     order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
     inner, outer = order[: language.arm], order[language.arm :]
     positions = [[decimal(x * UNITS[u], DIGITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
-    arrivals, departures = times(columns, slides, ~via, speed, settle, limits_in_units(arm))
+    arrivals, departures = schedule(columns, slides, ~via, speed, settle, limits_in_units(arm))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
     planned = f"{max(runs)} runs, {speed} % speed, {settle:g} s to settle"
@@ -176,7 +176,7 @@ def decimal(value: float, digits: int) -> str:
     return f"{text}0" if text.endswith(".") else text
 
 
-def times(
+def schedule(
     columns: Array, slides: NDArray[np.bool_], measured: NDArray[np.bool_], speed: int, settle: float, ends: Array
 ) -> tuple[list[int], list[int]]:
     """(m,) [ms] from the start at which each row is reached, and left again after settling where it is measured.
