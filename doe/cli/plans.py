@@ -646,7 +646,7 @@ def report_files(
 VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
     "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
     "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
-    "program": (program_files, "armcal program arm.toml plan.csv --robot ur --speed 20 --settle 2 --out plan.script"),
+    "program": (program_files, "armcal program arm.toml plan.csv --robot ur --out plan.script"),
     "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
     "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
     "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),
