@@ -156,7 +156,7 @@ class Clearance:
             first, box = self._pieces[self._walls, 1], self._pieces[self._walls, 2] - len(self._radii)
             a, b = (self._in_box(end[..., first], box) for end in placed)
             half = self._boxes[box, 12:].T[:, None]
-            most = outside(0.5 * (a + b), half) - self._radii[first]
+            most = from_box(0.5 * (a + b), half) - self._radii[first]
             apart[:, self._walls] = most
             least = np.full((len(most), len(self._starts)), np.inf)
             pair = self._pair[self._walls]
@@ -165,7 +165,7 @@ class Clearance:
             run, wall = np.nonzero(most - 0.5 * np.sqrt(dot(b - a, b - a)) <= least[:, pair])
             a, b, half = a[:, run, wall], b[:, run, wall], half[:, 0, wall]
             share = nearest_to_box(a, b, half)
-            apart[run, self._walls[wall]] = outside(a + share * (b - a), half) - self._radii[first[wall]]
+            apart[run, self._walls[wall]] = from_box(a + share * (b - a), half) - self._radii[first[wall]]
         return apart
 
     def _in_box(self, points: Array, box: np.ndarray) -> Array:
@@ -260,7 +260,7 @@ def shortest(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Arra
     return first, second, w + first * u - second * v
 
 
-def outside(points: Array, half: Array) -> Array:
+def from_box(points: Array, half: Array) -> Array:
     """(...) signed distance of points (3, ...) from boxes around the origin of half sizes (3, ...); it is convex."""
     beyond = np.abs(points) - half
     away = np.maximum(beyond, 0.0)
@@ -273,7 +273,7 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> Array:
     low, high = np.zeros(a.shape[1:]), np.ones(a.shape[1:])
     for _ in range(40):  # to 1e-7 of the way
         one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
-        nearer = outside(a + one * (b - a), half) < outside(a + other * (b - a), half)
+        nearer = from_box(a + one * (b - a), half) < from_box(a + other * (b - a), half)
         low, high = np.where(nearer, low, one), np.where(nearer, other, high)
     return 0.5 * (low + high)
 

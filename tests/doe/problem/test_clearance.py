@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.plan.ascent import PlanAscent
-from doe.problem.clearance import FLOOR, SIGHT, Clearance, Slopes, nearest_to_box, outside, shortest
+from doe.problem.clearance import FLOOR, SIGHT, Clearance, Slopes, from_box, nearest_to_box, shortest
 from doe.problem.constraints import constraints_of
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -158,7 +158,7 @@ def test_nearest_point_of_a_segment_to_a_box(numbers: list[float], sizes: list[f
     (a, b), half = np.array(numbers).reshape(2, 3, 1), np.array(sizes)[:, None]
     share = nearest_to_box(a, b, half)
     grid = a + np.linspace(0.0, 1.0, 401) * (b - a)
-    assert outside(a + share * (b - a), half)[0] <= outside(grid, half).min() + 1e-4
+    assert from_box(a + share * (b - a), half)[0] <= from_box(grid, half).min() + 1e-4
 
 
 def test_a_planar_arm_and_spheres() -> None:
