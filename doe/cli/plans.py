@@ -589,10 +589,21 @@ def report_files(
     from doe.plan.plan import Plan
     from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes
+    from doe.report.scene import error_arrows
     from identification import Campaign
 
-    def show(arm: Arm, file: Any, name: str) -> Section:
-        return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name)
+    def show(arm: Arm, file: Any, name: str, left: Mapping[str, Any]) -> Section:
+        errors = [
+            one
+            for rows, test in left.items()
+            for one in error_arrows(
+                test.arm,
+                test.measurements,
+                (test.nominal_residuals, test.residuals),
+                (rows, "drawing", campaign.chosen),
+            )
+        ]
+        return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name, errors=errors)
 
     campaign = Campaign.of(files, show_plan=show, judge=design_verdict)
     write_together({out: page(campaign.document(), files)}, force=force)

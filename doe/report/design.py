@@ -208,24 +208,34 @@ STEPS = (
 
 
 def plan_section(
-    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan.csv", lead: str = ""
+    arm: Arm,
+    plan: Plan,
+    cells: Mapping[str, Sequence[str]] | None = None,
+    name: str = "plan.csv",
+    lead: str = "",
+    errors: Sequence[Data] = (),
 ) -> Section:
     """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
 
     cells : columns of the file of the plan, which the edited plan keeps
+    errors : of measurements of an arm in space, as `doe.report.scene.error_arrows` has them
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
     lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
     title = f"The plan {name}" if cells is not None else "The plan"
-    if (steps := plan_steps(arm, plan, cells, Path(name).stem)) is not None:
+    if (steps := plan_steps(arm, plan, cells, Path(name).stem, errors)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
     sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
 def plan_steps(
-    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan"
+    arm: Arm,
+    plan: Plan,
+    cells: Mapping[str, Sequence[str]] | None = None,
+    name: str = "plan",
+    errors: Sequence[Data] = (),
 ) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
     Jacobians to 12 digits. None for a plan that is too long for it, or one of weights.
@@ -233,6 +243,7 @@ def plan_steps(
     name : of the edited file, without its ending
     """
     from doe.report.figures import FORBIDDEN, outlines
+    from doe.report.scene import scene
 
     def rounded(values: Array, digits: int) -> Any:
         array = np.asarray(values, dtype=float)
@@ -258,7 +269,7 @@ def plan_steps(
         "known": rounded(problem.precisions, 12),
         "points": rounded(Model(arm).points(plan.postures), 5),
         "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
-    }
+    } | ({} if arm.chain.planar else {"scene": scene(problem.model, plan.postures, errors)})
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------
