@@ -157,7 +157,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
     from identification.effects import build_all
     from identification.files.arm import load_arm
-    from identification.files.measurement import measurement_text, read_plan
+    from identification.files.measurement import load_plan, measurement_text
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
@@ -166,7 +166,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    wanted = read_plan(plan, loaded.joint_types, conditions=True)
+    wanted = load_plan(plan, loaded.joint_types, conditions=True)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from doe.problem.problem import DesignProblem
     from identification import Arm
-    from identification.document import Section
 
 UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
@@ -71,11 +70,10 @@ def design_problem(
     import numpy as np
 
     from doe.criteria import NAMES, criterion
-    from doe.plan.plan import load_plan
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem, tip_jacobians
-    from identification import Model, read_plan
+    from identification import Model, load_plan
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
     if wanted.missing is not None and not wanted.robust:
@@ -85,7 +83,7 @@ def design_problem(
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
     model, restrictions = Model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
-        restrictions["kept"] = read_plan(keep, arm.joint_types, carried_out=True).postures
+        restrictions["kept"] = load_plan(keep, arm.joint_types, carried_out=True).postures
     if candidates is not None:
         choices = restrictions["choices"] = load_plan(candidates, arm.joint_types).postures
         try:
@@ -205,7 +203,7 @@ def design_files(
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.plan import check_order, ordered, plan_text, travel
+    from doe.plan.plan import check_order, ordered, travel
     from doe.problem.uncertain import with_choices
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
@@ -247,7 +245,7 @@ def design_files(
         saved = 1.0 - after / before if before > 0.0 else 0.0
         data["travel_deg"] = {"order": order, "before": before, "after": after, "saved": saved}
         extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)")
-    text = plan_text(design.plan, loaded.joint_types, columns_beside(design))
+    text = design.plan.text(loaded.joint_types, columns_beside(design))
     extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
@@ -278,11 +276,10 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
-    from doe.plan.plan import load_plan
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
-    from identification import Model, detectability, load_arm, without_prior
+    from identification import Model, detectability, load_arm, load_plan, without_prior
 
     loaded = load_arm(arm)
     judged = load_plan(plan, loaded.joint_types)
@@ -403,10 +400,9 @@ def relax_files(
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
-    from doe.plan.plan import load_plan, plan_text
     from doe.problem.uncertain import with_choices
     from doe.report.design import relax_document
-    from identification import load_arm
+    from identification import load_arm, load_plan
 
     loaded, robust = load_arm(arm), criterion.robust
     if robust and runs is None:
@@ -441,7 +437,7 @@ def relax_files(
         exact = runs or max(2 * loaded.links, problem.fewest_runs)
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
-    text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
+    text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
     document = relax_document(relaxation, compared)
     return with_collisions(Answer(data, [document, *written({out: text}, force, "plan with weights")]), loaded)
 
@@ -586,26 +582,11 @@ def report_files(
 
     out : Write the page.
     """
-    from doe.plan.plan import Plan
     from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes
-    from doe.report.scene import error_arrows
     from identification import Campaign
 
-    def show(arm: Arm, file: Any, name: str, left: Mapping[str, Any]) -> Section:
-        errors = [
-            one
-            for rows, test in left.items()
-            for one in error_arrows(
-                test.arm,
-                test.measurements,
-                (test.nominal_residuals, test.residuals),
-                (rows, "drawing", campaign.chosen),
-            )
-        ]
-        return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name, errors=errors)
-
-    campaign = Campaign.of(files, show_plan=show, judge=design_verdict)
+    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict)
     write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}

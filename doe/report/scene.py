@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, Model, design_model
+from identification import Array, Model, design_model, rms_distance
 
 if TYPE_CHECKING:
-    from identification import Arm, ArmModel, Measurements
+    from identification import Arm, ArmModel
     from identification.bodies import Body
+    from identification.validate import Validation
 
-Data = Mapping[str, Any]
 SIDE = (22.0, -60.0)  # [deg] elevation and azimuth of the view of an arm without a tracker
 TRIANGLES = 30_000  # of all bodies of a page: some 400 kB
 FINE = 2**16 - 1  # largest whole number of a vertex
 ARROWS = 500  # more only cover each other
 
 
-def scene(model: ArmModel, postures: Array, errors: Sequence[Data] = ()) -> dict[str, Any]:
-    """What scene.js draws of an arm at postures (m, n) [rad, mm], with errors as `error_arrows` has them.
+def scene(model: ArmModel, postures: Array, tests: Mapping[str, Validation]) -> dict[str, Any]:
+    """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements with their names.
 
     The chain is a list of n + 1 steps from frame to frame, each a fixed pose and then a motion about or along an
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
@@ -44,7 +44,7 @@ def scene(model: ArmModel, postures: Array, errors: Sequence[Data] = ()) -> dict
         "floor": None if model.cell is None else model.cell.floor,
         "trackers": [list(tracker) for tracker in trackers(model.arm)],
         "view": side(model.arm),
-        "errors": list(errors),
+        "errors": [one for name, test in tests.items() for one in error_arrows(name, test)],
     }
 
 
@@ -93,16 +93,14 @@ def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
         cells *= 0.8
 
 
-def error_arrows(
-    arm: Arm, measured: Measurements, residuals: tuple[Array, Array], names: tuple[str, str, str]
-) -> list[dict[str, Any]]:
-    """Residuals (m, d) [mm] of two models as arrows in the frame of the arm's base; none where no points are measured.
+def error_arrows(name: str, test: Validation) -> list[dict[str, Any]]:
+    """What drawing and calibrated arm leave of measurements, as arrows in the frame of the arm's base; none where no
+    points are measured.
 
     Measured positions are in the frame of the instrument. The rotation from there to the base is the one that brings
-    the measured points nearest to those of the model, for each session (W. Kabsch, Acta Crystallographica A32, 1976).
-
-    arm : with its calibration;  names : of the measurements and of the two models
+    the measured points nearest to those of the arm, for each session (W. Kabsch, Acta Crystallographica A32, 1976).
     """
+    arm, measured, residuals = test.arm, test.measurements, (test.nominal_residuals, test.residuals)
     if residuals[0].shape[1] < len("xyz"):
         return []
     known = {**arm.chain.tools, **(arm.calibration.tools if arm.calibration is not None else {})}
@@ -118,11 +116,9 @@ def error_arrows(
         turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0]) @ right
         arrows[:, rows] = [each[rows, :3] @ turn for each in residuals]
     shown = np.linspace(0, len(at) - 1, min(len(at), ARROWS)).astype(int)
-    kinds = zip(("before", "after"), names[1:], residuals, arrows, strict=True)
+    kinds = zip(("before", "after"), ("drawing", "calibrated arm"), residuals, arrows, strict=True)
     models = [
-        {"kind": kind, "name": name, "rms": float(np.sqrt(np.mean(np.sum(r[:, :3] ** 2, axis=1)))), "arrows": a}
-        for kind, name, r, a in kinds
+        {"kind": kind, "name": model, "rms": rms_distance(left), "arrows": arrow[shown].round(5).tolist()}
+        for kind, model, left, arrow in kinds
     ]
-    for one in models:
-        one["arrows"] = one["arrows"][shown].round(5).tolist()
-    return [{"name": names[0], "rows": len(at), "at": at[shown].round(2).tolist(), "models": models}]
+    return [{"name": name, "rows": len(at), "at": at[shown].round(2).tolist(), "models": models}]

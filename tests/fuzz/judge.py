@@ -16,7 +16,7 @@ import polars as pl
 from click.testing import CliRunner, Result
 
 from doe.cli import main
-from doe.plan.plan import load_plan
+from identification import load_plan
 from identification.errors import LONGEST_LINE, InputError
 from identification.files.arm import load_arm
 from identification.files.csv import read_table

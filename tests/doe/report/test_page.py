@@ -12,9 +12,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from doe.design import score
-from doe.plan.plan import load_plan
 from doe.problem.problem import DesignProblem
 from doe.report.page import page, page_picture, strips, svg
+from identification import load_plan
 from identification.document import Action, Document, PlanSteps, Section, Sheet
 from identification.documents.diagnosis import estimate_rows
 from identification.files.arm import load_arm

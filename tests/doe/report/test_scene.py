@@ -14,11 +14,10 @@ import pytest
 from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 
-from doe.plan.plan import Plan
 from doe.report.design import plan_section
 from doe.report.page import page
 from doe.report.scene import FINE, error_arrows, scene, shape, simplified
-from identification import design_model
+from identification import Plan, design_model
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
 from identification.document import Document
@@ -26,6 +25,7 @@ from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.validate import Validation
 from identification.workspace import LineOfSight
 from tests.doe.report.browser import Watched, browser, launched
 
@@ -99,7 +99,7 @@ def test_arrows_are_turned_into_the_frame_of_the_base(sessions: int) -> None:
     residuals = tuple(np.einsum("mij,mj->mi", turns, each) for each in errors)
     names = None if sessions == 1 else np.array(["a", "b"])[number]
     measured = Measurements(POSTURES, seen, session=names, session_names=() if names is None else ("a", "b"))
-    (said,) = error_arrows(ARM, measured, residuals, ("data.csv", "drawing", "calibrated.toml"))
+    (said,) = error_arrows("data.csv", Validation(ARM, measured, "base", (), residuals[1], residuals[0]))
     np.testing.assert_allclose(said["at"], tips, atol=0.006)
     for model, expected in zip(said["models"], errors, strict=True):
         np.testing.assert_allclose(model["arrows"], expected, atol=1e-4)
@@ -108,7 +108,7 @@ def test_arrows_are_turned_into_the_frame_of_the_base(sessions: int) -> None:
 
 def test_lengths_have_no_arrows() -> None:
     measured = Measurements(POSTURES, np.full((len(POSTURES), 1), 900.0))
-    assert error_arrows(ARM, measured, (np.ones((14, 1)), np.ones((14, 1))), ("a", "b", "c")) == []
+    assert error_arrows("data.csv", Validation(ARM, measured, "base", (), np.ones((14, 1)), np.ones((14, 1)))) == []
 
 
 # -- in a browser ------------------------------------------------------------------------------------------------------
@@ -123,9 +123,9 @@ def opened() -> Iterator[Any]:
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A page of an arm with bodies, a floor, a tracker, and measured errors."""
     tips = design_model(Model(ARM)).joint_frames(POSTURES)[:, -1, :3, 3]
-    residuals = RANDOM.normal(size=tips.shape), 0.1 * RANDOM.normal(size=tips.shape)
-    errors = error_arrows(ARM, Measurements(POSTURES, tips), residuals, ("<b>data.csv", "drawing", "calibrated.toml"))
-    section = plan_section(ARM, Plan(POSTURES), errors=errors)
+    left = 0.1 * RANDOM.normal(size=tips.shape), RANDOM.normal(size=tips.shape)
+    tests = {"<b>data.csv": Validation(ARM, Measurements(POSTURES, tips), "base", (), *left)}
+    section = plan_section(ARM, Plan(POSTURES), tests=tests)
     path: Path = tmp_path_factory.mktemp("scene") / "page.html"
     path.write_text(page(Document("In space", ["A cell."], [section])))
     return path.as_uri()
@@ -148,7 +148,7 @@ def sliding_arm() -> Arm:
 def test_the_script_has_the_kinematics_of_the_model(opened: Any, address: str, arm: Arm) -> None:
     model = design_model(Model(arm))
     postures = RANDOM.uniform(model.lower, model.upper, (20, model.joints))
-    data = scene(model, postures)
+    data = scene(model, postures, {})
     seen = Watched(opened, address, viewport=SMALL)
     script = "([chain, q]) => q.map(one => jointFrames(chain, one).slice(1).map(frame => frame.elements))"
     found = np.array(seen.page.evaluate(script, [data["chain"], postures.tolist()]))
