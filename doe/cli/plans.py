@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
 from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
 from identification import InputError, Progress, load_sessions, nearest, silent
-from identification.document import Answer, Document, picture_bytes
+from identification.document import Answer, Document, Sheet, picture_bytes
 from identification.files.io import write_together
 from identification.workflow import Picture, Written
 
@@ -502,6 +502,52 @@ def compare_files(
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
+def program_files(
+    arm: Path,
+    plan: Path,
+    *,
+    robot: Literal["ur", "abb", "kuka", "fanuc", "ros"],
+    speed: Annotated[int, range(1, 101), "PERCENT"] = 20,
+    settle: Annotated[float, "S"] = 2.0,
+    template: Path | None = None,
+    out: Written,
+    force: bool = False,
+) -> Answer:
+    """The robot's program that drives through a plan.
+
+    Joint moves to the postures of PLAN in its order, at each a pause for the measurement. Joints are written as the
+    controller counts them (columns of PLAN). No controller was there to test these programs: run them slowly first.
+
+    robot : Language: URScript, RAPID, KRL, FANUC TP (.LS), or a JointTrajectory of ROS 2 (YAML).
+    speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
+    settle : Seconds from the arrival to the measurement, up to 300.
+    template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
+    out : Write the program, which takes the name of the file.
+    """
+    from doe.program.program import program
+    from identification import load_arm, load_plan
+
+    loaded = load_arm(arm)
+    file = load_plan(plan, loaded.joint_types, vias=True)
+    if file.weights is not None:
+        raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
+    options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
+    try:
+        made = program(loaded, file, robot, **options)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(("--", str(template))) else f"{plan}: {error}") from None
+    lines = written({out: made.text}, force, "program")
+    vias = sum(move["kind"] == "via" for move in made.moves)
+    runs = len(file) - vias
+    data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
+    counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
+    sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
+    headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
+    rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
+    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *lines]
+    return Answer(data, shown)
+
+
 # -- after measurements ------------------------------------------------------------------------------------------------
 def discriminate_files(
     arm: Path,
@@ -600,6 +646,7 @@ def report_files(
 VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
     "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
     "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
+    "program": (program_files, "armcal program arm.toml plan.csv --robot ur --out plan.script"),
     "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
     "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
     "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),
