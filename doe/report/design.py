@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
     from identification import Arm, Diagnosis, Measurements
-    from identification.validate import Validation
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -209,7 +208,7 @@ STEPS = (
 
 
 def plan_section(
-    arm: Arm, plan: Plan, name: str = "", lead: str = "", tests: Mapping[str, Validation] = MappingProxyType({})
+    arm: Arm, plan: Plan, name: str = "", lead: str = "", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> Section:
     """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
 
@@ -226,7 +225,7 @@ def plan_section(
 
 
 def plan_steps(
-    arm: Arm, plan: Plan, name: str = "plan", tests: Mapping[str, Validation] = MappingProxyType({})
+    arm: Arm, plan: Plan, name: str = "plan", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
     of which an edited plan keeps all columns, Jacobians to 12 digits. None for a plan too long for it, or of weights.

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from identification import Array, Model, design_model, rms_distance
 
 if TYPE_CHECKING:
-    from identification import Arm, ArmModel
-    from identification.bodies import Body
-    from identification.validate import Validation
+    from identification import Arm
 
 SIDE = (22.0, -60.0)  # [deg] elevation and azimuth of the view of an arm without a tracker
 TRIANGLES = 30_000  # of all bodies of a page: some 400 kB
@@ -22,8 +20,10 @@ FINE = 2**16 - 1  # largest whole number of a vertex
 ARROWS = 500  # more only cover each other
 
 
-def scene(model: ArmModel, postures: Array, tests: Mapping[str, Validation]) -> dict[str, Any]:
-    """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements with their names.
+def scene(model: Any, postures: Array, tests: Mapping[str, Any]) -> dict[str, Any]:
+    """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
+
+    model : of the arm, as `design_model` gives it;  tests : name of measurements -> their `Validation`
 
     The chain is a list of n + 1 steps from frame to frame, each a fixed pose and then a motion about or along an
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
@@ -60,8 +60,8 @@ def side(arm: Arm) -> tuple[float, float]:
     return SIDE
 
 
-def shape(body: Body, share: float) -> dict[str, Any]:
-    """A body as it is drawn: its triangles, of which a share may stay, or else its pieces."""
+def shape(body: Any, share: float) -> dict[str, Any]:
+    """A `Body` as it is drawn: its triangles, of which a share may stay, or else its pieces."""
     said = {"name": body.name, "joint": body.joint}
     if not len(body.triangles):
         return said | {"capsules": body.capsules.round(2).tolist(), "boxes": body.boxes.round(5).tolist()}
@@ -93,12 +93,14 @@ def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
         cells *= 0.8
 
 
-def error_arrows(name: str, test: Validation) -> list[dict[str, Any]]:
+def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
     """What drawing and calibrated arm leave of measurements, as arrows in the frame of the arm's base; none where no
     points are measured.
 
     Measured positions are in the frame of the instrument. The rotation from there to the base is the one that brings
     the measured points nearest to those of the arm, for each session (W. Kabsch, Acta Crystallographica A32, 1976).
+
+    name : of the measurements;  test : their `Validation`
     """
     arm, measured, residuals = test.arm, test.measurements, (test.nominal_residuals, test.residuals)
     if residuals[0].shape[1] < len("xyz"):
