@@ -153,7 +153,7 @@ def check_files(
     bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
     if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
         q = load_plan(data, loaded.joint_types).postures
-        outside = (np.flatnonzero(np.any((q < loaded.lower) | (q > loaded.upper), axis=1)) + 1).tolist()
+        outside = (np.flatnonzero(np.any((q < loaded.lower - 1e-6) | (q > loaded.upper + 1e-6), axis=1)) + 1).tolist()
         near = [each for clearance in bodies for each in clearance.to_json(q)]
         said = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
         said += f": {', '.join(map(str, outside))}" if outside else ""

@@ -140,7 +140,7 @@ class Clearance:
                 amount = f"overlap by {-gap:.1f} mm" if gap < 0.0 else f"are {gap:.1f} mm apart"
                 lines.append(f"  run {run}: {_and(pair)} {amount}")
         elif apart.size:
-            run, k = np.unravel_index(np.argmin(apart - self.asked), apart.shape)
+            run, k = divmod(int(np.argmin(apart - self.asked)), apart.shape[1])
             kept = f"{len(self.pairs)} pairs of bodies keep their distance in all {len(postures)} postures"
             nearest = f"{_and(self.pairs[k])} come nearest, to {apart[run, k]:.0f} mm in run {run + 1}"
             lines.append(f"Collisions: {kept}; {nearest}.")
