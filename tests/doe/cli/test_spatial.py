@@ -262,7 +262,8 @@ def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Fo
     ):
         assert spatial.said(line)["collisions_checked"] is False
     assert spatial.armcal(score).flat.count(COLLISIONS) == 1
-    problem = DesignProblem.of(Model(load_arm(spatial.path / "arm.toml")))
+    with pytest.warns(UserWarning, match="beside the last axis is assumed"):
+        problem = DesignProblem.of(Model(load_arm(spatial.path / "arm.toml")))
     assert with_collisions(Answer({}, []), problem).shown == [COLLISIONS]  # what all call
     spatial.said("report arm.toml plan.csv --out page.html")
     assert COLLISIONS in spatial.read("page.html")
