@@ -65,10 +65,11 @@ class Campaign:
 
     kinds : of every file, in words;  results : command -> name -> its JSON object
     tests : measurements -> calibrated arm -> what it leaves of them
-    show_plan : the section of a plan of an arm, and its name;  judge : a design in a sentence
+    show_plan : the section of a plan of an arm, its name, and what the chosen model leaves of measurements
+    judge : a design in a sentence
     """
 
-    show_plan: Callable[[Arm, Plan, str], Section] | None = None
+    show_plan: Callable[..., Section] | None = None
     judge: Callable[[Mapping[str, Any]], str] | None = None
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
@@ -263,8 +264,8 @@ class Campaign:
             sections += dh_sections(dh, data.get("dh_places", ()), name)
         sections += [self.test_section(rows) for rows in self.tests]
         for drawn in [*self.arms.values()][:1]:
-            show = self.show_plan
-            sections += [] if show is None else [show(drawn, plan, name) for name, plan in self.plans.items()]
+            show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
+            sections += [show(drawn, plan, name, tests=left) for name, plan in self.plans.items()] if show else []
             sections += [commands_section(name, table, drawn) for name, table in self.commands.items()]
         sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
         return sections + [part for part in parts if part.folded]

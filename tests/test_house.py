@@ -74,6 +74,7 @@ LAYERS = {
     "doe.report": 16,
     "doe.studies": 16,
     "doe.demo": 16,
+    "doe.program": 16,
     "doe.cli": 17,
     "doe.__main__": 17,
 }

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
 from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
 from identification import InputError, Progress, load_sessions, nearest, silent
-from identification.document import Answer, Document
+from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
 from identification.workflow import Picture, Written
 
@@ -147,13 +147,18 @@ def drawing(name: str, *of: Any) -> Callable[[], Figure]:
     return draw
 
 
-def with_collisions(answer: Answer, arm: Arm) -> Answer:
-    """The answer that has a plan of this arm, which in space says that collisions were not looked at."""
-    if not arm.chain.planar:
-        from doe.problem.constraints import COLLISIONS
+def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
+    """The answer with what is known of collisions at postures (m, n), None: it has no plan; nothing is said of arms in
+    a plane whose bodies nobody has described."""
+    from doe.problem.clearance import COLLISIONS, Clearance
 
-        answer.data["collisions_checked"] = False
-        answer.shown.append(COLLISIONS)
+    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
+    if looked or getattr(problem.model, "space", 0) == 3:
+        answer.data["collisions_checked"] = bool(looked)
+        answer.shown.extend([] if looked else [COLLISIONS])
+    for clearance in looked if postures is not None else []:
+        answer.data["collisions"] = clearance.to_json(postures)
+        answer.shown.extend(clearance.in_words(postures))
     return answer
 
 
@@ -249,7 +254,8 @@ def design_files(
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    return with_collisions(Answer(design.to_json() | data, [design_document(design).plus(*extra)]), loaded)
+    answer = Answer(design.to_json() | data, [design_document(design).plus(*extra)])
+    return with_collisions(answer, design.problem, design.plan.postures)
 
 
 def score_files(
@@ -315,7 +321,7 @@ def score_files(
     lines = [meant] if judged.fit and not robust else []
     written(pictures, force)
     document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
-    return with_collisions(Answer(data, [document]), loaded)
+    return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
 def advise_files(
@@ -367,7 +373,7 @@ def advise_files(
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
     written({picture: drawing("advice_figure", advice)}, force)
-    return with_collisions(Answer(data, shown, warnings=doubts), loaded)
+    return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
 def relax_files(
@@ -438,7 +444,8 @@ def relax_files(
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
     document = relax_document(relaxation, compared)
-    return with_collisions(Answer(data, [document, *written({out: text}, force, "plan with weights")]), loaded)
+    answer = Answer(data, [document, *written({out: text}, force, "plan with weights")])
+    return with_collisions(answer, problem, relaxation.plan.postures)
 
 
 def compare_files(
@@ -501,6 +508,52 @@ def compare_files(
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
+def program_files(
+    arm: Path,
+    plan: Path,
+    *,
+    robot: Literal["ur", "abb", "kuka", "fanuc", "ros"],
+    speed: Annotated[int, range(1, 101), "PERCENT"] = 20,
+    settle: Annotated[float, "S"] = 2.0,
+    template: Path | None = None,
+    out: Written,
+    force: bool = False,
+) -> Answer:
+    """The robot's program that drives through a plan.
+
+    Joint moves to the postures of PLAN in its order, at each a pause for the measurement. Joints are written as the
+    controller counts them (columns of PLAN). No controller was there to test these programs: run them slowly first.
+
+    robot : Language: URScript, RAPID, KRL, FANUC TP (.LS), or a JointTrajectory of ROS 2 (YAML).
+    speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
+    settle : Seconds from the arrival to the measurement, up to 300.
+    template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
+    out : Write the program, which takes the name of the file.
+    """
+    from doe.program.program import program
+    from identification import load_arm, load_plan
+
+    loaded = load_arm(arm)
+    file = load_plan(plan, loaded.joint_types, vias=True)
+    if file.weights is not None:
+        raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
+    options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
+    try:
+        made = program(loaded, file, robot, **options)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(("--", str(template))) else f"{plan}: {error}") from None
+    lines = written({out: made.text}, force, "program")
+    vias = sum(move["kind"] == "via" for move in made.moves)
+    runs = len(file) - vias
+    data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
+    counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
+    sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
+    headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
+    rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
+    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *lines]
+    return Answer(data, shown)
+
+
 # -- after measurements ------------------------------------------------------------------------------------------------
 def discriminate_files(
     arm: Path,
@@ -541,7 +594,8 @@ def discriminate_files(
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = load_sessions(data, loaded)
     loaded.chain.refuse_contacts()
-    postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(loaded)).fewest_runs
+    problem = DesignProblem.of(Model(loaded))
+    postures, fewest = len(set(measurements.posture_numbers.tolist())), problem.fewest_runs
     if postures < fewest:
         counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
@@ -562,7 +616,7 @@ def discriminate_files(
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
     shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
-    return with_collisions(Answer(keys | chosen.to_json(), shown), loaded)
+    return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 
 def report_files(
@@ -599,6 +653,7 @@ def report_files(
 VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
     "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
     "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
+    "program": (program_files, "armcal program arm.toml plan.csv --robot ur --out plan.script"),
     "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
     "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
     "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),

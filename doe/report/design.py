@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
 from doe.plan.spacing import distance_to_keep
-from doe.problem.constraints import COLLISIONS
+from doe.problem.clearance import COLLISIONS
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
@@ -202,28 +203,33 @@ STEPS = (
 )
 
 
-def plan_section(arm: Arm, plan: Plan, name: str = "", lead: str = "") -> Section:
+def plan_section(
+    arm: Arm, plan: Plan, name: str = "", lead: str = "", tests: Mapping[str, Any] = MappingProxyType({})
+) -> Section:
     """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
 
-    name : of the plan's file, if it has one
+    name : of the plan's file, if it has one;  tests : measurements -> what a calibrated arm in space leaves of them
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
+    lead = lead if arm.chain.planar or arm.cell is not None else f"{lead} {COLLISIONS}".strip()
     title = f"The plan {name}".rstrip()
-    if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem)) is not None:
+    if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem, tests)) is not None:
         return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip()], steps)])
     sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
-def plan_steps(arm: Arm, plan: Plan, name: str = "plan") -> dict[str, Any] | None:
+def plan_steps(
+    arm: Arm, plan: Plan, name: str = "plan", tests: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
     of which an edited plan keeps all columns, Jacobians to 12 digits. None for a plan too long for it, or of weights.
 
     name : of the edited file, without its ending
     """
     from doe.report.figures import FORBIDDEN, outlines
+    from doe.report.scene import scene
 
     def rounded(values: Array, digits: int) -> Any:
         array = np.asarray(values, dtype=float)
@@ -238,7 +244,7 @@ def plan_steps(arm: Arm, plan: Plan, name: str = "plan") -> dict[str, Any] | Non
     if not cells:
         columns = zip(plan.units, plan.displayed.T, strict=True)
         cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
-    return {
+    steps = {
         "file": f"{name}-edited.csv",
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
@@ -251,6 +257,8 @@ def plan_steps(arm: Arm, plan: Plan, name: str = "plan") -> dict[str, Any] | Non
         "points": rounded(Model(arm).points(plan.postures), 5),
         "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
     }
+    model: Any = problem.model
+    return steps if arm.chain.planar else steps | {"scene": scene(model, plan.postures, tests)}
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------

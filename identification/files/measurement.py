@@ -19,7 +19,7 @@ from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENG
 from identification.arrays import Array, ByValue, frame_of_columns, readonly
 from identification.conditions import gaps_of
 from identification.errors import InputError
-from identification.files.csv import Table, csv_text, read_table
+from identification.files.csv import VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
@@ -328,6 +328,7 @@ class Plan(ByValue):
     weights : (m,) shares of the measurements, summing to one, None: an exact plan, every row is one measurement
     joint_types : (n) `revolute` or `prismatic`, empty: all revolute; `JointKinds` say how files count them
     fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
+    via : (m,) rows that are way-points, where these were asked for; None: there are none
     cells : column of its file, but for `run` -> its texts, with decimal points
     conditions : `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n), None where the file has none;
         empty where they were not asked for
@@ -337,6 +338,7 @@ class Plan(ByValue):
     weights: Array | None = None
     joint_types: tuple[str, ...] = ()
     fit: str = ""
+    via: NDArray[np.bool_] | None = None
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
     conditions: Mapping[str, Array | None] = field(default_factory=dict)
 
@@ -400,19 +402,27 @@ class Plan(ByValue):
 
 
 def load_plan(
-    path: PathLike, joints: JointTypes = None, *, conditions: bool = False, carried_out: bool = False
+    path: PathLike,
+    joints: JointTypes = None,
+    *,
+    conditions: bool = False,
+    carried_out: bool = False,
+    vias: bool = False,
 ) -> Plan:
-    """The CSV file `run,q1_deg,...,qn_deg[,weight]`, `# fit: ...` above, with or without conditions of the rows.
+    """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with or without conditions of the rows.
 
     joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
     conditions : read them too;  carried_out : the file is one of measurements, and has other columns
+    vias : read the way-points of the moves too, which nobody measures
 
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
-    table = read_table(path)
+    table = read_table(path, vias=vias)
     postures, weights = read_postures(table, joints), None
-    n = postures.shape[1]
+    n, via = postures.shape[1], None
+    if vias and "kind" in table:
+        via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
     if not carried_out:
         if "weight" in table:
             weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
@@ -427,7 +437,7 @@ def load_plan(
             texts[:] = [text.replace(",", ".") if DECIMAL.fullmatch(text) else text for text in texts]
     wanted = ("payload_kg", "temperature_C")
     rows = _conditions(table, n if joints is None else joints, wanted) if conditions else {}
-    return Plan(postures, weights, fit=table.fit, cells=cells, conditions=rows)
+    return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=rows)
 
 
 # -- targets and commands ----------------------------------------------------------------------------------------------
