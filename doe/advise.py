@@ -18,11 +18,10 @@ from doe.bounds.best_known import bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import Bound
 from doe.design import Design
 from doe.plan.accuracy import TipError, TipErrors
-from doe.plan.plan import Plan
 from doe.plan.spacing import with_additions
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification import LENGTH_ERROR, NEEDS_SIGMA, Array, InputError, Progress, silent
+from identification import LENGTH_ERROR, NEEDS_SIGMA, Array, InputError, Plan, Progress, silent
 
 
 @dataclass(frozen=True)

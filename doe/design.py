@@ -16,10 +16,9 @@ from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, postures
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, expected_deviations, plan_jacobians
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification import PRISMATIC, Array, InputError, Status, identifiability
+from identification import PRISMATIC, Array, InputError, Plan, Status, identifiability
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
 

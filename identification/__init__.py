@@ -18,7 +18,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "kinematics.chain": "DHRow chain_of planar_chain",
     "files.arm": "arm_from_tables dump_arm load_arm with_effects",
     "files.csv": "csv_text",
-    "files.measurement": "plan_file_text posture_columns read_plan",
+    "files.measurement": "Plan load_plan",
     "workflow": "load_sessions",
     "campaign": "Campaign",
     # what data say
@@ -33,14 +33,14 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     # errors, progress, arrays
     "errors": "ArmcalError InputError JobError in_one_line nearest",
     "running": "SINGLE_THREAD Progress Status additions silent single_thread",
-    "arrays": "Array ByValue frame_of_columns readonly",
+    "arrays": "Array readonly",
 }
 _PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items() for name in names.split()}
 __all__ = sorted(_PLACES)
 
 if TYPE_CHECKING:  # the same for type checkers
     from identification.arm import LARGEST_MASS, Arm, Calibration, EffectSpec, Gravity
-    from identification.arrays import Array, ByValue, frame_of_columns, readonly
+    from identification.arrays import Array, readonly
     from identification.campaign import Campaign
     from identification.effects import library
     from identification.errors import ArmcalError, InputError, JobError, in_one_line, nearest
@@ -48,7 +48,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.estimation.uncertainty import freedom_of, quantile_95
     from identification.files.arm import arm_from_tables, dump_arm, load_arm, with_effects
     from identification.files.csv import csv_text
-    from identification.files.measurement import plan_file_text, posture_columns, read_plan
+    from identification.files.measurement import Plan, load_plan
     from identification.for_design import (
         NEEDS_SIGMA,
         ArmModel,

@@ -92,6 +92,11 @@ class ArmModel(Model):
         """Bodies of the arm and around it; None: nothing is known of any."""
         return self.arm.cell
 
+    @property
+    def joint_axes(self) -> Array:
+        """(n, 3) directions of the joints, each in its own frame."""
+        return np.array([joint.axis for joint in self.arm.chain.joints])
+
     def joint_frames(self, postures: ArrayLike) -> Array:
         """(m, n + 1, 4, 4) [mm] in the frame of the base, as best known: see `KinematicChain.joint_frames`."""
         return self.arm.chain.joint_frames(np.atleast_2d(np.asarray(postures, dtype=float)), self._geometry_values)

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.criteria import D
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem, PriorInformation
-from identification import PRISMATIC, Array, Status
+from identification import PRISMATIC, Array, Plan, Status
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one

@@ -19,7 +19,20 @@ from identification.document import Answer
 from identification.workflow import VERBS as DATA
 
 ORDER = (  # of the work; demo and study have modules here
-    *("demo", "init", "design", "score", "advise", "compare", "relax", "study", "simulate", "check", "identify"),
+    *(
+        "demo",
+        "init",
+        "design",
+        "score",
+        "program",
+        "advise",
+        "compare",
+        "relax",
+        "study",
+        "simulate",
+        "check",
+        "identify",
+    ),
     *("diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
 )
 OTHER_VERBS = {  # words for the same -> verb

@@ -16,7 +16,6 @@ import casadi as ca
 import numpy as np
 from scipy.special import ndtr
 
-from doe.plan.plan import Plan
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import (
@@ -31,7 +30,7 @@ from identification import (
 )
 
 if TYPE_CHECKING:
-    from identification import Arm, Diagnosis
+    from identification import Arm, Diagnosis, Plan
 
 
 @dataclass(frozen=True)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.plan.plan import Plan
 from doe.plan.spacing import distance_to_keep
-from doe.problem.constraints import COLLISIONS
+from doe.problem.clearance import COLLISIONS
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
-from identification import EFFECT, Array, Model
+from identification import EFFECT, Array, Model, Plan
 from identification.document import Document, Pictures, PlanSteps, Section, Sheet, facts_sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
@@ -208,31 +208,32 @@ STEPS = (
 
 
 def plan_section(
-    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan.csv", lead: str = ""
+    arm: Arm, plan: Plan, name: str = "", lead: str = "", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> Section:
     """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
 
-    cells : columns of the file of the plan, which the edited plan keeps
+    name : of the plan's file, if it has one;  tests : measurements -> what a calibrated arm in space leaves of them
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
-    title = f"The plan {name}" if cells is not None else "The plan"
-    if (steps := plan_steps(arm, plan, cells, Path(name).stem)) is not None:
+    lead = lead if arm.chain.planar or arm.cell is not None else f"{lead} {COLLISIONS}".strip()
+    title = f"The plan {name}".rstrip()
+    if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem, tests)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
     sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
 
 
 def plan_steps(
-    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan"
+    arm: Arm, plan: Plan, name: str = "plan", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
-    Jacobians to 12 digits. None for a plan that is too long for it, or one of weights.
+    of which an edited plan keeps all columns, Jacobians to 12 digits. None for a plan too long for it, or of weights.
 
     name : of the edited file, without its ending
     """
     from doe.report.figures import FORBIDDEN, outlines
+    from doe.report.scene import scene
 
     def rounded(values: Array, digits: int) -> Any:
         array = np.asarray(values, dtype=float)
@@ -243,10 +244,11 @@ def plan_steps(
     # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
     if plan.weights is not None or len(plan) > 200 or numbers > 150_000:
         return None
-    if cells is None:
+    cells = plan.cells
+    if not cells:
         columns = zip(plan.units, plan.displayed.T, strict=True)
         cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
-    return {
+    steps = {
         "file": f"{name}-edited.csv",
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
@@ -259,6 +261,8 @@ def plan_steps(
         "points": rounded(Model(arm).points(plan.postures), 5),
         "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
     }
+    model: Any = problem.model
+    return steps if arm.chain.planar else steps | {"scene": scene(model, plan.postures, tests)}
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------

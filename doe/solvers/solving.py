@@ -22,7 +22,6 @@ from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
-from doe.plan.plan import Plan
 from doe.plan.spacing import allowed_value, replicates_allowed, separated, spread_free_joints
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
@@ -34,6 +33,7 @@ from identification import (
     Array,
     InputError,
     JobError,
+    Plan,
     Progress,
     Status,
     additions,

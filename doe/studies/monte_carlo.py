@@ -24,7 +24,6 @@ import polars as pl
 from pydantic import Field
 
 from doe.jobs import Key, Row, Workers, canonical, parquet, run_tasks, short_hash, tables, with_columns
-from doe.plan.plan import Plan, load_plan
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
@@ -40,6 +39,7 @@ from identification import (
     JobError,
     Measurements,
     Model,
+    Plan,
     Progress,
     arm_from_tables,
     dump_arm,
@@ -47,6 +47,7 @@ from identification import (
     estimate_each,
     library,
     load_arm,
+    load_plan,
     nearest,
     silent,
     with_points,

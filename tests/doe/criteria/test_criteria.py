@@ -25,8 +25,8 @@ from doe.criteria import (
     inverses,
     log_determinants,
 )
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
+from identification import Plan
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.information import information_matrix, spectrum

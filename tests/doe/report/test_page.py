@@ -12,9 +12,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from doe.design import score
-from doe.plan.plan import load_plan
 from doe.problem.problem import DesignProblem
 from doe.report.page import page, page_picture, strips, svg
+from identification import load_plan
 from identification.document import Action, Document, PlanSteps, Section, Sheet
 from identification.documents.diagnosis import estimate_rows
 from identification.files.arm import load_arm
@@ -153,7 +153,7 @@ def edit(seen: Watched) -> None:
         keys.press("Tab")  # from the buttons until a row has the focus; the table has one tab stop
         if focused.count():
             break
-    assert seen.page.locator(".plan [tabindex='0']").count() == 1
+    assert seen.page.locator(".plan .runs [tabindex='0']").count() == 1
     assert seen.page.locator(".plan tr[aria-selected='true']:focus").count() == 1
     assert focused.locator("td").nth(1).inner_text() == "2"
     for key in ("End", "Home", "Alt+ArrowDown", "ArrowDown"):
