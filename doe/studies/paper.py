@@ -14,7 +14,7 @@ table is one row per printed statement:
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -148,9 +148,9 @@ def table_3(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
                     lost = {"item": name, "unit": unit, "printed": value, "verdict": "not identifiable", "note": note}
                     rows.append(case | lost)
             continue
-        value, ideal = printed.get((links, runs, item)) if place == "Table III" else None, ideal_std(runs, item)
-        case |= {"item": item, "unit": cell["unit"], "printed": value, "theory": cell["expected_std"], "ideal": ideal}
-        case |= {"simulated": cell["std"], "standard_error": cell["std_se"], "verdict": agreement(value, ideal)}
+        stated, ideal = printed.get((links, runs, item)) if place == "Table III" else None, ideal_std(runs, item)
+        case |= {"item": item, "unit": cell["unit"], "printed": stated, "theory": cell["expected_std"], "ideal": ideal}
+        case |= {"simulated": cell["std"], "standard_error": cell["std_se"], "verdict": agreement(stated, ideal)}
         rows.append(case | {"note": None})
     return frame_of(rows)
 
@@ -257,9 +257,15 @@ def paper_study(
     if not least <= number <= most:
         raise InputError(f"--replications: found {number}, allowed for the paper: {least} to {most:,}")
     made = {"table_1": table_1(), "table_2": table_2(), "text": text_figures()}
-    for k, make in enumerate((table_3, errata, figure_1, figure_2)):
-        progress(k, 4, make.__name__)
-        made[make.__name__] = make(number, seed)
+    simulations: dict[str, Callable[[int, int], pl.DataFrame]] = {
+        "table_3": table_3,
+        "errata": errata,
+        "figure_1": figure_1,
+        "figure_2": figure_2,
+    }
+    for k, (name, make) in enumerate(simulations.items()):
+        progress(k, len(simulations), name)
+        made[name] = make(number, seed)
     return made
 
 
