@@ -39,10 +39,6 @@ if TYPE_CHECKING:
     from identification.gap.detectability import Detectability
     from identification.gap.library_prior import LibraryPrior
 
-NEEDS_SIGMA = (  # the end of a sentence
-    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
-    "or what the standard deviation of one coordinate is [mm]"
-)
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
 BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
 CHOICES = 2000  # postures that touch to choose from, as for robust designs
@@ -92,6 +88,11 @@ class ArmModel(Model):
     def cell(self) -> Cell | None:
         """Bodies of the arm and around it; None: nothing is known of any."""
         return self.arm.cell
+
+    @property
+    def joint_axes(self) -> Array:
+        """(n, 3) directions of the joints, each in its own frame."""
+        return np.array([joint.axis for joint in self.arm.chain.joints])
 
     def joint_frames(self, postures: ArrayLike) -> Array:
         """(m, n + 1, 4, 4) [mm] in the frame of the base, as best known: see `KinematicChain.joint_frames`."""
@@ -268,6 +269,12 @@ class ArmModel(Model):
 
         return base, design_model(model), tuple(bases), weights, by_order, preflight
 
+    def detectability(self, postures: Array) -> Detectability:
+        """What measuring postures (m, n) could show of every effect of the library."""
+        from identification.gap.detectability import detectability
+
+        return detectability(without_prior(self.arm), postures)
+
     # -- what theory knows -----------------------------------------------------------------------------------------
     @property
     def planar(self) -> bool:
@@ -295,28 +302,6 @@ def without_prior(arm: Arm) -> Arm:
     return minimal(model, PRACTICAL).arm if model.prior else model.arm
 
 
-def with_scatter(arm: Arm) -> tuple[Arm, str]:
-    """The arm with a sigma, where it has none the scatter that its calibration left; and where it comes from, or what
-    is missing without one."""
-    if arm.sigma is not None:
-        return arm, ""
-    from identification.arm import SIGMA_RANGE
-    from identification.origin import identified
-
-    scatter = identified(arm).get("scatter_mm")
-    if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:
-        return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
-    scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
-    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
-
-
-def refuse_contacts(chain: KinematicChain) -> None:
-    """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
-    if chain.instrument.contact:
-        reason = f"kind {chain.instrument.kind}: where it is touched follows from the arm"
-        raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
-
-
 def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
     """The chain with the measured points that it does not know beside the last axis, evenly around it, and the center
     of measured distances where the arm says, or before it.
@@ -326,7 +311,7 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     """
     instrument, stands = chain.instrument, BASE in chain.settled or chain.instrument.stands(chain.base)
     if not instrument.reads_positions and not contacts:
-        refuse_contacts(chain)
+        chain.refuse_contacts()
     if (instrument.contact or instrument.own_targets) and not stands:
         keys = sorted(instrument.keys & {"center_mm", "normal", "cups"})
         reason = f"kind {instrument.kind} without {keys[0]}: where it is touched is not known"

@@ -129,6 +129,12 @@ class KinematicChain(ByValue):
         """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
         return self.planar and self.instrument.reads_positions
 
+    def refuse_contacts(self) -> None:
+        """Raises `InputError` where a probe touches a surface and postures have to be free."""
+        if self.instrument.contact:
+            reason = f"kind {self.instrument.kind}: where it is touched follows from the arm"
+            raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
+
     @property
     def dimension(self) -> int:
         """d, coordinates of a position: 3 in space, 2 in the plane."""
