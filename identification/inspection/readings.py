@@ -387,7 +387,9 @@ class Readings:
 
     def to_json(self) -> dict[str, Any] | None:
         """`better_reading` of `check` (identification/files/README.md, "JSON keys")."""
-        return self.better and {
+        if self.better is None:
+            return None
+        return {
             "changes": self.better.words,
             "arm_file": self.counting and self.counting.toml,
             "rms_mm": self.better.rms,

@@ -234,7 +234,7 @@ class Model:
     def chain_at(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
         chain = Chain.of(self.arm, q, c, tuple(self._columns))
-        if chain.reference is None:
+        if chain.reference is None or chain.missing is None:
             return chain
         best = self.arm.chain.orientation(q, self.best_known, chain.marker)
         return replace(chain, reference=chain.reference + chain.missing * best)
