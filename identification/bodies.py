@@ -49,7 +49,7 @@ class Cell(ByValue):
     bodies : of the arm and of the cell
     floor : [mm] height in the frame of the arm's base below which nothing may reach; None: there is no floor
     clearance : [mm] smallest distance of two bodies, and of the arm from the floor
-    apart : pairs of names that are not looked at, as an SRDF file says
+    apart : pairs of names that are not looked at: links that a joint connects, and what an SRDF file says
     """
 
     bodies: tuple[Body, ...] = ()

@@ -74,6 +74,7 @@ LAYERS = {
     "doe.report": 16,
     "doe.studies": 16,
     "doe.demo": 16,
+    "doe.program": 16,
     "doe.cli": 17,
     "doe.__main__": 17,
 }
@@ -208,7 +209,7 @@ def test_identification_itself_does_not_use_its_table_of_contents() -> None:
 
 
 # what `doe` may take from `identification`: these numbers go down only, to 40 names from 8 modules
-NAMES, MODULES = 100, 13
+NAMES, MODULES = 79, 13
 
 
 def test_the_door_between_the_packages_is_narrow() -> None:

@@ -14,7 +14,6 @@ import tomlkit
 from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
-from doe.plan.plan import Plan, plan_text
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report.design import design_verdict, plan_section
@@ -26,6 +25,7 @@ from identification import (
     Array,
     Measurements,
     Model,
+    Plan,
     Progress,
     arm_from_tables,
     load_arm,
@@ -198,7 +198,7 @@ def run_demo(
     begin()
     problem = DesignProblem.of(Model(arm))
     design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
-    write("plan.csv", plan_text(design.plan))
+    write("plan.csv", design.plan.text())
     begin()
     generator = np.random.default_rng(seed)
     measured("data.csv", design.plan.postures)
@@ -216,7 +216,7 @@ def run_demo(
     extended = identify(named, rows, out=named, force=True)
     begin()
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
-    write("targets.csv", plan_text(Plan(targets), arm.joint_types))
+    write("targets.csv", Plan(targets).text(arm.joint_types))
     sent = compensate(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
     begin()
     gaps = {

@@ -4,6 +4,11 @@
 const KEYS = "Tap or click a run to select it; the buttons above act on the selected run. Keys in the table: " +
   "↑ and ↓, Page Up, Page Down, Home and End select; Alt with ↑ or ↓ moves the run; Delete strikes it out or puts it back. " +
   "Without it: the D-efficiency that is left without this run.";
+const KEYS_IN_SPACE = " Drag turns the view, two fingers or the right button move it; pinch, or click and turn the wheel, for nearer. " +
+  "Keys in the picture: ← and → step, Space plays, Delete strikes out; Shift with an arrow turns the view, W, A, S and D move it, " +
+  "+ and − are nearer and farther, 0 is the first view.";
+const [PLAY, PAUSE] = ["▶ Play", "❚❚ Pause"];
+const SPEED = { revolute: Math.PI / 2, prismatic: 300 }; // a second, of the moves that are played
 
 function element(name, parent, text = "", attributes = {}) {
   const found = document.createElement(name);
@@ -62,7 +67,7 @@ class Steps {
     this.turn = 30;
     this.whole = logDet(information(plan, plan.rows.keys()));
     [this.left, this.right] = [element("div", place), element("div", place)];
-    element("p", place, KEYS, { class: "keys", id: `${place.dataset.plan}-keys` });
+    this.keys = element("p", place, KEYS, { class: "keys", id: `${place.dataset.plan}-keys` });
     this.runs = element("div", place, "", { class: "runs scroll" });
     this.reset();
     this.build();
@@ -79,24 +84,104 @@ class Steps {
 
   build() {
     const names = { role: "img", "aria-label": "The arm at the postures of the plan" };
-    this.picture = shape("svg", this.left, { viewBox: "0 0 400 320", ...names });
+    this.picture = shape("svg", this.left, { class: "still", viewBox: "0 0 400 320", ...names });
+    if (this.plan.scene) this.space();
     this.where = element("p", this.left, "", { class: "where", "aria-live": "polite" });
     const buttons = element("div", this.left, "", { class: "buttons" });
     this.button(buttons, "◀ Back", () => this.step(-1));
     this.button(buttons, "Step ▶", () => this.step(1));
+    if (this.cell) this.playing = this.button(buttons, PLAY, () => this.play());
     this.button(buttons, "▲ Earlier", () => this.move(this.at, -1));
     this.button(buttons, "▼ Later", () => this.move(this.at, 1));
     this.striking = this.button(buttons, "", () => this.strike(this.order[this.at]));
     if (this.plan.points[0][0].length === 3) {
-      const label = element("label", buttons, "Turn the view ");
+      const label = element("label", buttons, "Turn the view ", { class: "still" });
       const slider = element("input", label, "", { type: "range", min: 0, max: 360, value: this.turn });
       slider.addEventListener("input", () => { this.turn = Number(slider.value); this.draw(); });
     }
+    if (this.cell && this.plan.scene.errors.length) this.errors(element("fieldset", this.left));
     this.figures = element("dl", this.right, "", { "aria-live": "polite" });
     const more = element("div", this.right, "", { class: "buttons" });
     this.button(more, "Download the edited plan (CSV)", () => this.download());
     this.button(more, "Undo all", () => { this.reset(); this.show(); });
     this.table();
+  }
+
+  // the cell in three dimensions, over the drawing, which stands in for it in print and where there is no WebGL
+  space() {
+    this.turn = (this.plan.scene.view[1] + 450) % 360; // the drawing from the same side
+    if (!document.createElement("canvas").getContext("webgl2")) return;
+    const place = this.left.parentElement;
+    this.cell = new Cell(this.left, this.plan);
+    place.classList.add("live");
+    this.keys.textContent += KEYS_IN_SPACE;
+    this.cell.canvas.setAttribute("aria-describedby", this.keys.id);
+    this.cell.canvas.addEventListener("keydown", event => (this.cell.key(event) ? event.preventDefault() : this.key(event)));
+    this.cell.canvas.addEventListener("webglcontextlost", () => place.classList.remove("live"));
+  }
+
+  // which errors are shown as arrows, of which measurements
+  errors(box) {
+    const every = this.plan.scene.errors, wanted = new Set(["before", "after"]);
+    element("legend", box, "Measured errors");
+    const chosen = element("select", box, "", { "aria-label": "Measurements" });
+    every.forEach(({ name, rows, at }, k) => element("option", chosen, `${name}, ${rows} rows${rows > at.length ? `, of which ${at.length}` : ""}`, { value: k }));
+    const kinds = element("div", box), said = element("p", box, "", { "aria-live": "polite" });
+    const show = () => { said.textContent = `Arrows: ${this.cell.errors(every[chosen.value], wanted)} times as long as the errors.`; };
+    const choose = () => {
+      kinds.replaceChildren();
+      for (const { kind, name, rms } of every[chosen.value].models) {
+        const label = element("label", kinds, "", { class: kind }), tick = element("input", label, "", { type: "checkbox" });
+        label.append(` ${kind}: ${name}, RMS ${rms.toPrecision(3)} mm`);
+        tick.checked = wanted.has(kind);
+        tick.addEventListener("change", () => { wanted[tick.checked ? "add" : "delete"](kind); show(); });
+      }
+      show();
+    };
+    chosen.addEventListener("change", choose);
+    choose();
+  }
+
+  // place of the next run that is kept, -1: there is none
+  get next() { return this.order.findIndex((run, place) => place > this.at && !this.struck.has(run)); }
+
+  // joint positions from the current run to the next one; way-points belong to the move that the file has
+  get way() {
+    const { postures, via } = this.plan.scene, from = this.order[this.at], to = this.order[this.next];
+    return to === undefined ? [] : [postures[from], ...(to === from + 1 ? via[to] : []), postures[to]];
+  }
+
+  // plays the moves from the current run on, or from the first one; once more: pauses
+  async play() {
+    const playing = this.playing.textContent === PLAY;
+    this.pause();
+    if (!playing) return;
+    if (this.next < 0) { this.at = -1; this.at = Math.max(this.next, 0); this.show(); }
+    const mine = this.played = {}, types = this.plan.scene.chain.map(step => step.type);
+    this.playing.textContent = PAUSE;
+    while (this.next >= 0) {
+      const way = this.way;
+      for (let k = 1; k < way.length; k++) {
+        const [from, to] = [way[k - 1], way[k]], start = performance.now();
+        const seconds = Math.max(...from.map((q, j) => Math.abs(to[j] - q) / SPEED[types[j]]), 0.2);
+        for (let part = 0; part < 1;) {
+          await new Promise(requestAnimationFrame);
+          if (this.played !== mine) return;
+          part = Math.min((performance.now() - start) / (1000 * seconds), 1);
+          this.cell.pose(from.map((q, j) => q + part * (to[j] - q)));
+        }
+      }
+      this.at = this.next;
+      this.show(true);
+      await new Promise(after => setTimeout(after, 400)); // it is measured
+      if (this.played !== mine) return;
+    }
+    this.pause();
+  }
+
+  pause() {
+    this.played = null;
+    if (this.playing) this.playing.textContent = PLAY;
   }
 
   // one tab stop: the current row has the focus (the grid of the ARIA Authoring Practices, with roving tabindex)
@@ -119,10 +204,12 @@ class Steps {
   // keys of the table: they reach it only from its current row
   key(event) {
     if (event.ctrlKey || event.metaKey) return;
-    const by = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
+    const by = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity,
+      ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (event.altKey && Math.abs(by) === 1) this.move(this.at, by);
     else if (event.altKey) return;
     else if (by) this.step(by);
+    else if (event.key === " " && this.cell) this.play();
     else if (event.key === "Delete" || event.key === "Backspace") this.strike(this.order[this.at]);
     else return;
     event.preventDefault();
@@ -150,7 +237,8 @@ class Steps {
   // share of the whole plan's information that is left: (det / det of the whole)^(1/p)
   efficiency(matrix) { return Math.exp((logDet(matrix) - this.whole) / this.plan.parameters); }
 
-  show() {
+  show(playing = false) {
+    if (!playing) this.pause();
     const inside = this.body.contains(document.activeElement);
     this.draw();
     this.list();
@@ -245,6 +333,9 @@ class Steps {
     const struck = this.struck.has(current);
     this.where.textContent = `Run ${current + 1}, place ${this.at + 1} of ${this.order.length}${struck ? ", struck out" : ""}`;
     this.striking.textContent = struck ? "Put back" : "Strike out";
+    if (!this.cell) return;
+    this.cell.pose(this.plan.scene.postures[current], struck);
+    this.cell.show(this.kept, current, this.way);
   }
 
   get csv() {

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.plan.plan import Plan
+from identification import Plan
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import eigen_of_pairs
 from identification.estimation import estimate

@@ -11,8 +11,8 @@ import pytest
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import CandidateSet
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
+from identification import Plan
 from identification.arrays import Array
 from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, problem

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from doe.plan.plan import Plan, apportion, load_plan, ordered, plan_text, shortest_path, travel
+from doe.plan.plan import apportion, ordered, shortest_path, travel
+from identification import Plan, load_plan
 from identification.errors import InputError
 
 
@@ -21,8 +22,8 @@ def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:
 
 
 def test_text_is_as_documented() -> None:
-    assert plan_text(Plan(np.radians([[30, -60], [90, 0]]))) == "run,q1_deg,q2_deg\n1,30.0,-60.0\n2,90.0,0.0\n"
-    assert plan_text(Plan([[0.0], [np.pi]], [0.25, 0.75])) == "run,q1_deg,weight\n1,0.0,0.25\n2,180.0,0.75\n"
+    assert Plan(np.radians([[30, -60], [90, 0]])).text() == "run,q1_deg,q2_deg\n1,30.0,-60.0\n2,90.0,0.0\n"
+    assert Plan([[0.0], [np.pi]], [0.25, 0.75]).text() == "run,q1_deg,weight\n1,0.0,0.25\n2,180.0,0.75\n"
 
 
 def test_reading(tmp_path: Path) -> None:
@@ -82,7 +83,7 @@ def plans(draw: st.DrawFn) -> Plan:
 @given(plans())
 def test_round_trip(tmp_path_factory: pytest.TempPathFactory, plan: Plan) -> None:
     path = tmp_path_factory.mktemp("plan") / "plan.csv"
-    path.write_text(plan_text(plan))
+    path.write_text(plan.text())
     again = load_plan(path, plan.links)
     np.testing.assert_allclose(again.postures, plan.postures, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(again.shares, plan.shares)

@@ -13,7 +13,6 @@ import pytest
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.design import score
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import missing_effects, robust_problem
 from doe.report.design import (
@@ -28,9 +27,10 @@ from doe.report.design import (
     relax_document,
     remarks,
 )
+from identification import Plan
 from identification.arm import Arm, Gravity
 from identification.document import Pictures, Sheet, as_text
-from identification.files.measurement import read_plan
+from identification.files.measurement import load_plan
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
@@ -146,8 +146,8 @@ def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     path.write_text('run;q1_deg;q2_deg;payload_kg;note\n7;1,5;-20;2,5;a, b\n8;30;40;0;"c"\n')
     with pytest.warns(UserWarning, match="note"):
-        file = read_plan(path)
-    steps = plan_steps(ARM, Plan(file.postures), file.cells, "mine")
+        file = load_plan(path)
+    steps = plan_steps(ARM, file, "mine")
     assert steps is not None
     assert steps["columns"] == ["q1_deg", "q2_deg", "payload_kg", "note"]
     assert steps["rows"] == [["1.5", "-20", "2.5", "a, b"], ["30", "40", "0", "c"]]

@@ -14,7 +14,6 @@ from click.testing import CliRunner
 
 from doe.cli.study import command
 from doe.jobs import frame_of, processes, seed_of
-from doe.plan.plan import Plan
 from doe.report.studies import monte_carlo_parts
 from doe.studies.monte_carlo import (
     Study,
@@ -27,6 +26,7 @@ from doe.studies.monte_carlo import (
     run_study,
     true_values,
 )
+from identification import Plan
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.estimation import estimate_each

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.plan.plan import load_plan
 from doe.studies.monte_carlo import StudyFile
+from identification import load_plan
 from identification.files.arm import load_arm
 from identification.files.measurement import load_targets
 from identification.measurements import load_measurements

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from doe.plan.plan import Plan, load_plan, plan_text
+from identification import Plan, load_plan
 from identification.arm import Arm
 from identification.effects.catalogue import entry
 from identification.errors import InputError
@@ -313,7 +313,7 @@ def test_positions_of_markers(load: Load) -> None:
 
 def test_plans_and_targets(tmp_path: Path) -> None:
     path, plan = tmp_path / "plan.csv", Plan(np.array([[0.5, 50.0], [-0.5, 20.0]]))
-    path.write_text(text := plan_text(plan, SPATIAL.joint_types))
+    path.write_text(text := plan.text(SPATIAL.joint_types))
     assert text.startswith("run,q1_deg,q2_mm\n")
     np.testing.assert_allclose(load_plan(path, SPATIAL.joint_types).postures, plan.postures)
     positions = np.array([[1.0, 2.0, 3.0]])
