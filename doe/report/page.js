@@ -4,9 +4,9 @@
 const KEYS = "Tap or click a run to select it; the buttons above act on the selected run. Keys in the table: " +
   "↑ and ↓, Page Up, Page Down, Home and End select; Alt with ↑ or ↓ moves the run; Delete strikes it out or puts it back. " +
   "Without it: the D-efficiency that is left without this run.";
-const KEYS_IN_SPACE = " Drag turns the view, two fingers or the right button move it; pinch, or click and turn the wheel, for nearer. " +
-  "Keys in the picture: ← and → step, Space plays, Delete strikes out; Shift with an arrow turns the view, W, A, S and D move it, " +
-  "+ and − are nearer and farther, 0 is the first view.";
+const KEYS_IN_SPACE = " Drag to turn the view, with two fingers or the right button to move it; pinch, or click and use the wheel, " +
+  "to zoom. Keys in the picture: ← and → step, Space plays, Delete strikes out; Shift with an arrow turns the view, W, A, S and D " +
+  "move it, + and − zoom, 0 goes back to the first view.";
 const [PLAY, PAUSE] = ["▶ Play", "❚❚ Pause"];
 const SPEED = { revolute: Math.PI / 2, prismatic: 300 }; // a second, of the moves that are played
 

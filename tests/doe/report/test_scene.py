@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from doe.report.design import plan_section
 from doe.report.page import page
-from doe.report.scene import FINE, error_arrows, scene, shape, simplified
+from doe.report.scene import FINE, error_arrows, looks, scene, shape, simplified
 from identification import Plan, design_model
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
@@ -77,7 +77,7 @@ def test_a_body_keeps_its_shape_with_few_triangles() -> None:
 
 def test_triangles_are_read_as_they_were_written() -> None:
     triangles = 100.0 * round_body(6) + [3.0, -70.0, 800.0]
-    said = shape(Body("ball", 1, triangles=triangles), 1.0)
+    said = shape(triangles, 1000)
     whole, faces = (np.frombuffer(b64decode(said[key]), "<u2").reshape(-1, 3) for key in ("vertices", "faces"))
     corners = (said["low"] + said["step"] * whole)[faces]
     size = 200.0
@@ -86,6 +86,28 @@ def test_triangles_are_read_as_they_were_written() -> None:
     assert set(corners.mean(axis=1).sum(axis=1).round(1)) <= {
         x for v in middle for x in (v.round(1), (v + 0.05).round(1), (v - 0.05).round(1))
     }
+
+
+def test_a_body_without_triangles_looks_like_its_pieces() -> None:
+    """Volume and area of a capsule and of a box that is turned; a sphere is a segment of no length."""
+    start, end, radius = np.array([10.0, -20.0, 5.0]), np.array([310.0, 380.0, 5.0]), 60.0
+    turn, half = Rotation.random(random_state=1).as_matrix(), np.array([400.0, 90.0, 50.0])
+    rod, ball = np.array([[*start, *end, radius]]), np.array([[*start, *start, radius]])
+    brick = np.array([[100.0, 0.0, -100.0, *turn.ravel(), *half]])
+    sphere = 4.0 / 3.0 * np.pi * radius**3
+    for body, volume, error in (
+        (Body("rod", 2, rod), sphere + np.pi * radius**2 * 500.0, 0.03),
+        (Body("ball", 2, ball), sphere, 0.03),
+        (Body("brick", 0, boxes=brick), 8.0 * half.prod(), 1e-12),
+    ):
+        triangles = looks(body)
+        outward = np.linalg.det(triangles - triangles.mean(axis=(0, 1)))  # counterclockwise from outside
+        assert (outward > -1e-6).all()
+        assert outward.sum() / 6.0 == pytest.approx(volume, rel=error)
+    away = np.linalg.norm(looks(Body("ball", 2, ball)) - start, axis=-1)
+    np.testing.assert_allclose(away, radius)
+    local = np.abs((looks(Body("brick", 0, boxes=brick)) - brick[0, :3]) @ turn)
+    np.testing.assert_allclose(local, np.broadcast_to(half, local.shape))
 
 
 @pytest.mark.parametrize("sessions", [1, 2])
