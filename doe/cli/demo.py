@@ -53,7 +53,8 @@ def command(
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
     look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
-    return with_collisions(Answer(demo.to_json(directory), [document.plus(look)]), demo.arm)
+    answer = Answer(demo.to_json(directory), [document.plus(look)])
+    return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
 
 
 def next_free(path: Path) -> Path:

@@ -148,13 +148,18 @@ def drawing(name: str, *of: Any) -> Callable[[], Figure]:
     return draw
 
 
-def with_collisions(answer: Answer, arm: Arm) -> Answer:
-    """The answer that has a plan of this arm, which in space says that collisions were not looked at."""
-    if not arm.chain.planar:
-        from doe.problem.constraints import COLLISIONS
+def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
+    """The answer with what is known of collisions at postures (m, n), None: it has no plan; nothing is said of arms in
+    a plane whose bodies nobody has described."""
+    from doe.problem.clearance import COLLISIONS, Clearance
 
-        answer.data["collisions_checked"] = False
-        answer.shown.append(COLLISIONS)
+    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
+    if looked or getattr(problem.model, "space", 0) == 3:
+        answer.data["collisions_checked"] = bool(looked)
+        answer.shown.extend([] if looked else [COLLISIONS])
+    for clearance in looked if postures is not None else []:
+        answer.data["collisions"] = clearance.to_json(postures)
+        answer.shown.extend(clearance.in_words(postures))
     return answer
 
 
@@ -250,7 +255,8 @@ def design_files(
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    return with_collisions(Answer(design.to_json() | data, [design_document(design).plus(*extra)]), loaded)
+    answer = Answer(design.to_json() | data, [design_document(design).plus(*extra)])
+    return with_collisions(answer, design.problem, design.plan.postures)
 
 
 def score_files(
@@ -316,7 +322,7 @@ def score_files(
     lines = [meant] if judged.fit and not robust else []
     written(pictures, force)
     document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
-    return with_collisions(Answer(data, [document]), loaded)
+    return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
 def advise_files(
@@ -368,7 +374,7 @@ def advise_files(
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
     written({picture: drawing("advice_figure", advice)}, force)
-    return with_collisions(Answer(data, shown, warnings=doubts), loaded)
+    return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
 def relax_files(
@@ -439,7 +445,8 @@ def relax_files(
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
     document = relax_document(relaxation, compared)
-    return with_collisions(Answer(data, [document, *written({out: text}, force, "plan with weights")]), loaded)
+    answer = Answer(data, [document, *written({out: text}, force, "plan with weights")])
+    return with_collisions(answer, problem, relaxation.plan.postures)
 
 
 def compare_files(
@@ -588,7 +595,8 @@ def discriminate_files(
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = load_sessions(data, loaded)
     refuse_contacts(loaded.chain)
-    postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(loaded)).fewest_runs
+    problem = DesignProblem.of(Model(loaded))
+    postures, fewest = len(set(measurements.posture_numbers.tolist())), problem.fewest_runs
     if postures < fewest:
         counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
@@ -609,7 +617,7 @@ def discriminate_files(
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
     shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
-    return with_collisions(Answer(keys | chosen.to_json(), shown), loaded)
+    return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 
 def report_files(

@@ -31,7 +31,13 @@ SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direct
 STEP = 1e-4  # [rad] of a joint, for second derivatives
 PART = 2**18  # pairs of pieces at once: 2 MB an array
 ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss what it keeps
+SHOWN = 6  # pairs named in a sentence
 FLOOR, SIGHT = "floor", "line of sight"
+# what is said of plans of an arm in space whose bodies are not known
+COLLISIONS = (
+    "Collisions were not looked at, neither of the arm with itself nor with what is around it, since the arm file has "
+    "no bodies: add [[cell.bodies]] or a URDF with collision bodies, or try each posture slowly."
+)
 
 
 class Clearance:
@@ -118,6 +124,35 @@ class Clearance:
         apart = self.distance(postures)
         near = np.argwhere(apart < self.asked - ROUNDING).tolist()
         return [(run + 1, self.pairs[k], float(apart[run, k])) for run, k in near]
+
+    def to_json(self, postures: Array) -> list[dict[str, Any]]:
+        """`too_near` by the keys of `collisions`."""
+        return [{"run": run, "bodies": [*pair], "distance_mm": gap} for run, pair, gap in self.too_near(postures)]
+
+    def in_words(self, postures: Array) -> list[str]:
+        """What is to be said of postures (m, n): every pair that is too near, or how near the nearest come."""
+        apart, near = self.distance(postures), self.too_near(postures)
+        lines = []
+        if near:
+            runs = len({run for run, *_ in near})
+            lines.append(f"Collisions: {runs} of {len(postures)} postures bring bodies too near to each other:")
+            for run, pair, gap in near:
+                amount = f"overlap by {-gap:.1f} mm" if gap < 0.0 else f"are {gap:.1f} mm apart"
+                lines.append(f"  run {run}: {_and(pair)} {amount}")
+        elif apart.size:
+            run, k = divmod(int(np.argmin(apart - self.asked)), apart.shape[1])
+            kept = f"{len(self.pairs)} pairs of bodies keep their distance in all {len(postures)} postures"
+            nearest = f"{_and(self.pairs[k])} come nearest, to {apart[run, k]:.0f} mm in run {run + 1}"
+            lines.append(f"Collisions: {kept}; {nearest}.")
+        narrow = [pair for pair, gap in zip(self.pairs, self.asked, strict=True) if gap == 0.0]
+        for why, pairs in (
+            ("Hardly anywhere as far apart as the clearance, so only kept from touching", narrow),
+            ("Not looked at, since they touch wherever the arm goes", self.touching),
+        ):
+            if pairs:
+                rest = f" and {len(pairs) - SHOWN} more pairs" if len(pairs) > SHOWN else ""
+                lines.append(f"{why}: {', '.join(map(_and, pairs[:SHOWN]))}{rest}.")
+        return lines
 
     def nearest(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) distances, and the numbers of the pairs of pieces that have them."""
@@ -241,6 +276,10 @@ class Slopes:
             step = STEP * np.eye(postures.shape[1])[joint]
             bend[:, k] = (self.slope(postures + step, weights) - self.slope(postures - step, weights)) / (2.0 * STEP)
         return 0.5 * (bend + np.swapaxes(bend, 1, 2))
+
+
+def _and(pair: Sequence[str]) -> str:
+    return " and ".join(pair)
 
 
 # -- geometry: vectors run along the first axis of arrays --------------------------------------------------------------

@@ -21,11 +21,6 @@ from doe.problem.model import Offers, offered, offers
 from identification import REVOLUTE, Array, InputError, design_model
 from identification.vectorize import vectorize
 
-# every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
-COLLISIONS = (
-    "Collisions were not looked at, neither of the arm with itself nor with what is around it: try each posture "
-    "slowly, or let armcal design --candidates FILE choose from postures that you allow."
-)
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 FLAT = 1e-9  # [mm] lengths that divide nothing
 Points = list[ca.SX]  # base, joints and tip

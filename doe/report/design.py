@@ -12,7 +12,7 @@ import numpy as np
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
 from doe.plan.spacing import distance_to_keep
-from doe.problem.constraints import COLLISIONS
+from doe.problem.clearance import COLLISIONS
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import LONG_PLAN
@@ -216,7 +216,7 @@ def plan_section(
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
+    lead = lead if arm.chain.planar or arm.cell is not None else f"{lead} {COLLISIONS}".strip()
     title = f"The plan {name}".rstrip()
     if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem, tests)) is not None:
         return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
