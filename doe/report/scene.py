@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -31,10 +31,11 @@ FACES = [
 ARROWS = 500  # more only cover each other
 
 
-def scene(model: Any, postures: Array, tests: Mapping[str, Any]) -> dict[str, Any]:
+def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, Any]) -> dict[str, Any]:
     """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
 
-    model : of the arm, as `design_model` gives it;  tests : name of measurements -> their `Validation`
+    model : of the arm, as `design_model` gives it;  via : of each posture the (v, n) way-points on the way to it
+    tests : name of measurements -> their `Validation`
 
     The chain is a list of n + 1 steps from frame to frame, each a fixed pose and then a motion about or along an
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
@@ -50,7 +51,7 @@ def scene(model: Any, postures: Array, tests: Mapping[str, Any]) -> dict[str, An
             for step, move in zip(np.linalg.inv(before) @ frames, [*moves, {}], strict=True)
         ],
         "postures": np.asarray(postures).round(9).tolist(),
-        "via": [[] for _ in postures],
+        "via": via,
         "bodies": [
             {"joint": body.joint} | shape(triangles, max(int(share * len(triangles)), 100))
             for body, triangles in bodies
