@@ -16,18 +16,10 @@ import casadi as ca
 import numpy as np
 from scipy.special import ndtr
 
+from doe.problem.model import NEEDS_SIGMA
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import (
-    NEEDS_SIGMA,
-    Array,
-    Conditions,
-    InputError,
-    Measurements,
-    Model,
-    Status,
-    readonly,
-)
+from identification import Array, Conditions, InputError, Measurements, Model, Status, readonly
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis, Plan

@@ -16,9 +16,10 @@ from doe.plan.spacing import distance_to_keep
 from doe.problem.clearance import COLLISIONS
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
+from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
-from identification import EFFECT, Array, Model, Plan
-from identification.document import Document, Pictures, PlanSteps, Section, Sheet, facts_sheet, in_a_sentence, number
+from identification import Array, Model, Plan
+from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -89,7 +90,7 @@ def design_facts(data: Data, status: str) -> Sheet:
         optimal = f"no: {are} outside joint limits or constraints"
     upper = None if in_mm or not words else f"{number(bound['value'], 7)} ({words})"
     searched = f"{data['solver']}, {data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
-    return facts_sheet(
+    return Sheet.facts(
         [
             ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
             (f"value of {kind}", None if kind == "D" or in_mm else number(data["value"], 7)),
@@ -139,7 +140,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    worst, missing = design.worst_deviations, missing_parameters(problem)
+    worst, missing = design.worst_deviations, problem.missing
     over = "" if worst is None else ", mean over the draws of the arm and worst of them"
     columns: dict[str, Array] = {}
     for which, deviations in (("", mean), ("worst ", worst)):
@@ -153,7 +154,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
         # above half of the deviation before, the prior says more of a parameter than the plan
-        if not mean.planar and p.kind != EFFECT and std > 0.5 * problem.deviations.get(p.name, np.inf)
+        if not mean.planar and not p.of_effect and std > 0.5 * problem.deviations.get(p.name, np.inf)
     ]
     names = ["" if p.name in {*missing, *weak} else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
     names = [str(link) for link in range(1, mean.length.size + 1)] if mean.planar else names
@@ -166,14 +167,9 @@ def accuracy(design: Design) -> list[Sheet | str]:
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]
 
 
-def missing_parameters(problem: DesignProblem) -> list[str]:
-    """Names of the parameters of effects that may be missing."""
-    return [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
-
-
 def missing_lines(design: Design) -> list[str]:
     """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
-    problem, missing = design.problem, missing_parameters(design.problem)
+    problem, missing = design.problem, design.problem.missing
     held = len(problem.deviations) - len(missing)
     lines = [f"{held} corrections of the geometry have the prior of its machining"] if held else []
     if missing:
@@ -184,7 +180,7 @@ def missing_lines(design: Design) -> list[str]:
         if equations < problem.parameters:
             few = f"{equations} equations for {problem.parameters} parameters"
             lines.append(f"{few}: so few runs stay far from the bound")
-    elif problem.model.sigma is not None and not any(p.kind == EFFECT for p in problem.model.parameters):
+    elif problem.model.sigma is not None and not any(p.of_effect for p in problem.model.parameters):
         lines.append("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")
     return lines
 
@@ -220,7 +216,7 @@ def plan_section(
     lead = lead if arm.chain.planar or arm.cell is not None else f"{lead} {COLLISIONS}".strip()
     title = f"The plan {name}".rstrip()
     if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem, tests)) is not None:
-        return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
+        return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip()], steps)])
     sentence = f"{lead} {len(plan.measured)} runs, too many or weighted: drawn only."
     return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.measured.postures)])])
 
@@ -373,7 +369,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> 
     answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
     title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
     check = Sheet(("method", "over", "value", "upper bound", "Table I"), answers, title)
-    return Document("Weights", [], [facts_sheet(facts), support, *rest, check])
+    return Document("Weights", [], [Sheet.facts(facts), support, *rest, check])
 
 
 # -- missing effects ---------------------------------------------------------------------------------------------------

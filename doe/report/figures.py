@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from doe.advise import Advice
+from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
 from doe.report.scene import looks, side, simplified, trackers
-from identification import PRISMATIC, REVOLUTE, Arm, Array, Model, design_model
+from identification import Arm, Array, Model, design_model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
 LINK, CELL, FLOOR, SIGHT = "#a9bccb", "#cdbfa8", "#e9edf1", "#2f8f5b"  # as in page.css
@@ -60,8 +61,8 @@ def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
         colors = run_colors(len(postures))
         joints.scatter(factor * postures[:, j], np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
     joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
-    labels = {REVOLUTE: "angle [deg]", PRISMATIC: "position [mm]"}
-    joints.set_xlabel(" or ".join(sorted({labels[kind] for kind in types})))
+    labels = {"deg": "angle [deg]", "mm": "position [mm]"}
+    joints.set_xlabel(" or ".join(sorted({labels[in_files(kind)[0]] for kind in types})))
     joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
 

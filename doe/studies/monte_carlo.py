@@ -28,7 +28,6 @@ from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
 from identification import (
-    JOINT_OFFSET,
     PRISMATIC,
     REVOLUTE,
     Arm,
@@ -65,13 +64,30 @@ MOST_ROWS = 4_000_000  # of one plan at a time: 64 MB of positions
 
 
 # -- what is asked for -------------------------------------------------------------------------------------------------
-class TruthTable(StrictTable):
-    """`[[truths]]`: what is really there; what is left out is as in the arm's own calibration and effects."""
+class ModelTable(StrictTable):
+    """`[[models]]`: what the fit estimates besides the geometry."""
 
     name: str
+    effects: list[dict[str, Any]] | None = None  # as [[effects]] of an arm file; left out: the arm's own
+
+    def of(self, arm: Arm) -> Arm:
+        """The arm as the fit knows it: nominal."""
+        return replace(self._described(arm, None), calibration=None)
+
+    def _described(self, arm: Arm, calibration: dict[str, Any] | None) -> Arm:
+        """The arm with these effects and this calibration, as its file would say it."""
+        bare = replace(arm, effects=arm.effects if self.effects is None else (), calibration=None)
+        more = {"effects": self.effects, "calibration": calibration}
+        tables = tomllib.loads(dump_arm(bare)) | {key: value for key, value in more.items() if value is not None}
+        described = arm_from_tables(tables)
+        return replace(arm, effects=described.effects, calibration=described.calibration)
+
+
+class TruthTable(ModelTable):
+    """`[[truths]]`: what is really there; what is left out is as in the arm's own calibration and effects."""
+
     length_errors_mm: list[float] | None = None
     joint_offsets_deg: list[float] | None = None
-    effects: list[dict[str, Any]] | None = None  # as [[effects]] of an arm file, with values
     values: dict[str, float] | None = None  # as calibration.values of a spatial arm
 
     def of(self, arm: Arm) -> Arm:
@@ -82,28 +98,9 @@ class TruthTable(StrictTable):
             errors = {"length_errors_mm": [0.0] * arm.links, "joint_offsets_deg": [0.0] * arm.links}
         kept = ("base", "tools", *errors, *(("effects",) if self.effects is None else ()))
         given = self.model_dump(exclude={"name", "effects"}, exclude_none=True)
-        true = _with_tables(arm, self.effects, errors | {key: own[key] for key in kept if key in own} | given)
+        true = self._described(arm, errors | {key: own[key] for key in kept if key in own} | given)
         assert true.calibration is not None
-        return replace(arm, effects=true.effects, calibration=Calibration(true.calibration.values))
-
-
-class ModelTable(StrictTable):
-    """`[[models]]`: what the fit estimates besides the geometry."""
-
-    name: str
-    effects: list[dict[str, Any]] | None = None
-
-    def of(self, arm: Arm) -> Arm:
-        """The arm as the fit knows it: nominal."""
-        return replace(arm, effects=_with_tables(arm, self.effects, {}).effects, calibration=None)
-
-
-def _with_tables(arm: Arm, effects: list[dict[str, Any]] | None, calibration: dict[str, Any]) -> Arm:
-    """The arm that a file with these tables describes; effects None: the arm's own."""
-    bare = replace(arm, effects=arm.effects if effects is None else (), calibration=None)
-    tables = tomllib.loads(dump_arm(bare))
-    places = {"calibration": tables.get("calibration", {}) | calibration} if calibration else {}
-    return arm_from_tables(tables | places | ({} if effects is None else {"effects": effects}))
+        return replace(true, calibration=Calibration(true.calibration.values))
 
 
 NotEmpty = Field(min_length=1)
@@ -142,11 +139,11 @@ class Study:
         starts."""
         plans = plans if isinstance(plans, Mapping) else dict.fromkeys(plans)
         asked = validated(StudyFile, {"arms": [arm.name for arm in arms], "plans": [*plans], **others})
-        study = cls([simulated(arm) for arm in arms], plans, asked)
-        names = {what: [entry.name for entry in getattr(asked, what)] for what in ("truths", "models")}
-        for what, given in (names | {"arms": asked.arms}).items():
-            if len(set(given)) < len(given):
-                raise InputError(f"{what}: name {max(given, key=given.count)!r} is given twice, allowed: once")
+        spatial = [arm if arm.chain.planar else replace(arm, chain=with_points(arm.chain)) for arm in arms]
+        for what in ("arms", "truths", "models"):
+            names = [getattr(entry, "name", entry) for entry in getattr(asked, what)]
+            if len(set(names)) < len(names):
+                raise InputError(f"{what}: name {max(names, key=names.count)!r} is given twice, allowed: once")
         if asked.replications / asked.block > (most_tasks := 100_000):  # of a cell: each is a row of a table
             least = f"at least {-(-asked.replications // most_tasks)} for {asked.replications} replications"
             raise InputError(f"block: found {asked.block}, allowed: {least}")
@@ -156,50 +153,42 @@ class Study:
                 raise InputError(f"plans: unknown {name!r}, {nearest(name, known)}, or NAME.csv")
             if plan is None and not asked.runs:
                 raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {name!r} needs them")
-        needs = []  # equations and unknowns; where one cell has as many, others are rows that say why there is nothing
-        for arm in study.arms:
+        needs = []  # runs of each fit; where one can be done, the others are rows that say why there is nothing
+        for arm in spatial:
             if arm.sigma is None and asked.sigma_mm is None:
                 raise InputError(f"sigma_mm: is missing, allowed: numbers > 0 [mm], as arm {arm.name} has none")
             for name, plan in plans.items():
                 if plan is not None and plan.links != arm.links:
                     raise InputError(f"plans: {name} has {plan.links} joints, allowed: {arm.links} as arm {arm.name}")
-            for truth in asked.truths:
-                _checked(f"truths: {truth.name} with arm {arm.name}", truth, arm)
-            for fitted in asked.models:
-                model = _checked(f"models: {fitted.name} with arm {arm.name}", fitted, arm)
-                needs.append((len(model.names), model.dimension * points(model)))
-        unknowns, each = min(needs, key=lambda pair: pair[0] / pair[1])
+            for what, entry in [*(("truths", one) for one in asked.truths), *(("models", one) for one in asked.models)]:
+                try:
+                    model = _checked(entry, arm)
+                except InputError as error:
+                    raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
+                if what == "models":
+                    needs.append(-(-len(model.names) // (model.dimension * points(model))))
         most = max(runs for plan in plans.values() for runs in (asked.runs if plan is None else [len(plan)]))
-        if each * most < unknowns:
-            allowed = f"at least {-(-unknowns // each)} for {unknowns} parameters"
-            raise InputError(f"runs: found {most}, allowed: {allowed}")
-        return study
+        if most < min(needs):
+            raise InputError(f"runs: found {most}, allowed: at least {min(needs)}, an equation for every parameter")
+        return cls(spatial, plans, asked)
 
 
-def simulated(arm: Arm) -> Arm:
-    """The arm with its measured points in place; a planar arm as it is."""
-    return arm if arm.chain.planar else replace(arm, chain=with_points(arm.chain))
+def _checked(entry: ModelTable, arm: Arm) -> Model:
+    """What is fitted. Raises `InputError` where the arm cannot have the entry, or it cannot be simulated."""
+    described = entry.of(arm)
+    model = Model(without_prior(described))
+    _ = model.symbols  # raises for an effect that needs what the arm does not have
+    for spec in described.effects if isinstance(entry, TruthTable) else ():
+        if library()[spec.name].scatter and (entry.effects is not None or spec.values):
+            raise InputError(f"{spec.key}, which changes the scatter, is not simulated, allowed: other effects")
+    if "temperature" in model.needs:
+        raise InputError("needs temperatures, allowed: effects without them")
+    return model
 
 
 def points(model: Model) -> int:
     """Number of measured points, each a row at every posture."""
     return len(model.arm.chain.tools)
-
-
-def _checked(place: str, entry: TruthTable | ModelTable, arm: Arm) -> Model:
-    """What is fitted of this arm. Raises `InputError` where it cannot have the entry."""
-    try:
-        one = entry.of(arm)
-        model = Model(without_prior(one))
-        _ = model.symbols  # raises for an effect that needs what the arm does not have
-        for spec in one.effects if isinstance(entry, TruthTable) else ():
-            if library()[spec.name].scatter and (entry.effects is not None or spec.values):
-                raise InputError(f"{spec.key}, which changes the scatter, is not simulated, allowed: other effects")
-        if "temperature" in model.needs:
-            raise InputError("needs temperatures, allowed: effects without them")
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None
-    return model
 
 
 def load_study(path: Path | str, replications: int | None = None) -> Study:
@@ -487,7 +476,7 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     parameters, rss, stds = fits_of(cell, np.random.default_rng(seed), key["replications"])
     good = np.isfinite(np.c_[parameters, rss]).all(axis=1) & np.isfinite(stds).all(axis=1)
     errors = (parameters[good] - values) @ transform.T
-    turns = [*model.parameters.indices(JOINT_OFFSET).tolist(), *range(unknowns, len(transform))]
+    turns = [*model.parameters.joint_offsets.tolist(), *range(unknowns, len(transform))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
     stds = stds if len(stds) == 1 else stds[good]
     distances = model.dimension <= 3  # the residuals of orientations are none

@@ -174,9 +174,9 @@ def test_the_past_is_worked_out_only_where_an_effect_asks_for_it(monkeypatch: py
 
 def test_the_table_has_the_past_on_demand() -> None:
     q = np.array([[0.1, 0.2], [0.3, 0.4]])
-    assert Conditions().table(2, 2, 1.0).shape == (2, Conditions.columns(2))
+    assert Conditions().table(2, 2, 1.0).shape == (2, 4 + 2)
     wide = Conditions(past=past_from_order(q)).table(2, 2, 1.0, q)
-    assert wide.shape == (2, Conditions.columns(2, past=True))
+    assert wide.shape == (2, 4 + 2 + 2 * REMEMBERED)
     np.testing.assert_array_equal(wide[1, 6:], np.repeat(q[0], REMEMBERED))
     np.testing.assert_array_equal(Conditions().table(2, 2, 1.0, q)[:, 6:], np.repeat(q, REMEMBERED, axis=1))
 

@@ -71,8 +71,8 @@ def test_two_studies_on_one_folder(folder: Folder) -> None:
     (folder.path / "study.results").mkdir()
     with RowTable(folder.path / "study.results" / "blocks.parquet") as table:
         table.add("1", [{"value": 1}])
-        for more in ("", " --resume", " --force"):
-            folder.refused(f"study study.toml --workers 1{more}", "another run is writing this table")
+        for more, said in (("", "exists"), (" --resume", "another run is writing"), (" --force", "another run")):
+            folder.refused(f"study study.toml --workers 1{more}", said)
         assert len(table.rows) == 1
     assert [path.name for path in (folder.path / "study.results").iterdir()] == ["blocks.parquet"]
 

@@ -11,7 +11,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from identification.errors import LONGEST_LINE, InputError, in_one_line
+from doe.cli.verb import LONGEST_LINE, in_one_line
+from identification.errors import InputError
 from identification.files.csv import read_table
 from tests.doe.cli.conftest import ARM, CALIBRATION, LOWER, UPPER, Folder
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from doe.criteria import information_matrix
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, without_outliers
-from identification.information import information_matrix
 from identification.measurements import Measurements, load_measurements
 from identification.model import Model
 from identification.running import Status

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from doe.criteria import information_matrix
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.errors import InputError
-from identification.information import information_matrix
 from identification.measurements import Conditions
 from identification.model import Model
 
