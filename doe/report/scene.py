@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification import Array, Model, design_model, rms_distance
-from identification.workspace import circle_across
 
 if TYPE_CHECKING:
     from identification import Arm
@@ -99,7 +98,8 @@ def capsule(start: Array, end: Array, radius: float) -> Array:
     """(t, 3, 3) triangles of all points within a radius of a segment, all [mm]."""
     long = bool(np.linalg.norm(end - start) > 1e-9)
     along = (end - start) / np.linalg.norm(end - start) if long else np.array([0.0, 0.0, 1.0])
-    across, over = circle_across(along)
+    across = np.linalg.svd(along[None])[2][1]  # perpendicular to it, as is the other
+    over = np.cross(along, across)
     polar, around = np.linspace(0.0, np.pi, 2 * ROUND + 1), np.linspace(0.0, 2.0 * np.pi, 4 * ROUND + 1)
     polar = np.insert(polar, ROUND, np.pi / 2.0)  # a ring at either end
     ends = np.repeat([end, start], ROUND + 1, axis=0)
