@@ -148,8 +148,10 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) 
     axes.auto_scale_xyz(*np.concatenate([*within, [[0.0, 0.0, floor or 0.0]]]).T, had_data=True)
     axes.autoscale(False)
     axes.computed_zorder = False  # a floor hides nothing that is above it
-    for line in [np.stack([tracker, frames[-1, :3, 3]]) for tracker in trackers(arm)]:
-        axes.plot(*np.linspace(*line, 50).T, color=SIGHT, lw=0.8, axlim_clip=True, zorder=4)
+    for tracker in trackers(arm):
+        axes.plot(
+            *np.linspace(np.array(tracker), frames[-1, :3, 3], 50).T, color=SIGHT, lw=0.8, axlim_clip=True, zorder=4
+        )
     if floor is not None:
         (left, right), (near, far) = axes.get_xlim(), axes.get_ylim()
         ground = [(left, near, floor), (right, near, floor), (right, far, floor), (left, far, floor)]

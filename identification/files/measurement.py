@@ -360,7 +360,7 @@ class Plan(ByValue):
         """The same without way-points."""
         if self.via is None:
             return self
-        rows = np.flatnonzero(~self.via)
+        rows = np.flatnonzero(~self.via).tolist()
         cells = {name: [texts[row] for row in rows] for name, texts in self.cells.items()}
         weights = None if self.weights is None else self.weights[rows]
         return replace(self, postures=self.postures[rows], weights=weights, via=None, cells=cells)
