@@ -142,25 +142,6 @@ def test_cells_come_out_as_they_went_in_and_long_ones_may_be_broken() -> None:
     assert (facts.count("<tr>"), ">a&lt;b</th>" in facts, ">1 &amp; 2 ± σ</td>" in facts) == (1, True, True)
 
 
-@pytest.mark.parametrize(
-    ("headings", "row", "wide"),
-    [
-        (["<i>aaaaa"] * 6, ["a" * 8] * 6, True),  # six columns of 8 characters and their spaces are 60
-        (["<i>aaaaa"] * 3, ["a" * 8] * 3, False),
-        (["<i>", "b"], ["x" * 90, "y" * 20], False),  # two columns always have room
-        (["<i>", "b", "c"], ["x" * 30, "1", "2"], False),
-        (["<i>", "b", "c"], ["x" * 40, "1", "2"], True),
-    ],
-)
-def test_rows_that_are_too_wide_for_a_phone_have_their_headings_in_each_cell(
-    headings: list[str], row: list[str], wide: bool
-) -> None:
-    text = html_table(headings, [row])
-    assert text.startswith('<table class="wide">' if wide else "<table>")
-    assert text.count('data-heading="') == wide * len(row)
-    assert ('data-heading="&lt;i&gt;' in text) is wide
-
-
 def test_symbols_are_those_of_books_and_keys_stay_as_they_are() -> None:
     said = in_symbols("sigma 0.1 mm, chi2 20.5, RMS 2 -> 1 mm, 1 +- 2; sigma_mm, chi2s")
     assert said == "σ 0.1 mm, χ² 20.5, RMS 2 → 1 mm, 1 ± 2; sigma_mm, chi2s"

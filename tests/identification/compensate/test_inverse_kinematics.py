@@ -160,30 +160,6 @@ def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
     assert found.commands == pytest.approx(wanted, abs=1e-6)
 
 
-def test_of_the_postures_of_a_redundant_arm_one_near_the_middle_is_taken() -> None:
-    """Three links reach a target in one posture for each direction of the last one and each elbow: all of them."""
-    lengths = np.array([300.0, 200.0, 150.0])
-    arm = Arm(
-        lengths, lower=(-1.0, -2.0, -2.0), upper=(2.0, 1.0, 2.5), calibration=Calibration.of(np.zeros(3), np.zeros(3))
-    )
-    middle = (arm.lower + arm.upper) / 2.0
-    shape = np.random.default_rng(3).uniform(arm.lower, arm.upper, (40, 3))
-    found = compensate(arm, Model(arm).position(shape))
-    assert found.reached.all()
-    last = np.linspace(-np.pi, np.pi, 4001)
-    for target, nominal in zip(found.targets, found.nominal, strict=True):
-        wrist = complex(*target) - lengths[2] * np.exp(1j * last)
-        cosine = (np.abs(wrist) ** 2 - lengths[:2] @ lengths[:2]) / (2.0 * lengths[0] * lengths[1])
-        every = []
-        for elbow in (np.arccos(np.clip(cosine, -1.0, 1.0)), -np.arccos(np.clip(cosine, -1.0, 1.0))):
-            first = np.angle(wrist / (lengths[0] + lengths[1] * np.exp(1j * elbow)))
-            every.append(np.column_stack([first, elbow, np.angle(np.exp(1j * (last - first - elbow)))]))
-        q = np.concatenate(every)[np.tile(np.abs(cosine) <= 1.0, 2)]
-        q = q[np.all((arm.lower <= q) & (q <= arm.upper), axis=1)]
-        nearest = np.linalg.norm(q - middle, axis=1).min()
-        assert np.linalg.norm(nominal - middle) < nearest + 0.25
-
-
 def test_nominal_postures_thousands_of_turns_away() -> None:
     """A redundant arm without constraints, asked for the nearest posture to one that its limits forbid by far."""
     limits, none = np.full(3, 1.7), np.zeros(3)
