@@ -107,16 +107,6 @@ def test_text_has_no_colors_wherever_it_is_made(monkeypatch: pytest.MonkeyPatch)
     assert "\x1b" not in plain
 
 
-def test_figures_end_at_the_right_and_words_begin_at_the_left() -> None:
-    rows = [["one", "1.5", "yes", "< 1e-6"], ["three", "-", "", "-22.750"], ["five", "12", "no", "5 *"]]
-    head, _, *lines = (line for line in as_text(Sheet(["name", "value", "holds", "miss"], rows)).splitlines() if line)
-    assert {line.index(row[0]) for line, row in zip(lines, rows, strict=True)} == {head.index("name")}
-    assert {line.index(row[1]) + len(row[1]) for line, row in zip(lines, rows, strict=True)} == {
-        head.index("value") + 5
-    }
-    assert {line.index(row[3]) + len(row[3]) for line, row in zip(lines, rows, strict=True)} == {head.index("miss") + 4}
-
-
 def test_long_tables_are_cut_and_say_so() -> None:
     rows = [[str(k)] for k in range(300)]
     cut, whole = Sheet(["run"], rows, most=3), Sheet(["run"], rows)

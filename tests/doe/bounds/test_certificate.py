@@ -55,19 +55,6 @@ def test_bound_of_any_design_holds_for_every_other(seed: int) -> None:
                 assert each.objective(candidates, generator.dirichlet(np.full(60, 0.2))) <= bound
 
 
-def test_gap_with_measured_postures_by_the_definition() -> None:
-    """Five new runs beside seven known."""
-    generator = np.random.default_rng(0)
-    kept, candidates = generator.uniform(FOUR.lower, FOUR.upper, (2, 7, 4))
-    case = problem(FOUR, kept=kept)
-    information, jacobians = case.information(candidates[:5]), case.scaled_jacobians(candidates)
-    gradient = np.linalg.inv(information)
-    largest = np.einsum("mdp,pq,mdq->m", jacobians, gradient, jacobians).max()
-    fixed = float(np.sum(gradient * sum(b.T @ b for b in case.scaled_jacobians(kept))))
-    found = judged(case, Plan(candidates[:5]), candidates)
-    assert found.gap == pytest.approx((5.0 * largest + fixed) / 12.0 - case.parameters, rel=1e-9)
-
-
 @pytest.mark.parametrize("smallest", [1.0, 0.0])
 def test_sensitivities_of_candidates_are_traces(smallest: float) -> None:
     """Of a gradient that is definite (by its root) and of one that is singular, with a prior."""

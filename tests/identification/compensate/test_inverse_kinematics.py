@@ -68,20 +68,6 @@ def test_the_elbow_that_is_free_is_chosen() -> None:
     assert said["unreachable_count"] == len(said["unreachable"]) == np.count_nonzero(~found.reached)
 
 
-def test_a_redundant_arm_bends_around() -> None:
-    """Straight through the circle is nearest; an arm of five links reaches the target on another way."""
-    lengths = np.full(5, 100.0)
-    circle = KeepOutCircle((150.0, 120.0), 50.0)
-    five = Arm(lengths, constraints=(circle,), calibration=Calibration.of(np.ones(5), np.full(5, 0.01)))
-    through = np.array([[np.arctan2(120.0, 150.0) + 0.05, -0.1, 0.0, 0.1, 0.2]])
-    assert clearance(chain(through, lengths, np.zeros(5)), 50.0)[0] < -40.0
-    found = compensate(five, postures=through, constraints=constraints_of(Model(five)))
-    assert found.reached.all()
-    real = chain(found.commands, lengths + 1.0, np.full(5, 0.01))
-    assert clearance(real, 50.0)[0] > -0.01
-    assert abs(real[0, -1] - complex(*found.targets[0])) < TOLERANCE
-
-
 def test_targets_outside_the_workspace_say_so() -> None:
     box = WorkspaceBox((-200.0, 200.0), (-400.0, 400.0))
     two = Arm([300.0, 200.0], constraints=(box,), calibration=Calibration.of(np.zeros(2), np.zeros(2)))
