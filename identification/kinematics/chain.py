@@ -388,17 +388,22 @@ class KinematicChain(ByValue):
         points = _points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
         return np.swapaxes(points, -1, -2)
 
-    def joint_frames(self, postures: Array, values: Array) -> Array:
-        """(..., n + 1, 4, 4) [mm] at postures (..., n), in the frame of the base: each joint's frame after it moved,
-        and the tip's with the first measured point as its origin.
+    def joint_frames(self, values: Mapping[str, float]) -> Callable[[Array], Array]:
+        """With values of the parameters by name, the frames (m, n + 1, 4, 4) [mm] at postures (m, n), in that of the
+        base: each joint's after it moved, and the tip's with the first measured point as its origin."""
+        q = ca.SX.sym("q", len(self))
+        frames = self._in_base(q, values)[1:]
+        origins = [*(frame.origin for frame in frames[:-1]), self.tool(frames[-1], next(iter(self.tools)), values)]
+        columns = ca.horzcat(*(ca.horzcat(frame.axes, at) for frame, at in zip(frames, origins, strict=True)))
+        placed = vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(columns))]))
 
-        values : of the parameters, in their order
-        """
-        placed = _joint_frames(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
-        frames = np.zeros((*placed.shape[:-2], len(self) + 1, 4, 4))
-        frames[..., 3, 3] = 1.0
-        frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], len(self) + 1, 4), -3, -2)
-        return frames
+        def at(postures: Array) -> Array:
+            matrices = np.zeros((len(postures), len(frames), 4, 4))
+            matrices[:, :, 3, 3] = 1.0
+            matrices[:, :, :3] = placed(postures)[0].reshape(-1, 3, len(frames), 4).swapaxes(1, 2)
+            return matrices
+
+        return at
 
     def tip_frames(self, postures: Array, values: Mapping[str, float] = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
@@ -414,15 +419,6 @@ def _points(chain: KinematicChain, values: tuple[float, ...]) -> Evaluate:
     q = ca.SX.sym("q", len(chain))
     points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.array(values))))
     return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
-
-
-@lru_cache(maxsize=8)
-def _joint_frames(chain: KinematicChain, values: tuple[float, ...]) -> Evaluate:
-    q, named = ca.SX.sym("q", len(chain)), dict(zip(chain.parameters().names, values, strict=True))
-    frames = chain._in_base(q, named)[1:]
-    origins = [*(frame.origin for frame in frames[:-1]), chain.tool(frames[-1], next(iter(chain.tools)), named)]
-    placed = [ca.horzcat(frame.axes, origin) for frame, origin in zip(frames, origins, strict=True)]
-    return vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.horzcat(*placed)))]))
 
 
 @lru_cache(maxsize=8)
