@@ -65,10 +65,11 @@ class ArmModel(Model):
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
-        place, each = Conditions.columns(self.joints, self.remembers), []
+        conditions, each = self.condition_table(np.zeros((1, self.joints)), Conditions())[0], []
+        for name in {"reference", "missing", "errors", "off"} & set(self._columns):  # none is measured or looked up
+            conditions[self._columns[name]] = float(name == "missing")
         for point in range(self.points_read):
-            conditions = np.array(self.neutral_conditions)
-            conditions[place : place + (self.points_read > 1)] = point
+            conditions[self._columns.get("marker", slice(0))] = point
             each.append(self.expressions.position_function(q, ca.DM(conditions), p))
         return ca.vertcat(*each)
 
@@ -109,8 +110,6 @@ class ArmModel(Model):
     def placed(self) -> ArmModel:
         """The same with its measured points in place, and without a sigma for a minimal set of parameters. Raises
         `InputError` for contacts with a surface whose place is not known; warns of points that are assumed."""
-        if self.arm.chain.positions_in_plane:
-            return self
         model = replace(self, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return design_model(minimal(model)) if model.sigma is None and model.prior else model
 
@@ -299,9 +298,8 @@ def design_model(model: Any) -> Any:
 
 def without_prior(arm: Arm) -> Arm:
     """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
-    if arm.chain.planar:
-        return arm
-    return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
+    model = Model(replace(arm, chain=with_points(arm.chain)))
+    return minimal(model, PRACTICAL).arm if model.prior else model.arm
 
 
 def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
