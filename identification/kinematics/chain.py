@@ -398,8 +398,8 @@ class KinematicChain(ByValue):
         return np.swapaxes(points, -1, -2)
 
     def joint_frames(self, values: Array) -> Callable[[Array], Array]:
-        """What gives the frames (..., n + 1, 4, 4) [mm] at postures (..., n), in that of the base: each joint's after it
-        moved, and the tip's with the first measured point as its origin.
+        """What gives the frames (..., n + 1, 4, 4) [mm] at postures (..., n), in that of the base: each of a joint
+        after it moved, and the tip's with the first measured point as its origin.
 
         values : of the parameters, in their order
         """
