@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, information_matrix, nearest, readonly
+from identification import Array, InputError, nearest, readonly
 from identification.information import rounding_share, significant
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
@@ -502,6 +502,14 @@ def _woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array
     inverse = np.asarray(np.linalg.inv(ridged(information)), dtype=np.float64)
     seen = (jacobians.reshape(s, c * d, p) @ inverse).reshape(s, c, d, p)
     return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))
+
+
+def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
+    """(..., p, p) sum_i w_i J_i^T J_i of Jacobians (..., m, d, p); weights (m,) default to one."""
+    *batch, m, d, p = jacobian.shape
+    rows = jacobian if weights is None else jacobian * np.sqrt(np.asarray(weights))[:, None, None]
+    rows = rows.reshape(*batch, m * d, p)
+    return np.swapaxes(rows, -1, -2) @ rows
 
 
 def log_determinants(information: Array) -> Array:

@@ -131,6 +131,7 @@ class Demo:
     identified: Answer
     diagnosed: Answer
     extended: Answer  # the named effect identified, from the drawing
+    validated: Answer  # what that leaves of `fresh`
     gaps: Mapping[
         str, float
     ]  # `fresh_gap_mm` of the JSON object: RMS distances from `fresh`, `noise` of a perfect model
@@ -196,7 +197,8 @@ def run_demo(
     measured("data.csv", design.plan.postures)
     fresh = measured("fresh.csv", random_postures(problem, 200, generator))
     begin()
-    identify, diagnose, compensate = (VERBS[name][0] for name in ("identify", "diagnose", "compensate"))
+    verbs = ("identify", "diagnose", "validate", "compensate")
+    identify, diagnose, validate, compensate = (VERBS[name][0] for name in verbs)
     path, rows = directory / "arm.toml", directory / "data.csv"
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
@@ -230,7 +232,7 @@ def run_demo(
         "targets_as_drawn_mm": rms_distance(drawn),
         "targets_corrected_mm": rms_distance(corrected),
     }
-    answers = identified, diagnosed, extended
+    answers = identified, diagnosed, extended, validate(named, directory / "fresh.csv")
     return Demo(scenario, arm, problem, design, fresh, *answers, gaps, hidden, tuple(files))
 
 
@@ -290,7 +292,7 @@ def demo_document(demo: Demo) -> Document:
         Section("Identification", identified),
         *diagnosed.parts,
         Section("Against the truth", truth),
-        plan_section(arm, demo.design.plan, lead=chosen),
+        plan_section(arm, demo.design.plan, lead=chosen, tests={"fresh.csv": demo.validated.result}),
         Section(
             "The certificate",
             [Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])],

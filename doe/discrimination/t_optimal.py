@@ -16,16 +16,7 @@ from scipy.special import ndtr
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import (
-    Array,
-    Conditions,
-    InputError,
-    Measurements,
-    Model,
-    Plan,
-    Status,
-    readonly,
-)
+from identification import Array, Conditions, InputError, Measurements, Model, Plan, Status, readonly
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis

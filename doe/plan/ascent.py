@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from doe.criteria import information_matrix
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, information_matrix
+from identification import Array
 
 INSIDE = 1e-6  # [rad] constraints are kept by this much: rounding
 

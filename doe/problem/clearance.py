@@ -24,7 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from identification import REVOLUTE, Array
+from doe.problem.model import turns
+from identification import Array
 
 SAMPLES, SELDOM = 1000, 0.02  # random postures that tell what pairs do, and the share of them that is hardly any
 SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
@@ -107,7 +108,7 @@ class Clearance:
         along = np.r_[0.0, 0.0, np.cumsum(steps)]  # from joint 1 to each frame
         far = along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii
         farthest = np.where(self._frames > 0, far, 0.0).max(initial=0.0)
-        turning = np.array(self.model.joint_types) == REVOLUTE
+        turning = turns(self.model)
         return np.where(turning, np.maximum(farthest - along[1:-1], 0.0), 1.0)
 
     # -- distances -----------------------------------------------------------------------------------------------------
@@ -235,7 +236,7 @@ class Clearance:
             normal[:, wall] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), away)
         frames = self.model.joint_frames(postures)[:, :-1]
         along = (frames[..., :3, :3] @ self.model.joint_axes[:, :, None])[..., 0]  # (m, n, 3)
-        turning = (np.array(self.model.joint_types) == REVOLUTE)[:, None]
+        turning = turns(self.model)[:, None]
         moment, force = np.where(turning, along, 0.0), np.where(turning, np.cross(frames[..., :3, 3], along), along)
         slopes, joints = np.zeros((*apart.shape, along.shape[1])), np.arange(1, along.shape[1] + 1)
         for sign, weight, point, frame in (

@@ -28,7 +28,6 @@ from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
 from identification import (
-    JOINT_OFFSET,
     PRISMATIC,
     REVOLUTE,
     Arm,
@@ -477,7 +476,7 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     parameters, rss, stds = fits_of(cell, np.random.default_rng(seed), key["replications"])
     good = np.isfinite(np.c_[parameters, rss]).all(axis=1) & np.isfinite(stds).all(axis=1)
     errors = (parameters[good] - values) @ transform.T
-    turns = [*model.parameters.indices(JOINT_OFFSET).tolist(), *range(unknowns, len(transform))]
+    turns = [*model.parameters.joint_offsets.tolist(), *range(unknowns, len(transform))]
     errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
     stds = stds if len(stds) == 1 else stds[good]
     distances = model.dimension <= 3  # the residuals of orientations are none

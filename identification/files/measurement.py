@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
@@ -354,6 +354,16 @@ class Plan(ByValue):
     def links(self) -> int:
         """n, the number of joints."""
         return int(self.postures.shape[1])
+
+    @property
+    def measured(self) -> Plan:
+        """The same without way-points."""
+        if self.via is None:
+            return self
+        rows = np.flatnonzero(~self.via).tolist()
+        cells = {name: [texts[row] for row in rows] for name, texts in self.cells.items()}
+        weights = None if self.weights is None else self.weights[rows]
+        return replace(self, postures=self.postures[rows], weights=weights, via=None, cells=cells)
 
     @property
     def shares(self) -> Array:

@@ -9,13 +9,12 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from doe.advise import advise
+from doe.advise import advise, with_scatter
 from doe.problem.problem import DesignProblem
 from doe.report.design import advice_document, advice_sentence
 from identification.arm import Arm, Calibration
 from identification.document import Sheet, as_text
 from identification.errors import InputError
-from identification.for_design import with_scatter
 from identification.model import Model
 from identification.reuse import only
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem

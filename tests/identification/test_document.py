@@ -12,13 +12,11 @@ from identification.document import (
     Action,
     Document,
     Pictures,
-    PlanSteps,
     Section,
     Sheet,
     as_sentence,
     as_text,
     estimate_text,
-    facts_sheet,
     html,
     html_lines,
     html_table,
@@ -43,11 +41,11 @@ DOCUMENT = Document(
     ["The verdict.", "", f"Then {NASTY}."],
     [
         f"A paragraph {NASTY}, chi2 1 +- 2.",
-        facts_sheet([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
+        Sheet.facts([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
         Section("Open", [Sheet(["effect", "value [mm]"], [["ripple[k=4]", "1.5"], [NASTY, "-22.75"]]), "After it."]),
         Section("Closed", ["Hidden at first.", Sheet(["a"], [["b"]], "In a fold")], folded=True),
         Section("Seen", [Pictures(figures)]),
-        Section("Stepped through", [PlanSteps({"file": "plan.csv"}, "Step.")]),
+        Section("Stepped through", [Pictures(lambda: ["Step."])]),
         Sheet(["never"], []),
     ],
     [Action("Go on:", "armcal check <b>"), Action("Or stop.")],
@@ -151,7 +149,7 @@ def test_cells_come_out_as_they_went_in_and_long_ones_may_be_broken() -> None:
     assert html_table(["h"], [["x" * 25]]).count('class="text"') == 2  # with its heading
     assert 'class="text"' not in html_table(["h"], [["x" * 24]])
     assert html_lines(["1 < 2", "two"], strong=True) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
-    facts = html(facts_sheet([("a<b", "1 & 2 +- sigma")]))
+    facts = html(Sheet.facts([("a<b", "1 & 2 +- sigma")]))
     assert (facts.count("<tr>"), ">a&lt;b</th>" in facts, ">1 &amp; 2 ± σ</td>" in facts) == (1, True, True)
 
 

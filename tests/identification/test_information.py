@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from doe.criteria import information_matrix
 from identification.arm import Arm, EffectSpec
 from identification.information import (
     Identifiability,
@@ -14,7 +15,6 @@ from identification.information import (
     covariances,
     describe,
     identifiability,
-    information_matrix,
     sparse_basis,
     spectrum,
 )

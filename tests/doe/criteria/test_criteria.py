@@ -21,6 +21,7 @@ from doe.criteria import (
     PowerMean,
     Worst,
     criterion,
+    information_matrix,
     inverses,
     log_determinants,
 )
@@ -28,7 +29,7 @@ from doe.problem.problem import DesignProblem
 from identification import Plan
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.information import information_matrix, spectrum
+from identification.information import spectrum
 from identification.model import Model
 
 P = 6

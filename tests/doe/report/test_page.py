@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from doe.design import score
 from doe.problem.problem import DesignProblem
-from doe.report.page import page, page_picture, strips, svg
+from doe.report.page import PlanSteps, page, page_picture, strips, svg
 from identification import load_plan
-from identification.document import Action, Document, PlanSteps, Section, Sheet
+from identification.document import Action, Document, Section, Sheet
 from identification.documents.diagnosis import estimate_rows
 from identification.files.arm import load_arm
 from identification.model import Model
@@ -70,7 +70,7 @@ def test_everything_is_escaped_and_nothing_is_fetched(pages: Folder) -> None:
     assert "<i>" not in text
     assert 'onerror="' not in text
     assert "http" not in text.replace("http-equiv", "").replace("http://www.w3.org/", "").lower()
-    parts = [NASTY, Sheet([NASTY], [[NASTY]], NASTY), PlanSteps({"x": NASTY}, NASTY)]
+    parts = [NASTY, Sheet([NASTY], [[NASTY]], NASTY), PlanSteps(lambda: [NASTY], {"x": NASTY})]
     bare = page(Document(NASTY, [NASTY], [Section(NASTY, parts)], [Action(NASTY, NASTY)], [NASTY]))
     assert NASTY not in bare
     assert bare.count("<script>") == 1

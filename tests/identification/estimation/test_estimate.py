@@ -7,22 +7,20 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from doe.criteria import information_matrix
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, without_outliers
-from identification.information import information_matrix
-from identification.measurements import Measurements, load_measurements
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.running import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 
-UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"
 DOCUMENTED_KEYS = {"parameters", "corrected_values", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
 DOCUMENTED_KEYS |= {"status", "warnings", "outlier_rows", "scatter_mm", "intervals", "clusters"}
 DOCUMENTED_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method", "expected_tip_mm"}
@@ -277,15 +275,6 @@ def test_bad_arguments() -> None:
 
 
 # -- real data -------------------------------------------------------------------------------------------------------
-@pytest.mark.skipif(not UR10.exists(), reason="the UR10 data are not here")
-def test_ur10() -> None:
-    """Figures of an independent fit (identification/README.md, "Real data")."""
-    model = Model(Arm([612.0, 572.3, 115.7], effects=(EffectSpec("base_offset"),)))
-    found = estimate(model, load_measurements(UR10, 3))
-    assert found.rms_before == pytest.approx(0.569, abs=5e-4)
-    assert found.rms_after == pytest.approx(0.413, abs=5e-4)
-    np.testing.assert_allclose(model.arm.lengths + found.length_errors, [612.61, 571.97, 115.95], rtol=0, atol=5e-3)
-    assert found.not_identifiable == ()
 
 
 def test_rows_are_numbered_as_given_and_the_fit_is_that_of_the_others() -> None:

@@ -104,12 +104,11 @@ def test_postures_like_those_measured_fill_no_box_of_angles() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*columns are not used")  # orientations
-@pytest.mark.parametrize("series", ["A", "C"])
-def test_a_real_robot_is_off_by_what_is_said(series: str) -> None:
-    """40 rows of a sample of the UR10's sessions, five times, against the fit of the others: what is said is right to
+def test_a_real_robot_is_off_by_what_is_said() -> None:
+    """40 rows of a sample of a session of the UR10, five times, against the fit of the others: what is said is right to
     a third. Random angles within those measured would be 4 times as far off: its postures fill no box of angles."""
     robot = load_arm(UR10 / "ur10.toml")
-    rows, model = load_measurements(UR10 / f"series_{series}.csv", robot), Model(robot)
+    rows, model = load_measurements(UR10 / "series_A.csv", robot), Model(robot)
     generator, said, off = np.random.default_rng(15), [], []
     for _ in range(5):
         order = generator.permutation(len(rows))

@@ -191,7 +191,6 @@ def test_values_of_settings_and_their_weights() -> None:
     ("name", "joint", "values"),
     [
         ("link_jump", 2, {"at": 0.1, "d": 0.4}),
-        ("settling", None, {"x": 0.8, "tau": 0.15}),
         ("lag", 2, {"c": 4e-4}),
     ],
 )

@@ -194,3 +194,16 @@ def test_contacts_have_no_unit(instrument: Instrument) -> None:
     arm = Arm(replace(CHAIN, instrument=instrument))
     postures = np.random.default_rng(6).uniform(-2.0, 2.0, (60, 3))
     assert data_warnings(Measurements(postures, np.full((60, 1), instrument.touched)), arm) == []
+
+
+@pytest.mark.parametrize("wild", [0.5, 40.0, 5e3])
+def test_rows_that_are_wild_hide_no_unit(wild: float) -> None:
+    """Metres in `_mm` columns, and three of twenty rows anywhere within this many."""
+    for arm, good in ((ARM, measured(20)), (PLANAR, simulated(3.0).rows(slice(20)))):
+        lost = np.random.default_rng(5).uniform(-wild, wild, (3, arm.dimension))
+        metres = good.positions / 1000.0
+        metres[[2, 9, 16]] = lost
+        said = wrong_units(replace(good, positions=metres), arm)[0]
+        assert len(said) == 1
+        assert "they agree if the positions are in metres" in said[0]
+        assert ratio(said[0]) == pytest.approx(1000.0, rel=0.01)
