@@ -34,7 +34,7 @@ from identification import (
     silent,
     with_effects,
 )
-from identification.document import Action, Answer, Document, Part, Pictures, Section, Sheet, number
+from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
 from identification.documents.pictures import Compared
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
@@ -252,7 +252,7 @@ def demo_document(demo: Demo) -> Document:
     before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
     calibrated = demo.extended.result.calibrated_arm()
     compared = Compared(calibrated, fresh.postures, before, after, fresh.conditions, Model(calibrated), named)
-    identified: list[Part] = [
+    identified: list[Any] = [
         Sheet(("RMS error [mm]", "on the data", "on 200 fresh postures"), rows),
         "From simulated measurements of an arm whose true errors the fit does not know.",
         compared.pictures("the geometry identified", f"the model {last}" if named else "the same model"),
@@ -272,7 +272,7 @@ def demo_document(demo: Demo) -> Document:
         f"hidden arm from {hidden['targets_reached']} targets, sent there as drawn": "targets_as_drawn_mm",
         "... sent there with the corrected commands": "targets_corrected_mm",
     }
-    truth: list[Part] = [
+    truth: list[Any] = [
         "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only.",
         Sheet(("parameter", "value", "low 95 %", "high 95 %", "truth", "unit"), values),
         Sheet(
