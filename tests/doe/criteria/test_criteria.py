@@ -161,13 +161,6 @@ def test_gain_of_adding_a_block(phi: Criterion) -> None:
     np.testing.assert_allclose(apart, np.repeat(apart[:, :1], 7, axis=1), rtol=1e-6, atol=1e-6)
 
 
-def test_power_means_lie_between_a_and_e() -> None:
-    information = random_information(np.random.default_rng(9))
-    assert float(PowerMean(1.0).value(information)) == pytest.approx(-P / float(A().value(information)))
-    smallest = float(E().value(information))
-    assert smallest <= float(PowerMean(32.0).value(information)) <= smallest * P ** (1 / 32)
-
-
 def test_stand_ins_of_criteria_without_derivatives() -> None:
     """Gradient methods climb Phi_32 instead of E, exchange compares by Phi_8; a smooth criterion stands for itself."""
     assert E().smooth == PowerMean(32.0)

@@ -56,11 +56,6 @@ def test_bad_input(start: float, stop: float, values: np.ndarray, message: str) 
         ErrorCurve(start, stop, values)
 
 
-def test_equal_by_value() -> None:
-    assert ErrorCurve(-0.5, 1.7, VALUES.copy()) == SMOOTH
-    assert ErrorCurve(-0.5, 1.8, VALUES) != SMOOTH
-
-
 def test_whole_turns_away_it_is_the_same() -> None:
     """Also for angles that lie a turn from where they were measured; between the ends and there it is zero."""
     curve = ErrorCurve(-1.0, 1.5, np.random.default_rng(2).standard_normal(20))

@@ -217,22 +217,6 @@ def test_calibrated_arm_computes_what_was_fitted() -> None:
     np.testing.assert_allclose(again.parameters, found.parameters, rtol=0, atol=1e-9)
 
 
-def test_result_is_read_only_and_prints() -> None:
-    found = estimate(Model(arm(EffectSpec("base_rotation"))), data(Model(arm()), plan(20)))
-    for values in (found.parameters, found.identifiable):
-        with pytest.raises(ValueError, match="read-only"):
-            values[0] = 1.0
-    text, page = str(found), found._repr_html_()
-    assert "joint_offset:1 + base_rotation.angle" in text
-    assert "nan" not in text
-    assert max(map(len, text.splitlines())) <= 130
-    parameters = page.split("</table>")[0]
-    assert parameters.count("<tr>") == 1 + len(found.names)
-    value, std = (row[found.names.index("joint_offset:2")] for row in np.degrees([found.parameters, found.std]))
-    shown = f"{value:.{2 - int(np.floor(np.log10(std)))}f}"  # to the third digit of the standard deviation
-    assert f">joint_offset:2</td><td>{shown}</td>" in parameters.replace(' data-heading="value"', "")
-
-
 # -- refusals --------------------------------------------------------------------------------------------------------
 
 
@@ -296,12 +280,3 @@ def test_rows_are_numbered_as_given_and_the_fit_is_that_of_the_others() -> None:
     assert calls[-1] == 37
     expected = scipy_fit(model, measured.rows(np.delete(np.arange(40), [2, 5, 8])))
     np.testing.assert_allclose(found.parameters, expected.x, atol=1e-7)
-
-
-def test_nothing_is_left_out_of_clean_rows_and_what_the_fit_refuses_is_refused() -> None:
-    model = Model(Arm([260.0, 180.0], sigma=0.1))
-    rows = Measurements(plan(20)[:, :2], np.zeros((20, 2)))
-    clean = Measurements(rows.postures, model.position(rows.postures, model.values, rows.conditions))
-    assert without_outliers(lambda given: estimate(model, given), clean)[1] == ()
-    with pytest.raises(InputError):
-        without_outliers(lambda given: estimate(model, given, method="guess"), clean)

@@ -120,13 +120,6 @@ def test_a_real_robot_is_off_by_what_is_said() -> None:
     assert np.sqrt(np.mean(said) / np.mean(off)) == pytest.approx(1.0, abs=1.0 / 3.0)
 
 
-def test_what_is_not_identifiable_has_no_expected_error() -> None:
-    model = Model(limited())
-    found = estimate(model, data(model, np.tile(plan(1), (6, 1))))
-    assert found.not_identifiable
-    assert (found.expected_tip, found.to_json()["expected_tip_mm"]) == (None, None)
-
-
 @pytest.mark.parametrize(
     ("instrument", "said"),
     [(Distance(), ""), (Sphere(15.0), ""), (Sphere(), "give radius_mm"), (Plane(), "only [machining] tells")],

@@ -164,11 +164,3 @@ def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: in
         np.testing.assert_allclose(entry["range_deg"], np.degrees([q[:, joint].min(), q[:, joint].max()]))
         said = findings({"shape": None, "misfit": None, "replication": (), "shapes": [entry]})[0]
         assert said.startswith(f"Over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved, ")
-
-
-def test_other_effects_are_no_waves() -> None:
-    q = np.random.default_rng(4).uniform(-0.3, 0.3, (40, 2))
-    arm = Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1), EffectSpec("base_drift")))
-    z = (LENGTHS * np.exp(1j * np.cumsum(q, axis=1))).sum(axis=1)
-    rows = Rows.of(Measurements(q, np.column_stack([z.real, z.imag])))
-    assert order_ranges(fit(Model(arm), rows), ("gear_ratio:1", "base_drift")) == ()
