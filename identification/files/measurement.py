@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -384,6 +384,13 @@ class Plan(ByValue):
     def displayed(self) -> Array:
         """(m, n) postures in `units`, as the controller counts."""
         return readonly(np.column_stack([*self.columns.values()]))
+
+    @classmethod
+    def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
+        """The plan whose `displayed` postures (m, n) are these."""
+        units = [UNITS[_kind(joint_types, j)] for j in range(1, len(joint_types) + 1)]
+        scaled = displayed * [next(iter(each.values())) for each in units]
+        return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each posture, as in a plan file; polars or pandas."""

@@ -21,6 +21,13 @@ def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:
     return load_plan(tmp_path / "plan.csv", links)
 
 
+def test_postures_in_the_units_that_are_displayed() -> None:
+    types, postures = ("revolute", "prismatic"), np.array([[np.pi, 250.0]])
+    plan = Plan(postures, joint_types=types)
+    np.testing.assert_array_equal(plan.displayed, [[180.0, 250.0]])
+    np.testing.assert_array_equal(Plan.of_displayed(plan.displayed, types).postures, postures)
+
+
 def test_text_is_as_documented() -> None:
     assert Plan(np.radians([[30, -60], [90, 0]])).text() == "run,q1_deg,q2_deg\n1,30.0,-60.0\n2,90.0,0.0\n"
     assert Plan([[0.0], [np.pi]], [0.25, 0.75]).text() == "run,q1_deg,weight\n1,0.0,0.25\n2,180.0,0.75\n"
