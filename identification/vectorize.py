@@ -59,7 +59,8 @@ def vectorize(function: ca.Function) -> Evaluate:
             outputs = compiled([_components(a, part) for a in inputs])
             for array, values, place in zip(full, outputs, places, strict=True):
                 for value, (row, column) in zip(values, place, strict=True):
-                    array[row, column, *part] = value
+                    where: tuple[int | slice, ...] = (row, column, *part)
+                    array[where] = value
         return tuple(array.transpose(*range(2, array.ndim), 0, 1) for array in full)
 
     return evaluate
