@@ -173,7 +173,7 @@ def test_cups_of_two_days_are_others() -> None:
         (day, next_day, ("tuesday/A", (0.0, 99.0, 0.0)), ("tuesday/B", (0.0, 400.0, 0.0))), (("A", "B", 301.0),)
     )
     assert len(socket.parameters) == 10
-    socket = replace(socket, cups=(day, ("tuesday/B", (300.0, 0.0, 0.0))))
+    socket = replace(socket, at=(day, ("tuesday/B", (300.0, 0.0, 0.0))))
     assert len(socket.parameters) == 6
 
 
