@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -216,8 +217,8 @@ def plan_section(
     title = f"The plan {name}".rstrip()
     if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem, tests)) is not None:
         return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip()], steps)])
-    sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
-    return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
+    sentence = f"{lead} {len(plan.measured)} runs, too many or weighted: drawn only."
+    return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.measured.postures)])])
 
 
 def plan_steps(
@@ -235,7 +236,12 @@ def plan_steps(
         array = np.asarray(values, dtype=float)
         return np.array([float(f"{value:.{digits}g}") for value in array.ravel()]).reshape(array.shape).tolist()
 
-    problem = DesignProblem.of(Model(arm))
+    # way-points belong to the move to the run after them, and are kept as long as the run before it stays the same
+    ends = [-1, *np.flatnonzero(np.ones(len(plan), dtype=bool) if plan.via is None else ~plan.via)]
+    ways = [range(start + 1, end) for start, end in pairwise(ends)]
+    via = [plan.postures[list(way)].tolist() for way in ways]
+    texts = [*zip(*plan.cells.values(), strict=True)]
+    problem, plan = DesignProblem.of(Model(arm)), plan.measured
     numbers = len(plan) * problem.model.dimension * problem.parameters
     # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
     if plan.weights is not None or len(plan) > 200 or numbers > 150_000:
@@ -249,6 +255,7 @@ def plan_steps(
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
+        "ways": [[texts[row] for row in way] for way in ways],
         "joints": posture_headings(plan),
         "postures": rounded(plan.displayed, 6),
         "jacobians": rounded(problem.scaled_jacobians(plan.postures).reshape(len(plan), -1), 12),
@@ -258,7 +265,7 @@ def plan_steps(
         "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
     }
     model: Any = problem.model
-    return steps if arm.chain.planar else steps | {"scene": scene(model, plan.postures, tests)}
+    return steps if arm.chain.planar else steps | {"scene": scene(model, plan.postures, via, tests)}
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------

@@ -117,17 +117,6 @@ def test_figures_end_at_the_right_and_words_begin_at_the_left() -> None:
     assert {line.index(row[3]) + len(row[3]) for line, row in zip(lines, rows, strict=True)} == {head.index("miss") + 4}
 
 
-@pytest.mark.parametrize("width", [30, 80])
-def test_no_figure_is_cut_off_where_there_is_no_room(width: int) -> None:
-    row = [f"-{k}234.5678" for k in range(1, 8)]
-    text = as_text(Sheet([*"abcdefg"], [row]), width)
-    assert max(map(len, text.splitlines())) <= width
-    digits = [character for character in "".join(text.split()) if character.isdigit()]
-    assert sorted(digits) == sorted(character for cell in row for character in cell if character.isdigit())
-    if width == 80:
-        assert all(cell in text for cell in row)
-
-
 def test_long_tables_are_cut_and_say_so() -> None:
     rows = [[str(k)] for k in range(300)]
     cut, whole = Sheet(["run"], rows, most=3), Sheet(["run"], rows)

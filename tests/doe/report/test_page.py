@@ -189,19 +189,6 @@ def test_a_page_prints(pages: Folder, opened: Any) -> None:
     printed.close(address)
 
 
-def test_wide_pictures_are_stacked_on_a_phone(pages: Folder, opened: Any) -> None:
-    """The columns of a picture stand below each other in the width of the phone, and nothing is scrolled sideways."""
-    address = (pages.path / "page.html").as_uri()
-    for width, shown in ((390, True), (1200, False)):
-        watched = Watched(opened, address, viewport={"width": width, "height": 800})
-        strips = watched.page.locator(".strip").all()
-        assert strips
-        boxes = [strip.bounding_box() for strip in strips if strip.is_visible()]
-        assert len(boxes) == (len(strips) if shown else 0)
-        assert all(box["x"] >= 0.0 and box["x"] + box["width"] <= width and box["width"] > 250.0 for box in boxes)
-        watched.close(address)
-
-
 def test_strips_part_a_picture_between_its_columns() -> None:
     figure = Figure(figsize=(10.0, 3.0), layout="constrained")
     figure.subplots(2, 3)
