@@ -114,7 +114,7 @@ def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
     """
     vertices, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
     low, size = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-6)
-    weights = np.ones(len(vertices))  # of the vertices that are one, how many
+    weights: Array = np.ones(len(vertices))  # of the vertices that are one, how many
     cells = 2.0**14 if len(triangles) <= most else 2.0 * most**0.5  # along the longest side
     while True:
         places = np.floor((vertices - low) * (cells / size)).astype(np.int64)
