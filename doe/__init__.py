@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any
 
 _PLACES = {
@@ -16,6 +17,8 @@ _PLACES = {
     "solve": "doe.solvers",
 }
 __all__ = sorted(_PLACES)
+# what the environment of a new process says for one thread
+SINGLE_THREAD = MappingProxyType(dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 
 def __getattr__(name: str) -> Any:

@@ -33,7 +33,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import polars as pl
 
-from identification import SINGLE_THREAD, InputError, JobError, Progress, silent
+from doe import SINGLE_THREAD
+from identification import InputError, JobError, Progress, silent
 from identification.files.io import check_writable, write_together
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on

@@ -28,40 +28,38 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "gap.result": "Diagnosis",
     "gap.detectability": "Detectability detectability",
     # what designs need
-    "for_design": "with_scatter NEEDS_SIGMA ArmModel design_model refuse_contacts with_points without_prior",
-    "information": "identifiability information_matrix spectrum",
+    "for_design": "ArmModel design_model with_points without_prior",
+    "information": "identifiability spectrum",
     # errors, progress, arrays
-    "errors": "ArmcalError InputError JobError in_one_line nearest",
-    "running": "SINGLE_THREAD Progress Status additions silent single_thread",
+    "errors": "ArmcalError InputError JobError nearest",
+    "running": "Progress Status additions silent",
     "arrays": "Array readonly",
 }
 _PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items() for name in names.split()}
 __all__ = sorted(_PLACES)
 
 if TYPE_CHECKING:  # the same for type checkers
+    from doe.criteria import information_matrix
     from identification.arm import LARGEST_MASS, Arm, Calibration, EffectSpec, Gravity
     from identification.arrays import Array, readonly
     from identification.campaign import Campaign
     from identification.effects import library
-    from identification.errors import ArmcalError, InputError, JobError, in_one_line, nearest
+    from identification.errors import ArmcalError, InputError, JobError, nearest
     from identification.estimation import Identification, estimate, estimate_batch, estimate_each
     from identification.estimation.uncertainty import freedom_of, quantile_95
     from identification.files.arm import arm_from_tables, dump_arm, load_arm, with_effects
     from identification.files.csv import csv_text
     from identification.files.measurement import Plan, load_plan
     from identification.for_design import (
-        NEEDS_SIGMA,
         ArmModel,
         design_model,
-        refuse_contacts,
         with_points,
-        with_scatter,
         without_prior,
     )
     from identification.gap.detectability import Detectability, detectability
     from identification.gap.diagnose import diagnose
     from identification.gap.result import Diagnosis
-    from identification.information import identifiability, information_matrix, spectrum
+    from identification.information import identifiability, spectrum
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
     from identification.kinematics.counting import turned_into
     from identification.kinematics.parameters import (
@@ -77,7 +75,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.measurements import Conditions, Measurements, load_measurements, rms_distance
     from identification.model import Model
     from identification.model.minimal import practical
-    from identification.running import SINGLE_THREAD, Progress, Status, additions, silent, single_thread
+    from identification.running import Progress, Status, additions, silent
     from identification.workflow import load_sessions
 
 

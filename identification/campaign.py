@@ -130,7 +130,7 @@ class Campaign:
         if touched or any(column in table for column in columns):
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
-        self.plans[name] = load_plan(path, arm.joint_types)
+        self.plans[name] = load_plan(path, arm.joint_types, vias=True)
         return "plan"
 
     # -- models and measurements ---------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ class Campaign:
         lines += [identification_verdict(data) for data in self.results["identify"].values()]
         designs = self.results["design"].values()
         lines += [self.judge(data) for data in designs if self.judge is not None]
-        lines += [f"The plan {name} has {len(p.postures)} runs." for name, p in self.plans.items() if not designs]
+        lines += [f"The plan {name} has {len(p.measured)} runs." for name, p in self.plans.items() if not designs]
         lines += [commanded_in_words(name, table) for name, table in self.commands.items()]
         return lines or [f"{name}: {kind}." for name, kind in self.kinds.items()]
 

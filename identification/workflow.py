@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
-from identification.document import Answer, Document, picture_bytes
+from identification.document import Answer, Document
 from identification.errors import InputError, nearest
 from identification.files.io import PathLike, read_text, read_toml, write_together
 from identification.running import Progress, Status, silent
@@ -670,7 +670,7 @@ def validate_files(
     if picture is not None:
         from identification.documents.pictures import validation_figure
 
-        write_together({picture: picture_bytes(validation_figure(validation), picture)}, force)
+        write_together({picture: validation_figure(validation)}, force)
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 

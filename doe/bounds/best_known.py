@@ -11,13 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
+from doe.criteria import information_matrix
 from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, JobError, information_matrix, single_thread
+from identification import Array, JobError
 
 
 def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> Bound | None:
@@ -32,7 +34,7 @@ def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> B
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
     try:
-        with single_thread():
+        with threadpool_limits(limits=1, user_api="blas"):
             numerical = best_design(problem, runs, stop=stop).bound
     except (JobError, np.linalg.LinAlgError):  # the latter: information that is singular to rounding
         return closed

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from doe.criteria import D
 from doe.problem.problem import DesignProblem, PriorInformation
-from identification import PRISMATIC, Array, Plan, Status
+from identification import Array, Plan, Status
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one
@@ -197,7 +197,7 @@ class ApproximateDesign:
 
         Where a joint is prismatic, `posture` and `joint_units` stand for `posture_deg`.
         """
-        prismatic = PRISMATIC in self.plan.joint_types
+        prismatic = "mm" in self.plan.units
         key = "posture" if prismatic else "posture_deg"
         carried = zip(self.plan.displayed.tolist(), self.plan.shares.tolist(), strict=True)
         numbers = {name: getattr(self, name) for name in ("value", "log_det", "gap", "efficiency_lower_bound")}

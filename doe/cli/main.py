@@ -12,9 +12,10 @@ from typing import Any
 
 import click
 
+from doe import SINGLE_THREAD
 from doe.cli.plans import VERBS as PLANS
-from doe.cli.verb import no_output, verb
-from identification import SINGLE_THREAD, InputError, in_one_line, nearest
+from doe.cli.verb import in_one_line, no_output, verb
+from identification import InputError, nearest
 from identification.document import Answer
 from identification.workflow import VERBS as DATA
 

@@ -20,7 +20,7 @@ import click
 
 from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
 from identification import InputError, Progress, load_sessions, nearest, silent
-from identification.document import Answer, Document, Sheet, picture_bytes
+from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
 from identification.workflow import Picture, Written
 
@@ -131,8 +131,7 @@ def written(
     contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
     """
     wanted = {path: content for path, content in contents.items() if path is not None}
-    files = {path: picture_bytes(c(), path) if callable(c) else c for path, c in wanted.items()}
-    write_together(files, force=force)
+    write_together(wanted, force=force)
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
@@ -285,7 +284,7 @@ def score_files(
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
-    from identification import Model, detectability, load_arm, load_plan, without_prior
+    from identification import Model, design_model, load_arm, load_plan
 
     loaded = load_arm(arm)
     judged = load_plan(plan, loaded.joint_types)
@@ -303,7 +302,7 @@ def score_files(
     pictures: dict[Path | None, Any] = {picture: drawing("plan_figure", loaded, judged.postures)}
     sees = None
     try:
-        sees = detectability(without_prior(loaded), judged.postures)
+        sees = design_model(Model(loaded)).detectability(judged.postures)
         tables: list[Any] = [*sees.document().parts]
         pictures[aliases] = sees.figure
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
@@ -348,10 +347,10 @@ def advise_files(
     seconds : Time budget of all numbers of runs together [s].
     picture : Write the curve as .png, .svg or .pdf.
     """
-    from doe.advise import advise
+    from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import Model, load_arm, with_scatter
+    from identification import Model, load_arm
     from identification.reuse import only as only_these
 
     loaded, given_sigma = with_scatter(load_arm(arm))
@@ -581,7 +580,7 @@ def discriminate_files(
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
-    from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm, refuse_contacts
+    from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm
 
     loaded, masses = load_arm(arm), None
     if payloads is not None:
@@ -594,7 +593,7 @@ def discriminate_files(
         if loaded.gravity is None:
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = load_sessions(data, loaded)
-    refuse_contacts(loaded.chain)
+    loaded.chain.refuse_contacts()
     problem = DesignProblem.of(Model(loaded))
     postures, fewest = len(set(measurements.posture_numbers.tolist())), problem.fewest_runs
     if postures < fewest:

@@ -17,8 +17,8 @@ import casadi as ca
 import numpy as np
 
 from doe.problem.clearance import Clearance, Slopes
-from doe.problem.model import Offers, offered, offers
-from identification import REVOLUTE, Array, InputError, design_model
+from doe.problem.model import PRISMATIC, Offers, offered, offers
+from identification import Array, InputError, design_model
 from identification.vectorize import vectorize
 
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
@@ -155,7 +155,7 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
 def within_column(model: Offers, limit: Any, q: ca.SX) -> ca.SX:
     """(2,) A joint that the controller counts together with others stays within its limits; an angle is the distance
     that it is at full reach."""
-    unit = model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0
+    unit = 1.0 if model.joint_types[limit.joint - 1] == PRISMATIC else model.reach
     column = sum((c * q[j] for j, c in enumerate(limit.coefficients) if c), ca.SX(0.0))
     return unit * ca.vertcat(column - limit.lower, limit.upper - column)
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from identification import Array, InputError, ParameterSet
 
@@ -98,7 +98,17 @@ class Offers(Protocol):
     theorem_joints: tuple[int, ...] | None
 
 
+PRISMATIC = "prismatic"  # the joint type whose position is a length
+NEEDS_SIGMA = (  # the end of a sentence
+    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
+    "or what the standard deviation of one coordinate is [mm]"
+)
 REQUIRED = (*DesignModel.__annotations__, "symbolic_position")
+
+
+def turns(model: DesignModel) -> NDArray[np.bool_]:
+    """(n,) True for joints that turn: their positions are angles [rad], of the others lengths [mm]."""
+    return np.array([kind != PRISMATIC for kind in model.joint_types])
 
 
 def check_model(model: Any) -> None:

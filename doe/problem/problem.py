@@ -21,10 +21,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from doe.criteria import Criterion, D
+from doe.criteria import Criterion, D, information_matrix
 from doe.problem.constraints import Constraint, Derivatives, Walls, constraints_of
-from doe.problem.model import DesignModel, check_model, offers
-from identification import EFFECT, NEEDS_SIGMA, PRISMATIC, Array, InputError, design_model, information_matrix, readonly
+from doe.problem.model import NEEDS_SIGMA, DesignModel, check_model, offers, turns
+from identification import Array, InputError, design_model, readonly
 from identification.vectorize import vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
@@ -164,8 +164,7 @@ class DesignProblem:
 
         1 rad of a revolute joint; of a prismatic one [mm] such that its range counts as one turn.
         """
-        prismatic = [joint_type == PRISMATIC for joint_type in self.model.joint_types]
-        return np.where(prismatic, (self.upper - self.lower) / (2.0 * np.pi), 1.0)
+        return np.where(turns(self.model), 1.0, (self.upper - self.lower) / (2.0 * np.pi))
 
     def comparable(self, postures: Array) -> Array:
         """(..., n) postures in `joint_units`, in which one tolerance [rad] holds for every joint."""
@@ -174,7 +173,7 @@ class DesignProblem:
     @property
     def spacing(self) -> str:
         """The minimum distance in words."""
-        stroke = " (360 deg: the range of a prismatic joint)" if PRISMATIC in self.model.joint_types else ""
+        stroke = "" if turns(self.model).all() else " (360 deg: the range of a prismatic joint)"
         return f"{np.degrees(self.minimum_distance):g} deg{stroke}"
 
     @property
@@ -190,7 +189,7 @@ class DesignProblem:
     @property
     def missing(self) -> tuple[str, ...]:
         """Names of the parameters of effects that may be missing, which have a prior."""
-        return tuple(p.name for p in self.model.parameters if p.kind == EFFECT and p.name in self.deviations)
+        return tuple(p.name for p in self.model.parameters if p.of_effect and p.name in self.deviations)
 
     @property
     def fewest_runs(self) -> int:

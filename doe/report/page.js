@@ -4,9 +4,9 @@
 const KEYS = "Tap or click a run to select it; the buttons above act on the selected run. Keys in the table: " +
   "↑ and ↓, Page Up, Page Down, Home and End select; Alt with ↑ or ↓ moves the run; Delete strikes it out or puts it back. " +
   "Without it: the D-efficiency that is left without this run.";
-const KEYS_IN_SPACE = " Drag turns the view, two fingers or the right button move it; pinch, or click and turn the wheel, for nearer. " +
-  "Keys in the picture: ← and → step, Space plays, Delete strikes out; Shift with an arrow turns the view, W, A, S and D move it, " +
-  "+ and − are nearer and farther, 0 is the first view.";
+const KEYS_IN_SPACE = " Click a point in the picture to select its run; drag to turn the view, with two fingers or the right button to move it; pinch, or click and use the wheel, " +
+  "to zoom. Keys in the picture: ← and → step, Space plays, Delete strikes out; Shift with an arrow turns the view, W, A, S and D " +
+  "move it, + and − zoom, 0 goes back to the first view.";
 const [PLAY, PAUSE] = ["▶ Play", "❚❚ Pause"];
 const SPEED = { revolute: Math.PI / 2, prismatic: 300 }; // a second, of the moves that are played
 
@@ -115,9 +115,16 @@ class Steps {
     this.cell = new Cell(this.left, this.plan);
     place.classList.add("live");
     this.keys.textContent += KEYS_IN_SPACE;
-    this.cell.canvas.setAttribute("aria-describedby", this.keys.id);
-    this.cell.canvas.addEventListener("keydown", event => (this.cell.key(event) ? event.preventDefault() : this.key(event)));
-    this.cell.canvas.addEventListener("webglcontextlost", () => place.classList.remove("live"));
+    const { canvas } = this.cell;
+    canvas.setAttribute("aria-describedby", this.keys.id);
+    canvas.addEventListener("keydown", event => (this.cell.key(event) ? event.preventDefault() : this.key(event)));
+    canvas.addEventListener("webglcontextlost", () => place.classList.remove("live"));
+    let from;
+    canvas.addEventListener("pointerdown", event => { from = [event.offsetX, event.offsetY]; });
+    canvas.addEventListener("click", event => {
+      const run = Math.hypot(event.offsetX - from[0], event.offsetY - from[1]) < 5 ? this.cell.runAt(event) : undefined;
+      if (run !== undefined) { this.at = this.order.indexOf(run); this.show(); }
+    });
   }
 
   // which errors are shown as arrows, of which measurements
@@ -145,7 +152,10 @@ class Steps {
   // place of the next run that is kept, -1: there is none
   get next() { return this.order.findIndex((run, place) => place > this.at && !this.struck.has(run)); }
 
-  // joint positions from the current run to the next one; way-points belong to the move that the file has
+  // whether the move to a place among the runs that are kept is that of the file, which its way-points belong to
+  follows(place) { return (this.kept[place - 1] ?? -1) === this.kept[place] - 1; }
+
+  // joint positions from the current run to the next one
   get way() {
     const { postures, via } = this.plan.scene, from = this.order[this.at], to = this.order[this.next];
     return to === undefined ? [] : [postures[from], ...(to === from + 1 ? via[to] : []), postures[to]];
@@ -258,6 +268,8 @@ class Steps {
       facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
     } else facts["log det M'"] = "not every parameter can be identified";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
+    const moves = kept.filter((run, place) => place && !this.follows(place)).length;
+    if (this.plan.scene && moves) facts["moves that are new, not looked at"] = moves;
     const said = JSON.stringify(facts);
     if (said === this.said) return; // or it would be read aloud again
     this.said = said;
@@ -340,7 +352,8 @@ class Steps {
 
   get csv() {
     const quoted = cell => (/[",\r\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell);
-    const lines = [["run", ...this.plan.columns], ...this.kept.map((run, k) => [String(k + 1), ...this.plan.rows[run]])];
+    const rows = this.kept.flatMap((run, k) => [...(this.follows(k) ? this.plan.ways[run] : []), this.plan.rows[run]]);
+    const lines = [["run", ...this.plan.columns], ...rows.map((row, k) => [String(k + 1), ...row])];
     const comment = this.plan.comment ? this.plan.comment + "\n" : "";
     return comment + lines.map(line => line.map(quoted).join(",") + "\n").join("");
   }
@@ -354,10 +367,10 @@ class Steps {
   }
 }
 
-for (const place of document.querySelectorAll("[data-plan]")) {
+const plans = [...document.querySelectorAll("[data-plan]")].map(place => {
   place.replaceChildren();
-  new Steps(place, JSON.parse(document.getElementById(place.dataset.plan).textContent));
-}
+  return new Steps(place, JSON.parse(document.getElementById(place.dataset.plan).textContent));
+});
 
 // all of a printed page is to be read
 const folded = [...document.querySelectorAll("details")];

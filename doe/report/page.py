@@ -13,14 +13,15 @@ import io
 import platform
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from identification.document import Document, PlanSteps, Section, Sheet, html
+from identification.document import Document, Pictures, Section, Sheet, html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,6 +29,13 @@ if TYPE_CHECKING:
 NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; columns of wider ones stand below each other
 # colours of figures -> those of the page, light or dark
 COLORS = {"#000000": "var(--ink)", "#ffffff": "none", "#c44e52": "var(--before)", "#2a6f97": "var(--after)"}
+
+
+@dataclass(frozen=True)
+class PlanSteps(Pictures):
+    """A plan to be stepped through (page.js): its data as the script reads them, and in its place a caption."""
+
+    data: Mapping[str, Any] = field(default_factory=dict)
 
 
 def origin(command: str, seed: int, read: Sequence[Path]) -> Section:

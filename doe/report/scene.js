@@ -46,25 +46,14 @@ function through(line, points) {
   return line;
 }
 
-function numbers(text, Kind) { return new Kind(Uint8Array.from(atob(text), letter => letter.charCodeAt(0)).buffer); }
+function numbers(text) { return new Uint16Array(Uint8Array.from(atob(text), letter => letter.charCodeAt(0)).buffer); }
 
-// [geometry, its place] of each piece of a body
-function pieces(body) {
-  if (body.vertices) {
-    const geometry = new THREE.BufferGeometry(), whole = numbers(body.vertices, Uint16Array);
-    const corners = Float32Array.from(whole, (value, k) => body.low[k % 3] + body.step * value);
-    geometry.setAttribute("position", new THREE.BufferAttribute(corners, 3));
-    geometry.setIndex(new THREE.BufferAttribute(numbers(body.faces, Uint16Array), 1));
-    return [[THREE.toCreasedNormals(geometry, 0.7), new THREE.Matrix4()]];
-  }
-  const round = body.capsules.map(([a, b, c, d, e, f, radius]) => {
-    const [start, end] = [vector([a, b, c]), vector([d, e, f])], place = span(new THREE.Group(), start, end);
-    const height = start.distanceTo(end);
-    return [new THREE.CapsuleGeometry(radius, height, 8, 24), new THREE.Matrix4().compose(place.position, place.quaternion, vector([1, 1, 1]))];
-  });
-  const square = body.boxes.map(([x, y, z, a, b, c, d, e, f, g, h, i, ...half]) =>
-    [new THREE.BoxGeometry(...half.map(size => 2 * size)), matrix([a, b, c, x, d, e, f, y, g, h, i, z])]);
-  return [...round, ...square];
+// of a body, as scene.py writes it
+function solid({ low, step, vertices, faces }) {
+  const geometry = new THREE.BufferGeometry(), corners = Float32Array.from(numbers(vertices), (value, k) => low[k % 3] + step * value);
+  geometry.setAttribute("position", new THREE.BufferAttribute(corners, 3));
+  geometry.setIndex(new THREE.BufferAttribute(numbers(faces), 1));
+  return THREE.toCreasedNormals(geometry, 0.7);
 }
 
 class Cell {
@@ -124,11 +113,8 @@ class Cell {
     this.joints = this.chain.map(() => this.add(new THREE.Group())).concat(this.add(new THREE.Group()));
     for (const joint of this.joints) joint.matrixAutoUpdate = false;
     for (const body of data.bodies) {
-      const name = body.joint ? "--link" : "--cell";
-      for (const [geometry, at] of pieces(body)) {
-        const mesh = this.add(new THREE.Mesh(geometry, this.color(name, THREE.MeshLambertMaterial, { side: THREE.DoubleSide })), this.joints[body.joint]);
-        mesh.applyMatrix4(at);
-      }
+      const skin = this.color(body.joint ? "--link" : "--cell", THREE.MeshLambertMaterial, { side: THREE.DoubleSide });
+      this.add(new THREE.Mesh(solid(body), skin), this.joints[body.joint]);
     }
     this.rod = new THREE.CylinderGeometry(1, 1, 1, 20);
     this.ball = new THREE.SphereGeometry(1, 24, 16);
@@ -258,6 +244,17 @@ class Cell {
     this.camera.position.copy(center).addScaledVector(back, Math.max(...distances));
     this.controls.update();
     this.draw();
+  }
+
+  // the run whose measured point is where a reader clicked, at most 15 pixels away
+  runAt({ offsetX, offsetY }) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const away = this.runs.map(points => {
+      const { x, y } = points.at(-1).clone().project(this.camera);
+      return Math.hypot((x + 1) * width / 2 - offsetX, (1 - y) * height / 2 - offsetY);
+    });
+    const nearest = Math.min(...away);
+    return nearest <= 15 ? away.indexOf(nearest) : undefined;
   }
 
   // keys of the view alone; whether it was one

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,13 +18,23 @@ if TYPE_CHECKING:
 SIDE = (22.0, -60.0)  # [deg] elevation and azimuth of the view of an arm without a tracker
 TRIANGLES = 30_000  # of all bodies of a page: some 400 kB
 FINE = 2**16 - 1  # largest whole number of a vertex
+ROUND = 6  # corners of a quarter of a circle
+FACES = [
+    [0, 1, 3, 2],
+    [4, 6, 7, 5],
+    [0, 4, 5, 1],
+    [2, 3, 7, 6],
+    [0, 2, 6, 4],
+    [1, 5, 7, 3],
+]  # of a box, corners by signs
 ARROWS = 500  # more only cover each other
 
 
-def scene(model: Any, postures: Array, tests: Mapping[str, Any]) -> dict[str, Any]:
+def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, Any]) -> dict[str, Any]:
     """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
 
-    model : of the arm, as `design_model` gives it;  tests : name of measurements -> their `Validation`
+    model : of the arm, as `design_model` gives it;  via : of each posture the (v, n) way-points on the way to it
+    tests : name of measurements -> their `Validation`
 
     The chain is a list of n + 1 steps from frame to frame, each a fixed pose and then a motion about or along an
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
@@ -31,16 +42,19 @@ def scene(model: Any, postures: Array, tests: Mapping[str, Any]) -> dict[str, An
     frames = model.joint_frames(np.zeros((1, model.joints)))[0]
     before = np.concatenate([np.eye(4)[None], frames[:-1]])
     moves = [{"axis": joint.axis.tolist(), "type": joint.type} for joint in model.arm.chain.joints]
-    bodies = () if model.cell is None else model.cell.bodies
-    share = TRIANGLES / max(sum(len(body.triangles) for body in bodies), 1)
+    bodies = [] if model.cell is None else [(body, looks(body)) for body in model.cell.bodies]
+    share = TRIANGLES / max(sum(len(triangles) for _, triangles in bodies), 1)
     return {
         "chain": [
             {"pose": step[:3].ravel().tolist()} | move
             for step, move in zip(np.linalg.inv(before) @ frames, [*moves, {}], strict=True)
         ],
         "postures": np.asarray(postures).round(9).tolist(),
-        "via": [[] for _ in postures],
-        "bodies": [shape(body, share) for body in bodies],
+        "via": via,
+        "bodies": [
+            {"joint": body.joint} | shape(triangles, max(int(share * len(triangles)), 100))
+            for body, triangles in bodies
+        ],
         "floor": None if model.cell is None else model.cell.floor,
         "trackers": [list(tracker) for tracker in trackers(model.arm)],
         "view": side(model.arm),
@@ -60,16 +74,40 @@ def side(arm: Arm) -> tuple[float, float]:
     return SIDE
 
 
-def shape(body: Any, share: float) -> dict[str, Any]:
-    """A `Body` as it is drawn: its triangles, of which a share may stay, or else its pieces."""
-    said = {"name": body.name, "joint": body.joint}
-    if not len(body.triangles):
-        return said | {"capsules": body.capsules.round(2).tolist(), "boxes": body.boxes.round(5).tolist()}
-    vertices, faces = simplified(body.triangles, max(int(share * len(body.triangles)), 100))
+def shape(triangles: Array, most: int) -> dict[str, Any]:
+    """Triangles (t, 3, 3) as scene.js reads them, at most `most`: vertices are low + step * whole numbers."""
+    vertices, faces = simplified(triangles, most)
     low, step = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-6) / FINE
     whole = np.round((vertices - low) / step).astype("<u2")
     texts = {name: b64encode(array.tobytes()).decode() for name, array in (("vertices", whole), ("faces", faces))}
-    return said | texts | {"low": low.tolist(), "step": step}
+    return {"low": low.tolist(), "step": step} | texts
+
+
+def looks(body: Any) -> Array:
+    """(t, 3, 3) triangles [mm] of what a `Body` looks like: its own, or else those of its pieces."""
+    if len(body.triangles):
+        return np.asarray(body.triangles)
+    pieces = [capsule(start=each[:3], end=each[3:6], radius=each[6]) for each in body.capsules]
+    for box in body.boxes:
+        corners = np.array([*product((-1.0, 1.0), repeat=3)]) * box[12:] @ box[3:12].reshape(3, 3).T + box[:3]
+        pieces.append(corners[[np.take(face, half) for face in FACES for half in ([0, 1, 2], [0, 2, 3])]])
+    return np.concatenate([np.empty((0, 3, 3)), *pieces])
+
+
+def capsule(start: Array, end: Array, radius: float) -> Array:
+    """(t, 3, 3) triangles of all points within a radius of a segment, all [mm]."""
+    long = bool(np.linalg.norm(end - start) > 1e-9)
+    along = (end - start) / np.linalg.norm(end - start) if long else np.array([0.0, 0.0, 1.0])
+    across = np.linalg.svd(along[None])[2][1]  # perpendicular to it, as is the other
+    over = np.cross(along, across)
+    polar, around = np.linspace(0.0, np.pi, 2 * ROUND + 1), np.linspace(0.0, 2.0 * np.pi, 4 * ROUND + 1)
+    polar = np.insert(polar, ROUND, np.pi / 2.0)  # a ring at either end
+    ends = np.repeat([end, start], ROUND + 1, axis=0)
+    ring = np.cos(around)[:, None] * across + np.sin(around)[:, None] * over
+    centers = ends + radius * np.cos(polar)[:, None] * along
+    grid = centers[:, None] + radius * np.sin(polar)[:, None, None] * ring
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    return np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
 
 
 def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:

@@ -19,7 +19,7 @@ from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL, StudyResult
 from doe.studies.paper import passed
 from identification import Array
-from identification.document import Sheet, picture_bytes
+from identification.document import Sheet
 from identification.files.io import write_together
 
 Setting = tuple[str, int]  # solver and starts
@@ -308,8 +308,7 @@ def blind_pictures(folder: Path, result: BlindStudy) -> None:
     """confusion.png and reliability.png in the folder, replaced if they are there."""
     for name, drawn in {"confusion": confusion_figure, "reliability": reliability_figure}.items():
         if len(result.tables[name]):
-            path = folder / f"{name}.png"
-            write_together({path: picture_bytes(drawn(result.tables[name]), path)}, force=True)
+            write_together({folder / f"{name}.png": drawn(result.tables[name])}, force=True)
 
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:

@@ -15,6 +15,7 @@ from time import perf_counter
 
 import numpy as np
 from numpy.random import Generator
+from threadpoolctl import threadpool_limits
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.certificate import Bound
@@ -40,7 +41,6 @@ from identification import (
     identifiability,
     nearest,
     silent,
-    single_thread,
 )
 
 AGREEMENT = 10  # independent local searches that end at the best value
@@ -149,7 +149,7 @@ def solve(
     best, best_value, best_name, done, agreeing = None, -np.inf, chosen.name, 0, 0
     reached = 1.0 - 1e-9  # efficiency from which searching on cannot matter
     status, p, same = Status.starts_finished, problem.parameters, 1e-7  # of criterion values
-    with single_thread():
+    with threadpool_limits(limits=1, user_api="blas"):  # matrices are small: more threads only wait for each other
         limit = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
         deadline = None if limit is None else began + limit
         whole = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None, began=began)

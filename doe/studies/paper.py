@@ -23,16 +23,16 @@ import numpy as np
 import polars as pl
 
 from doe.bounds.planar_theorem import pair_means
+from doe.criteria import information_matrix
 from doe.jobs import Row, frame_of
-from doe.plan.plan import Plan
 from doe.studies.monte_carlo import Study, dft_postures, run_study
 from identification import (
     Arm,
     Array,
     InputError,
     Model,
+    Plan,
     Progress,
-    information_matrix,
     planar_chain,
     silent,
 )

@@ -6,11 +6,11 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -356,6 +356,16 @@ class Plan(ByValue):
         return int(self.postures.shape[1])
 
     @property
+    def measured(self) -> Plan:
+        """The same without way-points."""
+        if self.via is None:
+            return self
+        rows = np.flatnonzero(~self.via).tolist()
+        cells = {name: [texts[row] for row in rows] for name, texts in self.cells.items()}
+        weights = None if self.weights is None else self.weights[rows]
+        return replace(self, postures=self.postures[rows], weights=weights, via=None, cells=cells)
+
+    @property
     def shares(self) -> Array:
         """(m,) weight of every posture; 1/m for an exact plan."""
         return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
@@ -374,6 +384,13 @@ class Plan(ByValue):
     def displayed(self) -> Array:
         """(m, n) postures in `units`, as the controller counts."""
         return readonly(np.column_stack([*self.columns.values()]))
+
+    @classmethod
+    def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
+        """The plan whose `displayed` postures (m, n) are these."""
+        units = [UNITS[_kind(joint_types, j)] for j in range(1, len(joint_types) + 1)]
+        scaled = displayed * [next(iter(each.values())) for each in units]
+        return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
 
     def to_frame(self, kind: str = "polars") -> Any:
         """A row for each posture, as in a plan file; polars or pandas."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.kinematics.frames import pose
+from identification.kinematics.frames import pose, turned
 
 if TYPE_CHECKING:
     from identification.instruments.base import Instrument
@@ -83,8 +83,8 @@ class Starts(NamedTuple):
 
     def moved(self, change: Array) -> Starts:
         """After steps (s, 9 + k) of shift, rotation about the axes of the instrument, tool and values."""
-        turned = _rotations(change[:, 3:6]) @ self.rotations
-        return Starts(turned, self.shifts + change[:, :3], self.tools + change[:, 6:9], self.values + change[:, 9:])
+        rotations = turned(change[:, 3:6]) @ self.rotations
+        return Starts(rotations, self.shifts + change[:, :3], self.tools + change[:, 6:9], self.values + change[:, 9:])
 
     def choose(self, other: Starts, better: NDArray[np.bool_]) -> Starts:
         """The other ones where better (s,)."""
@@ -103,7 +103,7 @@ def random_starts(instrument: Instrument, rows: Unplaced) -> Starts:
     axes = vectors[:, 1:] / np.linalg.norm(vectors[:, 1:], axis=1, keepdims=True)
     # bases are looked for within three times the reach
     shifts = 3.0 * rows.reach * generator.uniform(-1.0, 1.0, (count, 3))
-    return Starts.of(_rotations(angle[:, None] * axes), shifts, np.resize(rows.tools, (count, 3)), neutral)
+    return Starts.of(turned(angle[:, None] * axes), shifts, np.resize(rows.tools, (count, 3)), neutral)
 
 
 def searched(
@@ -198,16 +198,6 @@ def _linear(
         left = np.where(np.isfinite(squares)[:, None, None], residual, 0.0).reshape(len(columns), -1, 1)
     across = np.swapaxes(flat, 1, 2)
     return squares, (across @ left)[..., 0], across @ flat
-
-
-def _rotations(vectors: Array) -> Array:
-    """(s, 3, 3) rotations by vectors (s, 3) [rad] (Rodrigues)."""
-    angles = np.linalg.norm(vectors, axis=1)[:, None, None]
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-    half = np.sinc(angles / (2.0 * np.pi))
-    return np.eye(3) + np.sinc(angles / np.pi) * cross + 0.5 * half**2 * cross @ cross
 
 
 # -- positions ---------------------------------------------------------------------------------------------------------

@@ -16,8 +16,9 @@ import polars as pl
 from click.testing import CliRunner, Result
 
 from doe.cli import main
+from doe.cli.verb import LONGEST_LINE
 from identification import load_plan
-from identification.errors import LONGEST_LINE, InputError
+from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
 from identification.files.urdf import read_urdf

@@ -12,13 +12,11 @@ from identification.document import (
     Action,
     Document,
     Pictures,
-    PlanSteps,
     Section,
     Sheet,
     as_sentence,
     as_text,
     estimate_text,
-    facts_sheet,
     html,
     html_lines,
     html_table,
@@ -43,11 +41,11 @@ DOCUMENT = Document(
     ["The verdict.", "", f"Then {NASTY}."],
     [
         f"A paragraph {NASTY}, chi2 1 +- 2.",
-        facts_sheet([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
+        Sheet.facts([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
         Section("Open", [Sheet(["effect", "value [mm]"], [["ripple[k=4]", "1.5"], [NASTY, "-22.75"]]), "After it."]),
         Section("Closed", ["Hidden at first.", Sheet(["a"], [["b"]], "In a fold")], folded=True),
         Section("Seen", [Pictures(figures)]),
-        Section("Stepped through", [PlanSteps({"file": "plan.csv"}, "Step.")]),
+        Section("Stepped through", [Pictures(lambda: ["Step."])]),
         Sheet(["never"], []),
     ],
     [Action("Go on:", "armcal check <b>"), Action("Or stop.")],
@@ -119,17 +117,6 @@ def test_figures_end_at_the_right_and_words_begin_at_the_left() -> None:
     assert {line.index(row[3]) + len(row[3]) for line, row in zip(lines, rows, strict=True)} == {head.index("miss") + 4}
 
 
-@pytest.mark.parametrize("width", [30, 80])
-def test_no_figure_is_cut_off_where_there_is_no_room(width: int) -> None:
-    row = [f"-{k}234.5678" for k in range(1, 8)]
-    text = as_text(Sheet([*"abcdefg"], [row]), width)
-    assert max(map(len, text.splitlines())) <= width
-    digits = [character for character in "".join(text.split()) if character.isdigit()]
-    assert sorted(digits) == sorted(character for cell in row for character in cell if character.isdigit())
-    if width == 80:
-        assert all(cell in text for cell in row)
-
-
 def test_long_tables_are_cut_and_say_so() -> None:
     rows = [[str(k)] for k in range(300)]
     cut, whole = Sheet(["run"], rows, most=3), Sheet(["run"], rows)
@@ -151,7 +138,7 @@ def test_cells_come_out_as_they_went_in_and_long_ones_may_be_broken() -> None:
     assert html_table(["h"], [["x" * 25]]).count('class="text"') == 2  # with its heading
     assert 'class="text"' not in html_table(["h"], [["x" * 24]])
     assert html_lines(["1 < 2", "two"], strong=True) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
-    facts = html(facts_sheet([("a<b", "1 & 2 +- sigma")]))
+    facts = html(Sheet.facts([("a<b", "1 & 2 +- sigma")]))
     assert (facts.count("<tr>"), ">a&lt;b</th>" in facts, ">1 &amp; 2 ± σ</td>" in facts) == (1, True, True)
 
 

@@ -260,14 +260,3 @@ def test_an_effect_is_named_by_contacts_alone() -> None:
     arm = Arm(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
     found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((90, 1))))
     assert found.named.effects == ("encoder_eccentricity:3",)
-
-
-def test_lengths_are_no_positions() -> None:
-    """Of an arm that is measured by positions, and the reverse."""
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6))
-    with pytest.raises(InputError, match="positions of 1 coordinates, allowed: 3 as the model has"):
-        estimate(Model(Arm(CHAIN)), Measurements(q, np.ones((60, 1))))
-    with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 1 as the model has"):
-        estimate(Model(bar()), Measurements(q, np.ones((60, 3))))
-    with pytest.raises(InputError, match="positions of 1 coordinates, allowed: 2 as the model has"):
-        estimate(Model(Arm([300.0, 200.0])), Measurements(q[:, :2], np.ones((60, 1))))

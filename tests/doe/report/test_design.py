@@ -25,7 +25,6 @@ from doe.report.design import (
     plan_section,
     plan_steps,
     relax_document,
-    remarks,
 )
 from identification import Plan
 from identification.arm import Arm, Gravity
@@ -59,16 +58,6 @@ def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
     (complete, *_) = accuracy(score(plain, design.plan.postures))
     assert "if the model is complete" in as_text(complete)
     assert any("6 parameters of gear_ratio" in line for line in missing_lines(design))
-
-
-def test_a_random_plan_of_very_many_runs_is_called_so() -> None:
-    """It is what is left where postures of a better plan would be too near each other."""
-    plan = np.random.default_rng(4).uniform(-1.0, 1.0, (101, 3))
-    design = score(problem(Arm([260.0, 180.0, 120.0])), plan)
-    (line,) = remarks(replace(design, solver="random"))
-    assert line.startswith("the plan is random: none was found that is better with 101 postures")
-    assert "--repeats" in line
-    assert not any("random" in said for said in remarks(replace(design, solver="fedorov")))
 
 
 def test_a_robust_plan_is_judged_by_millimetres() -> None:

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from doe.report.design import plan_section
 from doe.report.page import page
-from doe.report.scene import FINE, error_arrows, scene, shape, simplified
-from identification import Plan, design_model
+from doe.report.scene import FINE, error_arrows, looks, scene, shape, simplified
+from identification import Plan, design_model, load_plan
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
 from identification.document import Document
@@ -77,7 +77,7 @@ def test_a_body_keeps_its_shape_with_few_triangles() -> None:
 
 def test_triangles_are_read_as_they_were_written() -> None:
     triangles = 100.0 * round_body(6) + [3.0, -70.0, 800.0]
-    said = shape(Body("ball", 1, triangles=triangles), 1.0)
+    said = shape(triangles, 1000)
     whole, faces = (np.frombuffer(b64decode(said[key]), "<u2").reshape(-1, 3) for key in ("vertices", "faces"))
     corners = (said["low"] + said["step"] * whole)[faces]
     size = 200.0
@@ -86,6 +86,28 @@ def test_triangles_are_read_as_they_were_written() -> None:
     assert set(corners.mean(axis=1).sum(axis=1).round(1)) <= {
         x for v in middle for x in (v.round(1), (v + 0.05).round(1), (v - 0.05).round(1))
     }
+
+
+def test_a_body_without_triangles_looks_like_its_pieces() -> None:
+    """Volume and area of a capsule and of a box that is turned; a sphere is a segment of no length."""
+    start, end, radius = np.array([10.0, -20.0, 5.0]), np.array([310.0, 380.0, 5.0]), 60.0
+    turn, half = Rotation.random(random_state=1).as_matrix(), np.array([400.0, 90.0, 50.0])
+    rod, ball = np.array([[*start, *end, radius]]), np.array([[*start, *start, radius]])
+    brick = np.array([[100.0, 0.0, -100.0, *turn.ravel(), *half]])
+    sphere = 4.0 / 3.0 * np.pi * radius**3
+    for body, volume, error in (
+        (Body("rod", 2, rod), sphere + np.pi * radius**2 * 500.0, 0.03),
+        (Body("ball", 2, ball), sphere, 0.03),
+        (Body("brick", 0, boxes=brick), 8.0 * half.prod(), 1e-12),
+    ):
+        triangles = looks(body)
+        outward = np.linalg.det(triangles - triangles.mean(axis=(0, 1)))  # counterclockwise from outside
+        assert (outward > -1e-6).all()
+        assert outward.sum() / 6.0 == pytest.approx(volume, rel=error)
+    away = np.linalg.norm(looks(Body("ball", 2, ball)) - start, axis=-1)
+    np.testing.assert_allclose(away, radius)
+    local = np.abs((looks(Body("brick", 0, boxes=brick)) - brick[0, :3]) @ turn)
+    np.testing.assert_allclose(local, np.broadcast_to(half, local.shape))
 
 
 @pytest.mark.parametrize("sessions", [1, 2])
@@ -148,7 +170,7 @@ def sliding_arm() -> Arm:
 def test_the_script_has_the_kinematics_of_the_model(opened: Any, address: str, arm: Arm) -> None:
     model = design_model(Model(arm))
     postures = RANDOM.uniform(model.lower, model.upper, (20, model.joints))
-    data = scene(model, postures, {})
+    data = scene(model, postures, [], {})
     seen = Watched(opened, address, viewport=SMALL)
     script = "([chain, q]) => q.map(one => jointFrames(chain, one).slice(1).map(frame => frame.elements))"
     found = np.array(seen.page.evaluate(script, [data["chain"], postures.tolist()]))
@@ -194,6 +216,11 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     keys.press("0")
     before = picture(seen)
     assert changed(before, first) == 0.0
+    script = "plans[0].cell.runs[4].at(-1).clone().project(plans[0].cell.camera).toArray()"
+    (x, y, _), size = seen.page.evaluate(script), canvas.bounding_box()
+    canvas.click(position={"x": (x + 1.0) / 2.0 * size["width"] + 3, "y": (1.0 - y) / 2.0 * size["height"]})
+    assert where.inner_text() == "Run 5, place 5 of 14"  # whose reflector was clicked
+    before = picture(seen)
     for box in seen.page.locator("fieldset input").all():
         box.uncheck()
         canvas.focus()
@@ -227,6 +254,36 @@ def test_moves_are_played_and_paused(opened: Any, address: str) -> None:
     seen.page.wait_for_timeout(700)
     assert where.inner_text() == place
     seen.close(address)
+
+
+def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: Path) -> None:
+    """Run 3 is reached by two of them; they are in the edited file as long as run 2 is measured before it."""
+    q = np.degrees(POSTURES[:5]).round(3)
+    kinds = ["measure", "measure", "via", "via", "measure"]
+    rows = [
+        f"{k},{kind},{','.join(map(str, angles))}" for k, (kind, angles) in enumerate(zip(kinds, q, strict=True), 1)
+    ]
+    names = ",".join(f"q{j}_deg" for j in range(1, 7))
+    (tmp_path / "plan.csv").write_text("\n".join([f"run,kind,{names}", *rows]) + "\n")
+    plan = load_plan(tmp_path / "plan.csv", ARM.joint_types, vias=True)
+    (tmp_path / "page.html").write_text(page(Document("Via", [""], [plan_section(ARM, plan)])))
+    seen = Watched(opened, (tmp_path / "page.html").as_uri(), viewport=SMALL, accept_downloads=True)
+    assert seen.page.locator(".plan tbody tr").count() == 3
+    seen.page.get_by_role("button", name="Step").click()
+    np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[1:], atol=1e-6)
+    files = []
+    for button in ("Earlier", "Undo all", "Step"):
+        with seen.page.expect_download() as download:
+            seen.page.get_by_role("button", name="Download").click()
+        download.value.save_as(tmp_path / f"{len(files)}.csv")
+        files.append(load_plan(tmp_path / f"{len(files)}.csv", ARM.joint_types, vias=True))
+        new = seen.facts().get("moves that are new, not looked at", "0")
+        assert new == ("0" if len(files) != 2 else "2")  # 2 1 3
+        seen.page.get_by_role("button", name=button).click()
+    seen.close((tmp_path / "page.html").as_uri())
+    for file, order in zip(files, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
+        np.testing.assert_allclose(np.degrees(file.postures), q[order], atol=1e-9)
+        assert file.cells["kind"] == [kinds[k] for k in order]
 
 
 def test_without_three_dimensions_the_drawing_stands_in(opened: Any, address: str) -> None:

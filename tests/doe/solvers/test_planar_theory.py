@@ -20,7 +20,7 @@ from tests.doe.bounds.test_planar_theorem import complex_log_det
 @pytest.mark.parametrize("links", range(2, 9))
 def test_without_limits_any_number_of_runs_is_optimal_without_a_solver(links: int) -> None:
     arm = Arm(np.full(links, 100.0))
-    for runs in range(links, 3 * links + 1):
+    for runs in (links, links + 1, 2 * links + 1, 3 * links):
         design = solve(problem(arm), runs, seed=runs)
         assert design.solver == "analytic"
         assert abs(complex_log_det(design.plan.postures)) < 1e-8  # the issue's bar
@@ -57,14 +57,14 @@ def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
     assert smallest_gap(postures) >= np.radians(1.0) * (1 - 1e-9)
 
 
-@pytest.mark.parametrize("runs", [4, 20, 28, 100, 360, 364, 500, 3000])
+@pytest.mark.parametrize("runs", [4, 20, 28, 364, 500])
 def test_multiples_of_four_with_the_limits_of_the_issue(runs: int) -> None:
     """doe/README.md, "Planar theorem": m = 4 attains the bound, and so do blocks of four, however many."""
     check(FOUR, runs)
 
 
 @pytest.mark.parametrize("arm", [FOUR, Arm(FOUR.lengths)])
-@pytest.mark.parametrize("runs", [8, 100, 364, 500])
+@pytest.mark.parametrize("runs", [8, 364])
 def test_with_a_base_offset_no_joint_is_free_to_tell_postures_apart(arm: Arm, runs: int) -> None:
     check(arm, runs, OFFSET)
 

@@ -143,19 +143,6 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)
 
 
-def test_frames_have_the_prior_of_what_they_are_made_of() -> None:
-    """The origin of a frame along one axis is one translation, of the size of the machining."""
-    generator = np.random.default_rng(5)
-    model = Model(Arm(CHAIN, sigma=0.05))
-    q = generator.uniform(-2.0, 2.0, (40, 3))
-    points = model.position(q) + generator.normal(0.0, 0.05, (40, 3))
-    found = estimate(model, Measurements(q, points))
-    assert found.to_json()["machining_factor"] == 1.0
-    second = by_name(found.corrected_values)["joint 2 x"]
-    assert second.prior_std == pytest.approx(1.0, rel=1e-6)  # mm
-    assert by_name(found.corrected_values)["base x"].prior_std is None
-
-
 def test_a_calibrated_file_marks_the_values_that_its_fit_marked() -> None:
     """The prior is that of the machining, in the fit as in the file; of a fit without a prior nothing is marked."""
     generator = np.random.default_rng(5)

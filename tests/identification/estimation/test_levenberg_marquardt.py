@@ -242,17 +242,6 @@ def test_no_corner_without_gradient_counts_as_converged(factors: tuple[int, int]
     np.testing.assert_array_less(lower_by, 1e-9 * found.rss)
 
 
-def test_a_saddle_point_is_left() -> None:
-    """-1 = a b from a = b = 1: by steps that keep their ratio both go to zero, where neither has an effect."""
-
-    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return -1.0 - x[:, :1] * x[:, 1:], x[:, None, ::-1].copy()
-
-    found = levenberg_marquardt(problem(linearize, 2, 1, rounding=np.array([1e-12])), np.array([[1.0, 1.0]]))
-    assert found.status[0] is Status.converged
-    assert found.rss[0] <= 1e-20
-
-
 def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
     """(0, 1) = a (b, c) with a >= 0 and b, c in -1 .. 1: a = 0 has a cost of 1 whatever b and c are, and with c < 0 no
     gradient leads away from it; the least cost is 0."""

@@ -12,7 +12,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.gap.average import _to_parameters, averaged, beside_known, shape_and_waves
+from identification.gap.average import averaged, beside_known, shape_and_waves
 from identification.gap.blocks import hypotheses
 from identification.gap.fit import Rows
 from identification.gap.likelihood import SIZES, Key
@@ -83,17 +83,6 @@ def test_the_expected_square_error_is_that_of_draws() -> None:
     columns = written.linearized[1]
     expected = float(np.sum((columns @ written.covariance) * columns)) / len(rows)
     assert 2.0 * float(np.mean((true - off) ** 2)) == pytest.approx(expected, rel=0.05)
-
-
-def test_a_part_of_the_rest_that_is_not_written_leaves_the_others_in_their_places() -> None:
-    """The last of them alone: its rows of the rest's root, and no others."""
-    problem = found().whole
-    b = problem.numbers["library"]
-    last, own, g = problem.blocks[b].parts[-1], problem.products.places([b]), len(problem.base)
-    width = len(problem.roots[problem.numbers[last.label]])
-    turn = _to_parameters(problem, {last.label: (last, np.arange(g, g + width))}, g, g + width)
-    np.testing.assert_array_equal(turn[g:, own], problem.roots[b][-width:])
-    np.testing.assert_array_equal(turn[:g, own], problem.response[:, own])
 
 
 def test_rounding_in_what_hardly_varies_is_not_amplified() -> None:

@@ -222,14 +222,6 @@ def test_what_is_left_is_what_was_expected(given: bool) -> None:
     assert np.mean(np.sum(after**2, axis=1)) == pytest.approx(expected, rel=0.3 if given else 0.15)
 
 
-def test_says_what_was_tested_and_what_failed() -> None:
-    rng = np.random.default_rng(6)
-    wrong, right, few = held_out(rng, 200, 2.0, present=0.0), held_out(rng, 200, 2.0), held_out(rng, 1, 2.0)
-    assert wrong.to_json()["shrinks"] is False
-    assert holds_in_words(wrong.to_json())[1].endswith(": the gap does not shrink and the gap exceeds the prediction.")
-    assert [holds_in_words(test.to_json())[0] for test in (wrong, right, few)] == ["no", "yes", "too few rows"]
-
-
 @pytest.mark.parametrize("share", [0.0, 1.0, -0.2, float("nan")])
 def test_a_share_is_between_none_and_all(share: float) -> None:
     with pytest.raises(InputError, match="allowed: a share of the rows between 0 and 1"):

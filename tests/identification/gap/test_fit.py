@@ -88,13 +88,6 @@ def test_a_covariance_of_every_row_and_a_memory_become_white(d: int) -> None:
     assert rows.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-12)
 
 
-def test_a_sigma_per_row_is_a_relative_weight() -> None:
-    measured = Measurements(np.zeros((3, 1)), np.arange(9.0).reshape(3, 3), sigma=[1.0, 2.0, 4.0])
-    rows = Rows.of(measured)
-    np.testing.assert_allclose(rows.whiten(rows.positions).reshape(3, 3), rows.positions / [[0.5], [1.0], [2.0]])
-    assert rows.log_determinant == pytest.approx(0.0, abs=1e-12)  # the geometric mean of the weights is one
-
-
 # -- the same numbers for the same model and rows ----------------------------------------------------------------------
 # Both end where no column of the Jacobian has a cosine above 1e-9 with the residuals: within 1e-9 sqrt(N) of a standard
 # deviation of each other. Figures that do not depend on the estimates in first order agree to rounding.

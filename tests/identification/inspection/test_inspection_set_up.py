@@ -48,15 +48,6 @@ def test_a_turned_frame_in_the_plane(turn: float, place: complex) -> None:
     )  # zeros of 0.004 rad turn it, too
 
 
-def test_a_frame_as_the_file_has_it() -> None:
-    assert frame_note(PLANAR, in_the_plane(3.0)) == []
-    other = Arm(LENGTHS[::-1])  # no angle explains the positions
-    assert frame_note(other, in_the_plane(40.0)) == []
-    generator = np.random.default_rng(5)
-    truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (60, 6))
-    assert frame_note(Arm(drawing()), Measurements(q, truth.poses(q)[:, :3, 3])) == []
-
-
 def test_a_base_that_stands_elsewhere() -> None:
     """Known to stand somewhere, found 60 degrees and 500 mm from there; a base that is left out is nowhere wrong."""
     generator = np.random.default_rng(2)

@@ -82,19 +82,6 @@ def test_few_rows_have_a_start(frames: np.ndarray) -> None:
     assert Distance().place(Unplaced(frames[:4], lengths[:, None], REACH)).rms < 1.0
 
 
-@pytest.mark.parametrize("rows", [1, 2, 4])
-def test_a_few_contacts_have_a_ball(rows: int, frames: np.ndarray) -> None:
-    assert Sphere().place(Unplaced(frames[:rows], np.zeros(rows)[:, None], REACH)).rms < 1e-3 * REACH
-
-
-@pytest.mark.parametrize("rows", [1, 2])
-def test_one_or_two_contacts_have_a_plane(rows: int, frames: np.ndarray) -> None:
-    """Any of those through them."""
-    found = Plane().place(Unplaced(frames[:rows], np.zeros(rows)[:, None], REACH))
-    assert found.rms < 1e-6 * REACH
-    np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
-
-
 @pytest.mark.parametrize("instrument", [Plane(), Sphere()])
 def test_what_no_surface_explains_is_given_up_early(
     frames: np.ndarray, instrument: Instrument, monkeypatch: pytest.MonkeyPatch

@@ -156,12 +156,6 @@ def test_older_files_have_all_joints_under_one_key() -> None:
     np.testing.assert_allclose(found, [[-np.pi / 3.0, 12.5, -1.0], [np.pi / 6.0, 200.0, -0.5]], rtol=1e-8)
 
 
-def test_what_is_not_there_is_not_known() -> None:
-    assert range_of({}, TYPES) is None
-    assert range_of({"joint_range_deg": DEGREES}, TYPES) is None
-    assert range_of({"joint_range_deg": DEGREES}, ("revolute",)) is None
-
-
 @pytest.mark.parametrize(
     ("degrees", "expected"),
     [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm, Calibration
+from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import estimate
 from identification.instruments import Distance
@@ -19,7 +19,7 @@ from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.model.minimal import independent, minimal, practical
-from identification.model.placed import in_own_frame, of_positions, placed_model, tip_jacobian
+from identification.model.placed import of_positions, placed_model, tip_jacobian
 from tests.doe.six_axis import CHAIN as DRAWN
 
 QUARTER = np.pi / 2.0
@@ -94,20 +94,6 @@ def test_what_is_left_after_registration() -> None:
         assert np.sqrt(np.mean(np.sum(found[..., k] ** 2, axis=1))) == pytest.approx(expected, abs=1e-5 * scale)
     with pytest.raises(InputError, match="3 for the error of the tip from lengths, allowed: at least 4"):
         tip_jacobian(model, POSTURES[:3])
-
-
-def test_of_a_tracker_as_it_is() -> None:
-    model = Model(Arm(DRAWN))
-    np.testing.assert_array_equal(tip_jacobian(model, POSTURES), model.jacobian(POSTURES))
-    assert in_own_frame(model.arm) is model.arm
-
-
-def test_in_the_frame_of_the_base() -> None:
-    """The base drops out, the rest of the calibration stays."""
-    values = {"base.x": 3.0, "translation_x:3": 0.5, "tool[1].z": 1.0}
-    own = in_own_frame(replace(BAR, calibration=Calibration(values)))
-    bare = Arm(DRAWN, calibration=Calibration({"translation_x:3": 0.5, "tool[1].z": 1.0}))
-    np.testing.assert_allclose(Model(own).position(POSTURES), Model(bare).position(POSTURES), atol=1e-9)
 
 
 HALF = np.pi / 2.0
