@@ -18,6 +18,7 @@ from identification.model import Model
 from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET
 from tests.doe.arms import problem as of
+from tests.doe.six_axis import SIX_AXIS, six_axis
 
 LIST = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (200, 4))
 BOX = Arm([300.0, 200.0, 150.0], lower=np.radians([-180, -120, -100]), upper=np.radians([180, 60, 90]), sigma=0.1)
@@ -108,3 +109,13 @@ def test_without_anything_known_there_is_one_bound() -> None:
     found = bounds_of_runs(of(FOUR), [4, 9])
     assert found[4] is found[9]
     assert found[4].source == "closed_form"
+
+
+def test_a_bound_that_knows_no_constraints_says_so() -> None:
+    """Of many parameters it is over all postures within the limits: the same with constraints as without."""
+    box = replace(SIX_AXIS, constraints=(WorkspaceBox((-900.0, 900.0), (-900.0, 900.0)),))
+    bounds = [best_known_bound(six_axis(arm), 20) for arm in (SIX_AXIS, box)]
+    assert [bound is not None and bound.unconstrained for bound in bounds] == [False, True]
+    assert bounds[1] is not None
+    assert "constraints or none" in str(bounds[1])
+    assert bounds[1].as_dict()["unconstrained"] is True
