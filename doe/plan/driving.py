@@ -14,9 +14,10 @@ from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
 from doe.plan.plan import ordered, shortest_path
 from doe.problem.clearance import ROUNDING, SIGHT, Clearance
 from doe.problem.constraints import KINDS, Constraint
+from doe.problem.model import turns
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
-from identification import REVOLUTE, Array, InputError, JobError, Plan, nearest
+from identification import Array, InputError, JobError, Plan, nearest
 
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (0.0, 0.0), "positive": (1.0, 0.0), "negative": (0.0, 1.0), "alternate": (1.0, 1.0)}
@@ -139,7 +140,7 @@ def room_of(constraints: Sequence[Constraint]) -> Room | None:
         return np.concatenate([apart, *(wall.margin(postures) + beyond for wall in walls)], axis=1)
 
     # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
-    longest = np.where(np.array(model.joint_types) == REVOLUTE, model.reach, 1.0)
+    longest = np.where(turns(model), model.reach, 1.0)
     rest = margin(np.zeros((1, len(longest)))).shape[1] - len(levers)
     of_all = np.concatenate([levers, np.broadcast_to(longest, (rest, len(longest)))])
     return Room(margin, of_all, lambda postures: np.asarray(np.all(margin(postures, 0.0) >= 0.0, axis=1)))
