@@ -145,7 +145,8 @@ def approaches(postures: Array, senses: Array, room: Room, space: Space, generat
     good[within] = free(starts[within], np.tile(postures, (TRIES + 1, 1))[within], room)
     first = np.argmax(good.reshape(-1, m), axis=0)
     found = starts.reshape(-1, m, n)[first, np.arange(m)]
-    return np.where(good.reshape(-1, m).any(axis=0)[:, None], found, np.nan)
+    found[~np.any(good.reshape(-1, m), axis=0)] = np.nan
+    return found
 
 
 class Route(NamedTuple):
