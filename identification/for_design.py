@@ -17,6 +17,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -94,9 +95,10 @@ class ArmModel(Model):
         """(n, 3) directions of the joints, each in its own frame."""
         return np.array([joint.axis for joint in self.arm.chain.joints])
 
-    def joint_frames(self, postures: ArrayLike) -> Array:
-        """(m, n + 1, 4, 4) [mm] in the frame of the base, as best known: see `KinematicChain.joint_frames`."""
-        return self.arm.chain.joint_frames(np.atleast_2d(np.asarray(postures, dtype=float)), self._geometry_values)
+    @cached_property
+    def joint_frames(self) -> Callable[[Array], Array]:
+        """Of postures (m, n) the frames (m, n + 1, 4, 4) [mm] as best known: see `KinematicChain.joint_frames`."""
+        return self.arm.chain.joint_frames(self._geometry_values)
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""

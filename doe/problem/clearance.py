@@ -20,9 +20,10 @@ of a pair that hardly anywhere comes as far apart as is asked, it is asked only 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from doe.problem.model import turns
 from identification import Array
@@ -39,6 +40,24 @@ COLLISIONS = (
     "Collisions were not looked at, neither of the arm with itself nor with what is around it, since the arm file has "
     "no bodies: add [[cell.bodies]] or a URDF with collision bodies, or try each posture slowly."
 )
+
+
+class Seen(NamedTuple):
+    """Frames (m, n + 2, 4, 4) of base, joints and measured point at postures, ends (2, 3, m, K) of the axes of all
+    capsules in that of the base, distances (m, k) of the pairs, and numbers of the pairs of pieces that have them."""
+
+    postures: Array
+    frames: Array
+    placed: Array
+    least: Array
+    nearest: NDArray[np.intp]
+
+    def screws(self, model: Any) -> tuple[Array, Array]:
+        """(m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide."""
+        frames = self.frames[:, 1:-1]
+        along = (frames[..., :3, :3] @ model.joint_axes[:, :, None])[..., 0]
+        turning = turns(model)[:, None]
+        return np.where(turning, along, 0.0), np.where(turning, np.cross(frames[..., :3, 3], along), along)
 
 
 class Clearance:
@@ -66,7 +85,9 @@ class Clearance:
         self._frames = np.stack([np.where(joint == tip, 0, joint), joint])  # (2, K) of the ends of each axis
         axes = np.concatenate(capsules)
         self._ends, self._radii = np.stack([axes[:, :3], axes[:, 3:6]]), axes[:, 6]
+        self._moves = np.array([[np.any(row == k) for k in range(tip + 1)] for row in self._frames])
         self._boxes, self._floor = np.concatenate(boxes), cell.floor
+        self._last: Seen | None = None
         # pieces in this order: capsules, boxes, the floor
         numbers = range(len(names))
         counts = [*map(len, capsules)], [*map(len, boxes)], [int(name == FLOOR) for name in names]
@@ -118,7 +139,11 @@ class Clearance:
 
     def distance(self, postures: Array) -> Array:
         """(m, k) [mm] signed distances of the pairs at postures (m, n)."""
-        return self.nearest(np.atleast_2d(np.asarray(postures, dtype=float)))[0]
+        rows = np.atleast_2d(np.asarray(postures, dtype=float))
+        if not len(self._pieces) or not len(rows):
+            return np.empty((len(rows), len(self._starts)))
+        size = max(1, PART // len(self._pieces))
+        return np.concatenate([self._seen(rows[k : k + size]).least for k in range(0, len(rows), size)])
 
     def too_near(self, postures: Array) -> list[tuple[int, tuple[str, str], float]]:
         """Number of the posture from 1, pair, and distance [mm] wherever a pair is nearer than is asked."""
@@ -155,30 +180,26 @@ class Clearance:
                 lines.append(f"{why}: {', '.join(map(_and, pairs[:SHOWN]))}{rest}.")
         return lines
 
-    def nearest(self, postures: Array) -> tuple[Array, Array]:
-        """(m, k) distances, and the numbers of the pairs of pieces that have them."""
-        count, shape = len(self._pieces), (len(postures), len(self._starts))
-        least, which = np.empty(shape), np.empty(shape, dtype=int)
-        size = max(1, PART // max(1, count))
-        for k in range(0, len(postures) if count else 0, size):
-            part = slice(k, k + size)
-            apart = self._apart(self._placed(postures[part]))
-            least[part] = np.minimum.reduceat(apart, self._starts, axis=1)
-            ranks = np.where(apart == least[part][:, self._pair], np.arange(count), count)
-            which[part] = np.minimum.reduceat(ranks, self._starts, axis=1)
-        return least, which
-
-    def _placed(self, postures: Array) -> Array:
-        """(2, 3, m, K) ends of the axes of all capsules, in the frame of the base."""
-        frames, placed = self.model.joint_frames(postures), np.empty((2, 3, len(postures), len(self._radii)))
-        for end in (0, 1):
-            for joint in np.unique(self._frames[end]).tolist():
+    def _seen(self, postures: Array) -> Seen:
+        """What there is to see at postures (m, n); kept for the next question about the same ones."""
+        if self._last is None or not np.array_equal(self._last.postures, postures):
+            frames = self._frames_at(postures)
+            placed = np.empty((2, 3, len(postures), len(self._radii)))
+            for end, joint in np.argwhere(self._moves).tolist():
                 chosen = np.flatnonzero(self._frames[end] == joint)
-                points = np.broadcast_to(self._ends[end, chosen].T, (len(postures), 3, len(chosen)))
-                if joint:
-                    points = frames[:, joint - 1, :3, :3] @ points + frames[:, joint - 1, :3, 3:]
+                points = frames[:, joint, :3, :3] @ self._ends[end, chosen].T + frames[:, joint, :3, 3:]
                 placed[end][:, :, chosen] = points.swapaxes(0, 1)
-        return placed
+            apart, count = self._apart(placed), len(self._pieces)
+            least = np.minimum.reduceat(apart, self._starts, axis=1)
+            ranks = np.where(apart == least[:, self._pair], np.arange(count), count)
+            nearest = np.minimum.reduceat(ranks, self._starts, axis=1)
+            self._last = Seen(postures.copy(), frames, placed, least, nearest)
+        return self._last
+
+    def _frames_at(self, postures: Array) -> Array:
+        """(m, n + 2, 4, 4) frames of base, joints and measured point."""
+        base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
+        return np.concatenate([base, self.model.joint_frames(postures)], axis=1)
 
     def _apart(self, placed: Array) -> Array:
         """(m, P) distances of all pairs of pieces; of a box that is not the nearest of its body, at least that."""
@@ -211,44 +232,40 @@ class Clearance:
         return np.einsum("wij,i...w->j...w", turns, shifted)
 
     # -- derivatives ---------------------------------------------------------------------------------------------------
-    def first(self, postures: Array) -> tuple[Array, Array]:
-        """(m, k) margins and (m, k, n) how they change with the joints [mm/rad, 1]."""
-        apart, which = self.nearest(postures)
-        placed, m = self._placed(postures), len(postures)
-        one, other = np.moveaxis(self._pieces[which, 1:], -1, 0)  # (m, k) pieces
-        rows, capsules = np.arange(m)[:, None], len(self._radii)
-        axis, wall = other < capsules, (other >= capsules) & (other < capsules + len(self._boxes))
-        a, b = placed[:, :, rows, one]  # (3, m, k)
-        second = np.where(axis, other, 0)
-        c, d = placed[:, :, rows, second]
+    def gradients(self, postures: Array, run: NDArray[np.intp], pair: NDArray[np.intp]) -> Array:
+        """(N, n) how the distances of N pairs, each at one of the postures, change with the joints [mm/rad, 1]."""
+        seen = self._seen(postures)
+        first, second = self._pieces[seen.nearest[run, pair], 1:].T
+        capsules, axis = len(self._radii), second < len(self._radii)
+        a, b = seen.placed[:, :, run, first]  # (3, N)
+        other = np.where(axis, second, 0)
+        c, d = seen.placed[:, :, run, other]
         share, shared, normal = shortest(a, b, c, d)
-        length = np.sqrt(dot(normal, normal))
-        normal = np.where(length < 1e-6, np.cross(b - a, d - c, axis=0), normal)  # of axes that cross
+        # of axes that cross each other the direction across both
+        normal = np.where(dot(normal, normal) < 1e-12, np.cross(b - a, d - c, axis=0), normal)
         normal /= np.maximum(np.sqrt(dot(normal, normal)), SMALL)
-        lowest = (b[2] < a[2]).astype(float)
-        share, normal = np.where(axis, share, lowest), np.where(axis, normal, np.array([0.0, 0.0, 1.0])[:, None, None])
-        if wall.any():
-            box = (other - capsules)[wall]
+        share = np.where(axis, share, b[2] < a[2])
+        normal = np.where(axis, normal, np.array([[0.0], [0.0], [1.0]]))
+        if len(wall := np.flatnonzero(~axis & (second < capsules + len(self._boxes)))):
+            box = second[wall] - capsules
             start, end = self._in_box(a[:, wall], box), self._in_box(b[:, wall], box)
             half = self._boxes[box, 12:].T
             share[wall] = nearest_to_box(start, end, half)
             away = away_from_box(start + share[wall] * (end - start), end - start, half)
             normal[:, wall] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), away)
-        frames = self.model.joint_frames(postures)[:, :-1]
-        along = (frames[..., :3, :3] @ self.model.joint_axes[:, :, None])[..., 0]  # (m, n, 3)
-        turning = turns(self.model)[:, None]
-        moment, force = np.where(turning, along, 0.0), np.where(turning, np.cross(frames[..., :3, 3], along), along)
-        slopes, joints = np.zeros((*apart.shape, along.shape[1])), np.arange(1, along.shape[1] + 1)
-        for sign, weight, point, frame in (
-            (1.0, 1.0 - share, a, self._frames[0, one]),
-            (1.0, share, b, self._frames[1, one]),
-            (-1.0, 1.0 - shared, c, np.where(axis, self._frames[0, second], 0)),
-            (-1.0, shared, d, np.where(axis, self._frames[1, second], 0)),
+        moment, force = seen.screws(self.model)
+        slopes, joints = np.zeros((len(run), moment.shape[1])), np.arange(1, moment.shape[1] + 1)
+        still = np.where(axis, self._frames[1, other], 0)
+        for sign, near, far, part, piece, frame in (
+            (1.0, a, b, share, first, self._frames[1, first]),
+            (-1.0, c, d, shared, other, still),
         ):
-            turned = np.einsum("cmk,mjc->mkj", np.cross(point, normal, axis=0), moment)
-            pushed = np.einsum("cmk,mjc->mkj", normal, force)
-            slopes += (sign * weight)[..., None] * np.where(joints <= frame[..., None], turned + pushed, 0.0)
-        return apart - self.asked, slopes
+            sight = self._frames[0, piece] < self._frames[1, piece]  # of which only the far end moves
+            point, weight = np.where(sight, far, near + part * (far - near)), np.where(sight, part, 1.0)
+            turned = (moment[run] @ np.cross(point.T, normal.T)[:, :, None])[..., 0]
+            pushed = (force[run] @ normal.T[:, :, None])[..., 0]
+            slopes += (sign * weight)[:, None] * np.where(joints <= frame[:, None], turned + pushed, 0.0)
+        return slopes
 
 
 class Slopes:
@@ -263,12 +280,16 @@ class Slopes:
 
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, a, k)."""
-        margins, slopes = self.clearance.first(postures)
-        return margins, np.swapaxes(slopes, 1, 2)[:, self.joints]
+        run, pair = np.indices((len(postures), self.count)).reshape(2, -1)
+        slopes = self.clearance.gradients(postures, run, pair)[:, self.joints]
+        return self.values(postures), np.swapaxes(slopes.reshape(len(postures), self.count, -1), 1, 2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
         """(m, a) gradients of the sums with weights (m, k)."""
-        return np.einsum("mak,mk->ma", self.first(postures)[1], weights)
+        run, pair = np.nonzero(weights)
+        slopes, total = self.clearance.gradients(postures, run, pair), np.zeros(postures.shape)
+        np.add.at(total, run, weights[run, pair, None] * slopes)
+        return total[:, self.joints]
 
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, a, a) Hessians of the sums: differences of their gradients."""

@@ -125,7 +125,7 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) 
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     assert arm.cell is not None
-    frames = np.concatenate([np.eye(4)[None], design_model(Model(arm)).joint_frames(posture)[0]])
+    frames = np.concatenate([np.eye(4)[None], design_model(Model(arm)).joint_frames(posture[None])[0]])
     elevation, azimuth = np.radians(view)
     viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     bodies = [(body.joint, looks(body)) for body in arm.cell.bodies]

@@ -4,7 +4,7 @@
 const KEYS = "Tap or click a run to select it; the buttons above act on the selected run. Keys in the table: " +
   "↑ and ↓, Page Up, Page Down, Home and End select; Alt with ↑ or ↓ moves the run; Delete strikes it out or puts it back. " +
   "Without it: the D-efficiency that is left without this run.";
-const KEYS_IN_SPACE = " Drag to turn the view, with two fingers or the right button to move it; pinch, or click and use the wheel, " +
+const KEYS_IN_SPACE = " Click a point in the picture to select its run; drag to turn the view, with two fingers or the right button to move it; pinch, or click and use the wheel, " +
   "to zoom. Keys in the picture: ← and → step, Space plays, Delete strikes out; Shift with an arrow turns the view, W, A, S and D " +
   "move it, + and − zoom, 0 goes back to the first view.";
 const [PLAY, PAUSE] = ["▶ Play", "❚❚ Pause"];
@@ -115,9 +115,16 @@ class Steps {
     this.cell = new Cell(this.left, this.plan);
     place.classList.add("live");
     this.keys.textContent += KEYS_IN_SPACE;
-    this.cell.canvas.setAttribute("aria-describedby", this.keys.id);
-    this.cell.canvas.addEventListener("keydown", event => (this.cell.key(event) ? event.preventDefault() : this.key(event)));
-    this.cell.canvas.addEventListener("webglcontextlost", () => place.classList.remove("live"));
+    const { canvas } = this.cell;
+    canvas.setAttribute("aria-describedby", this.keys.id);
+    canvas.addEventListener("keydown", event => (this.cell.key(event) ? event.preventDefault() : this.key(event)));
+    canvas.addEventListener("webglcontextlost", () => place.classList.remove("live"));
+    let from;
+    canvas.addEventListener("pointerdown", event => { from = [event.offsetX, event.offsetY]; });
+    canvas.addEventListener("click", event => {
+      const run = Math.hypot(event.offsetX - from[0], event.offsetY - from[1]) < 5 ? this.cell.runAt(event) : undefined;
+      if (run !== undefined) { this.at = this.order.indexOf(run); this.show(); }
+    });
   }
 
   // which errors are shown as arrows, of which measurements

@@ -246,6 +246,17 @@ class Cell {
     this.draw();
   }
 
+  // the run whose measured point is where a reader clicked, at most 15 pixels away
+  runAt({ offsetX, offsetY }) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const away = this.runs.map(points => {
+      const { x, y } = points.at(-1).clone().project(this.camera);
+      return Math.hypot((x + 1) * width / 2 - offsetX, (1 - y) * height / 2 - offsetY);
+    });
+    const nearest = Math.min(...away);
+    return nearest <= 15 ? away.indexOf(nearest) : undefined;
+  }
+
   // keys of the view alone; whether it was one
   key(event) {
     const { controls } = this, turn = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];

@@ -397,27 +397,37 @@ class KinematicChain(ByValue):
         points = _points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
         return np.swapaxes(points, -1, -2)
 
-    def joint_frames(self, postures: Array, values: Array) -> Array:
-        """(..., n + 1, 4, 4) [mm] at postures (..., n), in the frame of the base: each joint's frame after it moved,
-        and the tip's with the first measured point as its origin.
+    def joint_frames(self, values: Array) -> Callable[[Array], Array]:
+        """What gives the frames (..., n + 1, 4, 4) [mm] at postures (..., n), in that of the base: each of a joint
+        after it moved, and the tip's with the first measured point as its origin.
 
         values : of the parameters, in their order
         """
-        frames = self._poses(postures, self._named(values))
-        frames[..., -2, :3, 3] = frames[..., -1, :3, 3]
-        return frames[..., 1:-1, :, :]
+        poses = self._poses(self._named(values))
+
+        def at(postures: Array) -> Array:
+            frames = poses(postures)
+            frames[..., -2, :3, 3] = frames[..., -1, :3, 3]
+            return frames[..., 1:-1, :, :]
+
+        return at
 
     def tip_frames(self, postures: Array, values: Mapping[str, float] = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
-        return self._poses(postures, values)[..., -2, :, :]
+        return self._poses(values)(postures)[..., -2, :, :]
 
-    def _poses(self, postures: Array, values: Mapping[str, float]) -> Array:
-        """(..., n + 3, 4, 4) of `_in_base`."""
-        placed = _frames(self, tuple(values.items()))(postures)[0]
-        frames = np.zeros((*placed.shape[:-2], len(self) + 3, 4, 4))
-        frames[..., 3, 3] = 1.0
-        frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], -1, 4), -3, -2)
-        return frames
+    def _poses(self, values: Mapping[str, float]) -> Callable[[Array], Array]:
+        """What gives `_in_base` (..., n + 3, 4, 4) at postures (..., n)."""
+        compiled = _frames(self, tuple(values.items()))
+
+        def at(postures: Array) -> Array:
+            placed = compiled(postures)[0]
+            frames = np.zeros((*placed.shape[:-2], len(self) + 3, 4, 4))
+            frames[..., 3, 3] = 1.0
+            frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], -1, 4), -3, -2)
+            return frames
+
+        return at
 
 
 # of a chain and values of its parameters; compiled once, used in every search

@@ -19,7 +19,6 @@ from doe.criteria import (
     E,
     I,
     PowerMean,
-    SoftWorst,
     Worst,
     criterion,
     information_matrix,
@@ -251,10 +250,10 @@ def test_of_several_arms_one_that_is_not_identified_is_enough() -> None:
     good, bad = generator.normal(size=(12, 4)), generator.normal(size=(12, 3)) @ generator.normal(size=(3, 4))
     both = np.zeros((8, 8))
     both[:4, :4], both[4:, 4:] = good.T @ good, bad.T @ bad
-    for phi in (Average(2), SoftWorst(2), Worst(2)):
+    for phi in (Average(2), Worst(2, 20.0), Worst(2)):
         assert phi.value(both) == -np.inf
     both[4:, 4:] = good.T @ good
-    for phi in (Average(2), SoftWorst(2), Worst(2)):
+    for phi in (Average(2), Worst(2, 20.0), Worst(2)):
         assert np.isfinite(phi.value(both))
 
 

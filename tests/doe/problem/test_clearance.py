@@ -59,7 +59,7 @@ def postures(arm: Arm) -> Array:
 
 def samples(arm: Arm, posture: Array, name: str, count: int = 120) -> list[tuple[Array, float]]:
     """Of each capsule of a body points (count, 3) along its axis, and its radius, from the chain's matrices."""
-    frames = design_model(Model(arm)).joint_frames(posture)[0]
+    frames = design_model(Model(arm)).joint_frames(posture[None])[0]
     shares = np.linspace(0.0, 1.0, count)[:, None]
     if name == SIGHT:
         return [(TRACKER + shares * (frames[-1, :3, 3] - TRACKER), 0.0)]

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
+import pytest
+from mpl_toolkits.mplot3d import art3d
 
 from doe.report.figures import outlines, plan_figure
+from doe.report.scene import side
+from identification import design_model
 from identification.arm import Arm, Calibration, EffectSpec
+from identification.bodies import Body, Cell
 from identification.documents.pictures import workspace_arrows
+from identification.model import Model
 from tests.doe.problem.test_spatial_constraints import ARM, PILLAR, POSTURES, SIGHT, SPHERE
 
 
@@ -32,6 +41,36 @@ def test_a_plan_is_seen_from_two_sides() -> None:
     assert len(figure.axes) == 3
     skeletons = [line for line in views[0].lines if len(line.get_xdata()) == 8]
     assert len(skeletons) == 5
+
+
+def test_the_bodies_of_a_cell_are_drawn_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the arm at the first posture and of the cell, seen from where the page shows them; the floor below."""
+    start, end, radius = np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 400.0]), 50.0
+    link = Body("link", 2, np.array([[*start, *end, radius]]))
+    wall = Body("wall", 0, boxes=np.array([[700.0, 0.0, 300.0, *np.eye(3).ravel(), 20.0, 400.0, 300.0]]))
+    arm = replace(ARM, cell=Cell((link, wall), floor=-100.0))
+    drawn = []
+
+    class Kept(art3d.Poly3DCollection):
+        def __init__(self, polygons: Any, **style: Any) -> None:
+            drawn.append(np.reshape(polygons, (-1, 3)))
+            super().__init__(polygons, **style)
+
+    monkeypatch.setattr(art3d, "Poly3DCollection", Kept)
+    view, _ = (axes for axes in plan_figure(arm, POSTURES[:5]).axes if axes.name == "3d")
+    corners, floor = drawn[:2]
+    frame = design_model(Model(arm)).joint_frames(POSTURES[:1])[0, 1]
+    local = (corners - frame[:3, 3]) @ frame[:3, :3]
+    axial = np.clip(local[:, 2], start[2], end[2])
+    away = np.linalg.norm(local - axial[:, None] * np.eye(3)[2], axis=1)
+    on_link = np.isclose(away, radius, atol=1.0)
+    on_wall = np.isclose(np.abs(corners - [700.0, 0.0, 300.0]), [20.0, 400.0, 300.0], atol=1.0)
+    assert (on_link | on_wall.all(axis=1)).all()
+    assert on_link.sum() > 100
+    assert on_wall.all(axis=1).sum() >= 6
+    np.testing.assert_allclose(floor[:, 2], -100.0)
+    assert view.get_zlim()[0] <= -100.0
+    assert (view.elev, view.azim) == side(arm)
 
 
 def test_of_very_many_postures_some_are_drawn() -> None:

@@ -216,6 +216,11 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     keys.press("0")
     before = picture(seen)
     assert changed(before, first) == 0.0
+    script = "plans[0].cell.runs[4].at(-1).clone().project(plans[0].cell.camera).toArray()"
+    (x, y, _), size = seen.page.evaluate(script), canvas.bounding_box()
+    canvas.click(position={"x": (x + 1.0) / 2.0 * size["width"] + 3, "y": (1.0 - y) / 2.0 * size["height"]})
+    assert where.inner_text() == "Run 5, place 5 of 14"  # whose reflector was clicked
+    before = picture(seen)
     for box in seen.page.locator("fieldset input").all():
         box.uncheck()
         canvas.focus()
