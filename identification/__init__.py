@@ -35,8 +35,8 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "information": "identifiability rounding_share significant spectrum",
     # errors, progress, arrays
     "errors": "ArmcalError InputError JobError nearest",
-    "vectorize": "vectorize",
-    "newton_ascent": "newton_ascent",
+    "vectorized": "vectorize",
+    "newton": "newton_ascent",
     "running": "Progress Status additions silent",
     "arrays": "Array readonly",
 }
@@ -81,11 +81,11 @@ if TYPE_CHECKING:  # the same for type checkers
     )
     from identification.measurements import Conditions, Measurements, load_measurements, rms_distance
     from identification.model import Model
-    from identification.newton_ascent import newton_ascent
+    from identification.newton import newton_ascent
     from identification.replications import Replications, StudyFile
     from identification.running import Progress, Status, additions, silent
     from identification.validate import predicted_95
-    from identification.vectorize import vectorize
+    from identification.vectorized import vectorize
     from identification.workflow import load_sessions
 
 

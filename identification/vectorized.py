@@ -111,6 +111,6 @@ def _line(function: ca.Function, k: int) -> str:
         return f"w{target} = " + ARITHMETIC[operation].format(*words)
     if operation not in FUNCTIONS:
         reason = f"CasADi operation {operation} has no numpy form here"
-        raise NotImplementedError(f"{reason}; add it to identification/vectorize.py")
+        raise NotImplementedError(f"{reason}; add it to identification/vectorized.py")
     one = " * 1.0" if FUNCTIONS[operation] in TRUTHS.values() else ""
     return f"w{target} = np.{FUNCTIONS[operation]}({', '.join(words)}){one}"
