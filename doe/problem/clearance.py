@@ -330,13 +330,31 @@ def from_box(points: Array, half: Array) -> Array:
 
 
 def nearest_to_box(a: Array, b: Array, half: Array) -> Array:
-    """(...) shares of the way from a to b (3, ...) to the point nearest to a box, or deepest in it, by thirds."""
-    low, high = np.zeros(a.shape[1:]), np.ones(a.shape[1:])
-    for _ in range(40):  # to 1e-7 of the way
-        one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
-        nearer = from_box(a + one * (b - a), half) < from_box(a + other * (b - a), half)
-        low, high = np.where(nearer, low, one), np.where(nearer, other, high)
-    return 0.5 * (low + high)
+    """(N,) shares of the way from a to b (3, N) to the point nearest to a box, or deepest in it.
+
+    The derivative of the squared distance grows along the way, and linearly between the planes of the box's faces.
+    Inside, where it is zero, the deepest point is found by thirds.
+    """
+    along, n = b - a, np.arange(a.shape[1])
+    crossed = np.concatenate([half - a, -half - a]) / np.tile(np.where(np.abs(along) > SMALL, along, np.inf), (2, 1))
+    shares = np.concatenate([np.zeros((1, len(n))), np.sort(np.clip(crossed, 0.0, 1.0), axis=0), np.ones((1, len(n)))])
+    points = a + shares[:, None] * along
+    slopes = np.sum(along * np.sign(points) * np.maximum(np.abs(points) - half, 0.0), axis=1)  # (8, N)
+    after = np.where((slopes >= 0.0).any(axis=0), np.argmax(slopes >= 0.0, axis=0), len(shares) - 1)
+    before = np.maximum(after - 1, 0)
+    low, high = slopes[before, n], slopes[after, n]
+    part = np.where(high > 0.0, -low / np.where(high > low, high - low, 1.0), 1.0)
+    nearest = shares[before, n] + np.clip(part, 0.0, 1.0) * (shares[after, n] - shares[before, n])
+    inside = np.flatnonzero(from_box(a + nearest * along, half) < ROUNDING)
+    if len(inside):
+        a, along, half = a[:, inside], along[:, inside], half[:, inside]
+        low, high = np.zeros(len(inside)), np.ones(len(inside))
+        for _ in range(40):  # to 1e-7 of the way
+            one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
+            nearer = from_box(a + one * along, half) < from_box(a + other * along, half)
+            low, high = np.where(nearer, low, one), np.where(nearer, other, high)
+        nearest[inside] = 0.5 * (low + high)
+    return nearest
 
 
 def away_from_box(points: Array, along: Array, half: Array) -> Array:

@@ -291,17 +291,6 @@ def test_what_is_outside_the_library_is_of_the_size_asked_for_in_space(number: i
     assert np.linalg.norm(off(library, inside)) < 1e-6 * np.linalg.norm(inside)
 
 
-def test_reads_of_a_posture_share_its_error_in_space() -> None:
-    """Variance within postures sigma^2, within 3 standard errors; of what the true model leaves about 5 sigma^2."""
-    data = data_set("space, three reads, none", 900)
-    read = data.measurements.positions.reshape(-1, 3, 3) / data.arm.sigma
-    count = 2 * 3 * len(read)
-    within = np.sum((read - read.mean(axis=1, keepdims=True)) ** 2) / count
-    assert within == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / count))
-    assert np.array_equal(data.measurements.posture_numbers, np.repeat(np.arange(60), 3))
-    assert 3.0 < base_fit(data) / (180 * 3 - 28) < 7.0
-
-
 def test_reflectors_take_turns() -> None:
     data = data_set("space, none, two reflectors", 900).measurements
     assert data.marker is not None
