@@ -10,7 +10,7 @@ import pytest
 from mpl_toolkits.mplot3d import art3d
 
 from doe.report.figures import outlines, plan_figure
-from doe.report.scene import side
+from doe.report.scene import scene, side
 from identification import design_model
 from identification.bodies import Body, Cell
 from identification.model import Model
@@ -69,3 +69,10 @@ def test_the_bodies_of_a_cell_are_drawn_where_they_are(monkeypatch: pytest.Monke
     np.testing.assert_allclose(floor[:, 2], -100.0)
     assert view.get_zlim()[0] <= -100.0
     assert (view.elev, view.azim) == side(arm)
+
+
+def test_a_floor_without_bodies_is_drawn() -> None:
+    arm = replace(ARM, cell=Cell((Body("nothing"),), floor=-50.0))
+    views = [axes for axes in plan_figure(arm, POSTURES[:2]).axes if axes.name == "3d"]
+    assert all(view.get_zlim()[0] <= -50.0 for view in views)
+    assert scene(design_model(Model(arm)), POSTURES[:2], [[], []], {})["bodies"] == []

@@ -36,11 +36,10 @@ from doe.studies.blind.simulator import (
     relays,
     session,
 )
-from doe.studies.blind.study import fitted_arm
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.effects import build_all
-from identification.gap.fit import Rows, fit
+from identification.gap.fit import Rows, fit, fitted_arm
 from identification.model import Model
 from identification.model.minimal import practical
 
@@ -264,7 +263,7 @@ def test_what_the_arm_file_is_wrong_about() -> None:
 def test_outliers_are_15_sigma_away() -> None:
     """Beside the same arm without them, which is the true model fitted to the other rows."""
     data = data_set("space, three outliers, lambda 8", 900)
-    arm = fitted_arm(data, data.specs)
+    arm = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
     rows, model = data.measurements, Model(arm)
     missed = np.linalg.norm(rows.positions - model.position(rows.postures, model.values, rows.conditions), axis=1)
     wrong = np.flatnonzero(missed > 10.0 * data.arm.sigma) + 1
