@@ -133,12 +133,14 @@ def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-def load_arm(path: PathLike) -> Arm:
-    """The arm that a TOML file describes.
+def load_arm(path: PathLike | Mapping[str, Any]) -> Arm:
+    """The arm that a TOML file describes, or the tables of one.
 
     Raises `InputError`, one line naming file, key, what was found and what is allowed. Warns (`UserWarning`) when the
     joint limits look like radians.
     """
+    if isinstance(path, Mapping):
+        return arm_from_tables(dict(path))
     tables = read_toml(path)
     try:
         arm = arm_from_tables(tables, Path(path).parent)
