@@ -50,7 +50,7 @@ class Cell(ByValue):
     bodies : of the arm and of the cell; those of a file are read and covered when they are first asked for
     floor : [mm] height in the frame of the arm's base below which nothing may reach; None: there is no floor
     clearance : [mm] smallest distance of two bodies, and of the arm from the floor
-    apart : pairs of names that are not looked at, as an SRDF file says
+    apart : pairs of names that are not looked at: links that a joint connects, and what an SRDF file says
     """
 
     bodies: Sequence[Body] = ()

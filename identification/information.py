@@ -1,4 +1,4 @@
-"""The information matrix, and what a plan makes estimable before any data exist (paper, eq. 16-19, corrected).
+"""What rows of a Jacobian make estimable, before any data exist (paper, eq. 16-19, corrected).
 
 One rule decides every rank, here and elsewhere (`column_lengths` and `significant`): columns are scaled to unit length,
 one whose length, counted in mm at the tip (`Model.scales`), is nothing beside the longest is zero, and values below a
@@ -32,14 +32,6 @@ VISIBLE = 1e-6  # of the largest
 ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
 CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 TOUCHED = 1e-3  # a parameter with less than this in every null direction is estimable
-
-
-def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
-    """(..., p, p) sum_i w_i J_i^T J_i of Jacobians (..., m, d, p); weights (m,) default to one."""
-    *batch, m, d, p = jacobian.shape
-    rows = jacobian if weights is None else jacobian * np.sqrt(np.asarray(weights))[:, None, None]
-    rows = rows.reshape(*batch, m * d, p)
-    return np.swapaxes(rows, -1, -2) @ rows
 
 
 def column_lengths(sizes: Array, scales: Array) -> tuple[Array, NDArray[np.bool_]]:

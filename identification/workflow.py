@@ -9,6 +9,7 @@ when they are called, so that `armcal --help` answers at once.
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
 
-from identification.document import Answer, Document, picture_bytes
+from identification.document import Answer, Document
 from identification.errors import InputError, nearest
 from identification.files.io import PathLike, read_text, read_toml, write_together
 from identification.running import Progress, Status, silent
@@ -123,25 +124,49 @@ def init_files(
 
 
 # -- check, simulate ---------------------------------------------------------------------------------------------------
-def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer:
+def check_files(
+    arm: Path,
+    data: Path,
+    *,
+    constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
+    progress: Progress = silent,
+) -> Answer:
     """Are the measurements what they should be?
 
-    Look at the measurements DATA of ARM before anything is fitted in earnest.
+    Look at the measurements DATA of ARM before anything is fitted in earnest; of a plan at its postures.
 
     Rows, ranges against limits, units, repeats, what the drawing leaves after fitting where the arm stands, joints that
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
+    import numpy as np
+
     from identification.files.arm import load_arm, urdf_masses
+    from identification.files.csv import read_table
+    from identification.files.measurement import load_plan
     from identification.inspection.inspection import inspect
     from identification.measurements import load_measurements
+    from identification.model import Model
 
     loaded = load_arm(arm)
+    bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
+    if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
+        q = load_plan(data, loaded.joint_types).postures
+        outside = (np.flatnonzero(np.any((q < loaded.lower - 1e-6) | (q > loaded.upper + 1e-6), axis=1)) + 1).tolist()
+        near = [each for clearance in bodies for each in clearance.to_json(q)]
+        said = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
+        said += f": {', '.join(map(str, outside))}" if outside else ""
+        lines = [said, *(line for clearance in bodies for line in clearance.in_words(q))]
+        return Answer({"ok": not outside and not near, "outside_limits": outside, "collisions": near}, lines)
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     inspection = inspect(loaded, measurements, urdf_masses(arm))
-    return Answer(inspection.to_json(), [inspection.document(str(arm), str(data))], inspection)
+    answer = Answer(inspection.to_json(), [inspection.document(str(arm), str(data))], inspection)
+    for clearance in bodies:
+        answer.data["collisions"] = clearance.to_json(measurements.postures)
+        answer.shown.extend(clearance.in_words(measurements.postures))
+    return answer
 
 
 def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
@@ -157,7 +182,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
     from identification.effects import build_all
     from identification.files.arm import load_arm
-    from identification.files.measurement import measurement_text, read_plan
+    from identification.files.measurement import load_plan, measurement_text
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
@@ -166,7 +191,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    wanted = read_plan(plan, loaded.joint_types, conditions=True)
+    wanted = load_plan(plan, loaded.joint_types, conditions=True)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
@@ -645,7 +670,7 @@ def validate_files(
     if picture is not None:
         from identification.documents.pictures import validation_figure
 
-        write_together({picture: picture_bytes(validation_figure(validation), picture)}, force)
+        write_together({picture: validation_figure(validation)}, force)
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 
@@ -677,7 +702,7 @@ def compensate_files(
     arm = load_arm(calibrated)
     check_calibrated(arm, str(calibrated))
     wanted = load_targets(targets, arm)
-    allowed = constraints(Model(arm)) if arm.constraints else ()
+    allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     lines = []
     if out is not None:

@@ -11,13 +11,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
+from doe.criteria import information_matrix
 from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, JobError, information_matrix, single_thread
+from identification import Array, JobError
 
 
 def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> Bound | None:
@@ -29,10 +31,11 @@ def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> B
     closed = closed_form_bound(problem)
     if closed is not None and not problem.constraints and problem.choices is None:
         return closed
+    closed = None if closed is None else replace(closed, unconstrained=bool(problem.constraints))
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
     try:
-        with single_thread():
+        with threadpool_limits(limits=1, user_api="blas"):
             numerical = best_design(problem, runs, stop=stop).bound
     except (JobError, np.linalg.LinAlgError):  # the latter: information that is singular to rounding
         return closed
@@ -52,7 +55,8 @@ def best_design(
     many, rough = problem.many_parameters, 1e-3  # relative gap: some seconds instead of half a minute
     if problem.choices is None:
         free, gap = (replace(problem, constraints=()), rough) if many else (problem, 1e-8)
-        return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
+        design = continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
+        return replace(design, unconstrained=bool(problem.constraints) and many)
     one_number = rough if many and problem.model.dimension == 1 else 1e-9  # a run: weights hardly settle
     gap = 1e-2 if problem.missing else one_number  # with a prior weights are spread over as many postures
     candidates = listed_candidates(problem, problem.choices)

@@ -12,14 +12,28 @@ from typing import Any
 
 import click
 
+from doe import SINGLE_THREAD
 from doe.cli.plans import VERBS as PLANS
-from doe.cli.verb import no_output, verb
-from identification import SINGLE_THREAD, InputError, in_one_line, nearest
+from doe.cli.verb import in_one_line, no_output, verb
+from identification import InputError, nearest
 from identification.document import Answer
 from identification.workflow import VERBS as DATA
 
 ORDER = (  # of the work; demo and study have modules here
-    *("demo", "init", "design", "score", "advise", "compare", "relax", "study", "simulate", "check", "identify"),
+    *(
+        "demo",
+        "init",
+        "design",
+        "score",
+        "program",
+        "advise",
+        "compare",
+        "relax",
+        "study",
+        "simulate",
+        "check",
+        "identify",
+    ),
     *("diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
 )
 OTHER_VERBS = {  # words for the same -> verb
@@ -127,7 +141,7 @@ def help_of(topic: str = FORMATS) -> Answer:
     if topic == FORMATS:
         from rich.markdown import Markdown
 
-        from identification.files import formats
+        from identification import formats
 
         text = formats()
         return Answer({"topic": topic, "text": text}, [Markdown(text)])

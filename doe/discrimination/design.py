@@ -28,26 +28,15 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from doe.criteria import log_determinants
+from doe.criteria import information_matrix, log_determinants
 from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts, spread_free_joints
-from doe.problem.model import DesignModel, offered
+from doe.problem.model import DesignModel, offered, turns
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import information_of_each
 from doe.solvers import Solver, solve
 from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification import (
-    REVOLUTE,
-    Array,
-    InputError,
-    Model,
-    Progress,
-    Status,
-    design_model,
-    information_matrix,
-    silent,
-    spectrum,
-)
+from identification import Array, InputError, Model, Progress, Status, design_model, silent, spectrum
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -362,8 +351,7 @@ def _start(state: Swaps, best: Design, least: float, generator: Generator, budge
 
 def turning(problem: DesignProblem) -> NDArray[np.bool_]:
     """(n,) joints that turn all the way round."""
-    revolute = np.array(problem.model.joint_types) == REVOLUTE
-    return revolute & (problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
+    return turns(problem.model) & (problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
 
 
 def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: Generator) -> Array:

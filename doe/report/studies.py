@@ -19,7 +19,7 @@ from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL, StudyResult
 from doe.studies.paper import passed
 from identification import Array
-from identification.document import Sheet, picture_bytes
+from identification.document import Sheet
 from identification.files.io import write_together
 
 Setting = tuple[str, int]  # solver and starts
@@ -188,17 +188,17 @@ def paper_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
         rows = tables[name].iter_rows(named=True)
         cells = [[cell_text(row.get(key), formats.get(key, "")) for key in headings] for row in rows]
         parts.append(Sheet(headings, cells, title))
+    shown = {True: "yes", False: "NO", None: "notebook 2"}
     errata = [
         [
             *(row[name] for name in ("place", "printed", "correct")),
-            f"{row['printed_error']:.2g}",
-            f"{row['correct_error']:.1g}",
-            "yes" if row["confirmed"] else "NO",
+            *(cell_text(row[name], ".2g") for name in ("printed_error", "correct_error")),
+            shown[row["confirmed"]],
         ]
         for row in tables["errata"].iter_rows(named=True)
     ]
     names = ("place", "printed", "correct", "error of printed", "error of correct", "shown")
-    return [*parts, Sheet(names, errata, "Errata, each checked by numbers")]
+    return [*parts, Sheet(names, errata, "Errata; those of deviations by simulation")]
 
 
 def figure_1_picture(data: pl.DataFrame) -> Figure:
@@ -308,8 +308,7 @@ def blind_pictures(folder: Path, result: BlindStudy) -> None:
     """confusion.png and reliability.png in the folder, replaced if they are there."""
     for name, drawn in {"confusion": confusion_figure, "reliability": reliability_figure}.items():
         if len(result.tables[name]):
-            path = folder / f"{name}.png"
-            write_together({path: picture_bytes(drawn(result.tables[name]), path)}, force=True)
+            write_together({folder / f"{name}.png": drawn(result.tables[name])}, force=True)
 
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.plan.plan import Plan, load_plan, plan_text
 from doe.problem.problem import DesignProblem
+from identification import Plan, load_plan
 from identification.arm import Arm, Calibration
 from identification.compensate import compensate
 from identification.estimation import estimate
 from identification.estimation.doubts import outside_limits
 from identification.files.arm import dump_arm, load_arm
 from identification.files.csv import read_table
-from identification.files.measurement import commands_text, load_targets, measurement_text, read_plan, read_postures
+from identification.files.measurement import commands_text, load_targets, measurement_text, read_postures
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting, JointKinds
 from identification.measurements import Measurements, load_measurements
@@ -98,7 +98,7 @@ def test_a_plan_comes_back(tmp_path_factory: pytest.TempPathFactory, counting: C
     kinds = JointKinds(["revolute"] * n, counting)
     q = np.random.default_rng(random.randint(0, 99)).uniform(-3.0, 3.0, (4, n))  # type: ignore[attr-defined]
     path = tmp_path_factory.mktemp("plans") / "plan.csv"
-    for text in (plan_text(Plan(q), kinds), Plan(q, joint_types=kinds).to_frame().write_csv()):
+    for text in (Plan(q).text(kinds), Plan(q, joint_types=kinds).to_frame().write_csv()):
         path.write_text(text)
         np.testing.assert_allclose(load_plan(path, kinds).postures, q, atol=1e-12)
         np.testing.assert_allclose(
@@ -122,11 +122,11 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     assert known[:, :2].all()
     assert not known[:, 2].all()  # joint 2 falls, column 3 too: the joint may do either
     np.testing.assert_array_equal(again.directions[known], data.directions[known])
-    (tmp_path / "targets.csv").write_text(plan_text(Plan(q), arm.joint_types))
+    (tmp_path / "targets.csv").write_text(Plan(q).text(arm.joint_types))
     wanted = load_targets(tmp_path / "targets.csv", arm).postures
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
-    found = read_plan(tmp_path / "plan.csv", arm.joint_types, conditions=True).conditions["directions"]
+    found = load_plan(tmp_path / "plan.csv", arm.joint_types, conditions=True).conditions["directions"]
     np.testing.assert_array_equal(found, [[1.0, -1.0, 1.0]])
 
 

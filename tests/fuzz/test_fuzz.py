@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from doe.plan.plan import load_plan
 from doe.studies.monte_carlo import load_study
+from identification import load_plan
 from identification.errors import InputError
 from identification.files.arm import dump_arm, load_arm
 from identification.files.csv import read_table

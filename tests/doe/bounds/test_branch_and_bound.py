@@ -139,18 +139,6 @@ def test_equals_the_jacobians(case) -> None:  # type: ignore[no-untyped-def]
     assert polynomial.magnitude >= np.abs(expected).max()  # what the margin for rounding is taken of
 
 
-def test_base_model_has_a_wave_per_pair_of_links() -> None:
-    """d depends on q through exp(i (q_(j+1) + .. + q_k)), j < k, only; q_1 plays no part.
-
-    doe/README.md, "Information matrix".
-    """
-    found = trigonometric_jacobian(problem(FOUR))
-    frequencies = {tuple(f) for f in sensitivity_polynomial(found, np.diag(np.arange(1.0, 9.0)) + 1.0).frequencies}
-    pairs = {tuple(int(j < c <= k) for c in range(4)) for j in range(4) for k in range(j + 1, 4)}
-    # sums of two orientations appear too, with coefficients that cancel: the metric need not be a real form here
-    assert pairs <= frequencies
-
-
 @pytest.mark.parametrize(
     "case",
     [

@@ -199,9 +199,7 @@ for words in sys.argv[1:]:
 """
 COMMANDS = (
     "design arm.toml --runs 8 --starts 1 --picture outputs/plan.png --out outputs/plan.csv",
-    "compare arm.toml --runs 8 --solvers random --repeats 1 --out outputs/new",
     "identify arm.toml data.csv --out outputs/calibrated.toml",
-    "validate outputs/calibrated.toml data.csv --picture outputs/errors.svg",
     "compensate outputs/calibrated.toml targets.csv --out outputs/commands.csv",
     "report arm.toml outputs/calibrated.toml plan.csv data.csv --out outputs/page.html",
 )

@@ -26,7 +26,7 @@ from identification.estimation import estimate
 from identification.gap.diagnose import diagnose
 from identification.kinematics.parameters import Parameter, ParameterSet
 from identification.measurements import Measurements
-from identification.vectorize import vectorize
+from identification.vectorized import vectorize
 
 
 class Sine:
@@ -90,9 +90,11 @@ def test_the_next_posture_tells_a_sine_from_one_with_a_slope() -> None:
         0.25 * np.linalg.inv(rows(first, p).T @ rows(first, p)) / np.outer(s, s)
         for p, s in zip((2, 3), scales, strict=True)
     ]
-    rivals = RivalPredictions.of_problems(
-        [(problem, covariance, 0.0) for problem, covariance in zip(problems, covariances, strict=True)], FINE[:, None]
-    )
+    shown = [problem.scaled_jacobians(FINE[:, None]) * s for problem, s in zip(problems, scales, strict=True)]
+    roots = [np.linalg.cholesky(covariance) for covariance in covariances]
+    places = np.array([np.zeros((len(FINE), 1)), 1.5 * FINE[:, None]]) / 0.5
+    jacobians = [jacobian @ root / 0.5 for jacobian, root in zip(shown, roots, strict=True)]
+    rivals = RivalPredictions(np.full(2, 0.5), np.zeros((2, 2)), places, jacobians)
     chosen = t_optimal(rivals, 1)
     delta = 1.5 * FINE
     spread = 0.25 + np.einsum("kp,pq,kq->k", rows(FINE), covariances[0] * np.outer(scales[0], scales[0]), rows(FINE))

@@ -16,11 +16,11 @@ from click.testing import CliRunner
 from doe.cli import main
 from doe.design import score
 from doe.jobs import Outcome, RowTable, frame_of
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure, time_figure
 from doe.solvers import Offer, Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
+from identification import Plan
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.kinematics.chain import DHRow, chain_of

@@ -134,17 +134,6 @@ def test_one_equation_tells_no_culprit() -> None:
     assert found == {"a": ("b",)}
 
 
-def test_data_without_noise() -> None:
-    """Nothing fails where the residuals are zero or rounding."""
-    generator = np.random.default_rng(9)
-    earlier = before(generator)
-    postures = generator.uniform(-2.0, 2.0, (12, 3))
-    drawn = replace(earlier, values=dict.fromkeys(MODEL.names, 0.0))
-    exact = Measurements(postures, MODEL.position(postures, np.zeros(6)))
-    for sigma in (None, "given", "estimated"):
-        assert with_prior(drawn, exact, sigma).contradictions == ()
-
-
 def test_an_error_of_degrees_accuses_no_length() -> None:
     """The tip of a zero 3 deg off moves on an arc, by 0.5 mm from its tangent, which looks like another length: ten
     deviations of the measurements. Of 20 sets, chance names one more in 1 %."""

@@ -148,12 +148,14 @@ FREE |= {"center_mm", "tracker_mm", "toward_mm", "start_mm", "end_mm", "facing",
 
 
 def test_a_number_that_nothing_is(tables: dict[str, Any], tmp_path: Path) -> None:
-    """Far below all that there is; but values of parameters, and places beside which the arm moves."""
+    """Far below or above all that there is; but values of parameters, and places beside which the arm moves."""
     for path in places(tables):
         kind = type(at(tables, path))
         if kind in (int, float) and not FREE & {*path} and (path[0] != "constraints" or path[-1] == "radius_mm"):
-            message = refused(tables, tmp_path, path, kind(-1e12))
-            assert message.startswith(dotted(path)) or path[0] == "joints", message
+            endless = {"radius_mm", "sigma_deg", "gear_ratio"} & {*path}
+            for wrong in (kind(-1e12), *(() if endless else (kind(1e300),))):
+                message = refused(tables, tmp_path, path, wrong)
+                assert message.startswith(dotted(path)) or path[0] == "joints", message
 
 
 def test_a_misspelt_key(tables: dict[str, Any], tmp_path: Path) -> None:

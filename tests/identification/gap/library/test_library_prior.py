@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.effects import Effect, Parameter, register
-from identification.effects.base import _LIBRARY
 from identification.errors import InputError
 from identification.estimation import estimate, estimate_with_prior
 from identification.gap.library_prior import library_prior
@@ -120,21 +118,6 @@ def test_names_choose_and_unknown_ones_are_refused() -> None:
         library_prior(ARM, names=["gear"])
     with pytest.raises(InputError, match="none of the library's is left"):
         library_prior(ARM, names=["backlash"])
-
-
-def test_an_effect_without_a_typical_size_is_left_out() -> None:
-    class Unsized(Effect):
-        name = "unsized"
-        summary = "a size that nobody knows"
-
-        def define(self) -> tuple[Parameter, ...]:
-            return (self.parameter("x", "mm", scale=1.0),)
-
-    register(Unsized)
-    try:
-        assert library_prior(ARM).left_out["unsized"] == "no typical size"
-    finally:
-        del _LIBRARY["unsized"]
 
 
 def test_what_a_narrow_joint_1_cannot_show_is_not_taken_for_frames() -> None:
