@@ -69,7 +69,7 @@ def _cut(faces: Array, longest: float) -> Array:
 
 
 # -- capsules ----------------------------------------------------------------------------------------------------------
-def distances(capsules: Array, points: Array) -> tuple[Array, Array]:
+def from_capsules(capsules: Array, points: Array) -> tuple[Array, Array]:
     """(m, k) signed distances of points (m, 3) from capsules (k, 7), and where on each axis, 0 to 1, they are from."""
     start, along, radius = capsules[:, :3], capsules[:, 3:6] - capsules[:, :3], capsules[:, 6]
     squared = np.maximum(np.sum(along**2, axis=1), 1e-9)
@@ -84,7 +84,7 @@ def _objective(flat: Array, surface: Array, around: Array, weight: float) -> tup
     capsules = flat.reshape(-1, 7)
     value, gradient = 0.0, np.zeros_like(capsules)
     for points, sign, factor in ((surface, 1.0, weight / len(surface)), (around, -1.0, 1.0 / max(len(around), 1))):
-        from_each, at = distances(capsules, points)
+        from_each, at = from_capsules(capsules, points)
         nearest = from_each.argmin(axis=1)
         d = from_each[np.arange(len(points)), nearest]
         wrong = np.flatnonzero(sign * d > 0.0)
@@ -164,7 +164,7 @@ def _sticking_out(capsules: Array, faces: Array, finest: float) -> tuple[Array, 
     much."""
     found = [(np.empty((0, 3, 3)), np.empty(0, dtype=np.intp), np.empty(0))]
     while len(faces):
-        lacking = distances(capsules, faces.reshape(-1, 3))[0].reshape(len(faces), 3, -1).max(axis=1)
+        lacking = from_capsules(capsules, faces.reshape(-1, 3))[0].reshape(len(faces), 3, -1).max(axis=1)
         best = lacking.argmin(axis=1)
         least = lacking[np.arange(len(faces)), best]
         small = _edges(faces).max(axis=1) <= finest
@@ -184,7 +184,7 @@ def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
     for weight in WEIGHTS:
         capsules, value = _fitted(capsules, surface, around, weight)
     fits = [(value, capsules)]
-    while len(capsules) < most and -distances(capsules, around)[0].min() > max(TIGHT * cell, TIGHT_ENOUGH):
+    while len(capsules) < most and -from_capsules(capsules, around)[0].min() > max(TIGHT * cell, TIGHT_ENOUGH):
         halves = list(_with_one_more(capsules, surface, around, inside))
         if not halves:
             break
@@ -209,11 +209,11 @@ def _with_one_more(capsules: Array, surface: Array, around: Array, inside: Array
     principal axes of what it covers."""
     wrong = np.zeros(len(capsules))
     for points, sign, factor in ((surface, 1.0, WEIGHTS[-1]), (around, -1.0, 1.0)):
-        from_each = distances(capsules, points)[0]
+        from_each = from_capsules(capsules, points)[0]
         squares = np.maximum(sign * from_each.min(axis=1), 0.0) ** 2
         wrong += factor / max(len(points), 1) * np.bincount(from_each.argmin(axis=1), squares, len(capsules))
     worst = int(wrong.argmax())
-    own = inside[distances(capsules, inside)[0].argmin(axis=1) == worst]
+    own = inside[from_capsules(capsules, inside)[0].argmin(axis=1) == worst]
     if len(own) < 8:
         return
     for axis in _like(own)[1]:

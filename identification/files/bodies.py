@@ -78,7 +78,7 @@ class Shape(ByValue):
         return np.empty((0, 3, 3))
 
 
-def moved(place: Array, triangles: Array) -> Array:
+def placed_by(place: Array, triangles: Array) -> Array:
     """Points (..., 3) of a frame (4, 4) in the frame that it is placed in."""
     return triangles @ place[:3, :3].T + place[:3, 3]
 
@@ -109,7 +109,7 @@ def covered(body: GivenBody, reach: float) -> Body:
             raise InputError(
                 f"{shape.file}: body {body.name} is {compared}, like {unit}, allowed: another unit or scale"
             )
-    drawn = [moved(shape.place, own) for shape, own in zip(shapes, triangles, strict=True)]
+    drawn = [placed_by(shape.place, own) for shape, own in zip(shapes, triangles, strict=True)]
     exact, rest = _exact(shapes)
     boxes = np.empty((0, 15))
     if body.joint and rest:

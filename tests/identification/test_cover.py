@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from identification.arrays import Array
-from identification.cover import boxes_around, capsules_around, distances
+from identification.cover import boxes_around, capsules_around, from_capsules
 from identification.files.bodies import Shape
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 
@@ -39,7 +39,7 @@ corners = st.floats(-300.0, 300.0, allow_subnormal=False)
 def test_any_faces_are_contained(triangles: Array) -> None:
     """Flat, thin, far apart, of no area."""
     points = samples(triangles, 1000)
-    assert distances(capsules_around(triangles, most=3), points)[0].min(axis=1).max() < 1e-6
+    assert from_capsules(capsules_around(triangles, most=3), points)[0].min(axis=1).max() < 1e-6
     assert outside_boxes(boxes_around(triangles), points).max() < 1e-6
 
 
@@ -49,7 +49,7 @@ def test_a_solid_is_contained_inside_too() -> None:
     in_box = grid * [60.0, 30.0, 20.0]
     in_cylinder = grid[np.hypot(*grid.T[:2]) <= 1.0] * [50.0, 50.0, 200.0]
     for triangles, points in ((BOX, in_box), (CYLINDER, in_cylinder)):
-        assert distances(capsules_around(triangles), points)[0].min(axis=1).max() < 1e-6
+        assert from_capsules(capsules_around(triangles), points)[0].min(axis=1).max() < 1e-6
         assert outside_boxes(boxes_around(triangles), points).max() < 1e-6
 
 
