@@ -155,7 +155,7 @@ def _points(triangles: Array, cell: float) -> tuple[Array, Array, Array]:
         around.append((middles + CLOSE * side)[outer])
     away = distance_transform_edt(~filled)
     far = np.argwhere((away >= OUTSIDE) & (away <= FARTHEST))
-    around.append(low + (_spread(far, POINTS // 2) + 0.5) * cell)
+    around.append(_spread(low + (far + 0.5) * cell, POINTS // 2))
     return surface, np.concatenate(around), low + (np.argwhere(filled) + 0.5) * cell
 
 
@@ -269,12 +269,11 @@ def _goes_on(filled: Grid, cells: Index, side: int) -> list[bool]:
     """Whether what is filled in a range goes on beyond its lower (0) or upper (1) end along each axis."""
     goes_on = []
     for axis in range(3):
-        at = int(cells[side, axis])
-        beyond, last = (at - 1, at) if side == 0 else (at, at - 1)
-        layer = [slice(a, b) for a, b in zip(*cells.tolist(), strict=True)]
-        inner = 0 <= beyond < filled.shape[axis]
-        two = [filled[(*layer[:axis], k, *layer[axis + 1 :])] for k in (beyond, last) if inner]
-        goes_on.append(inner and bool(np.any(two[0] & two[1])))
+        last = int(cells[side, axis]) - side
+        beyond = last - 1 if side == 0 else last + 1
+        others = [slice(int(a), int(b)) for a, b in np.delete(cells, axis, axis=1).T]
+        layers = np.moveaxis(filled, axis, 0)[:, others[0], others[1]]
+        goes_on.append(0 <= beyond < len(layers) and bool(np.any(layers[beyond] & layers[last])))
     return goes_on
 
 

@@ -234,11 +234,15 @@ def _cell(
         tuple(dict.fromkeys(str(each) for each in (beside, folder, *package_dirs))),
         chain.reach,
     )
+    apart = set(urdf.neighbours()) if wanted and urdf is not None else set[frozenset[str]]()
+    if file.link_width_mm is not None:
+        apart |= {frozenset((f"link {j}", f"link {j + 1}")) for j in range(1, len(chain))}
     if file.cell is None:
-        return Cell(bodies)
-    srdf = None if file.cell.srdf is None else named_file(folder, file.cell.srdf, "cell.srdf", "the arm file")
-    apart = frozenset[frozenset[str]]() if srdf is None else pairs_apart(srdf)
-    return Cell(bodies, file.cell.floor_z_mm, file.cell.clearance_mm, apart)
+        return Cell(bodies, apart=frozenset(apart))
+    if file.cell.srdf is not None:
+        apart |= pairs_apart(named_file(folder, file.cell.srdf, "cell.srdf", "the arm file"))
+    apart |= set(map(frozenset, file.cell.apart))
+    return Cell(bodies, file.cell.floor_z_mm, file.cell.clearance_mm, frozenset(apart))
 
 
 def _shape(table: Any, k: int, folder: PathLike) -> Shape:
@@ -260,6 +264,7 @@ def _cell_tables(cell: Cell, dimension: int) -> Plain:
     """`[cell]` of its bodies as they are covered, without what they look like."""
     tables: Plain = {} if cell.floor is None else {"floor_z_mm": float(cell.floor)}
     tables["clearance_mm"] = float(cell.clearance)
+    tables |= {"apart": sorted(map(sorted, cell.apart))} if cell.apart else {}
     entries = []
     for body in cell.bodies:
         named: Plain = {"name": body.name} | ({"joint": body.joint} if body.joint else {})

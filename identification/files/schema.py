@@ -354,6 +354,7 @@ CellTable = _table(
     clearance_mm=(Annotated[float, Field(ge=0, le=LARGEST_LENGTH)], CLEARANCE),
     bodies_of_urdf=_only(3, bool),
     srdf=_only(3, str),
+    apart=(list[Annotated[tuple[str, str], Field(strict=False)]], []),
     bodies=(Tables[BodyTable], []),
 )
 InstrumentTable = _table(

@@ -98,6 +98,22 @@ class Urdf:
                     todo.append(child)
         return places
 
+    def neighbours(self) -> frozenset[frozenset[str]]:
+        """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of links without
+        bodies."""
+        solid = {str(link.get("name")) for link in self.robot.findall("link") if link.find("collision") is not None}
+        pairs = set[frozenset[str]]()
+        for link in solid & self.by_child.keys():
+            above, moving = link, 0
+            while above in self.by_child and (above == link or above not in solid):
+                moving += self.by_child[above].get("type") != FIXED
+                above = self.link(self.by_child[above], "parent")
+                if moving > 1 or above == link:
+                    break
+            if moving <= 1 and above in solid:
+                pairs.add(frozenset((link, above)))
+        return frozenset(pairs)
+
     def _at_rest(self, element: ElementTree.Element) -> Array:
         """(4, 4) [mm] of a joint that is not of the chain."""
         kind, limit, at = MOVING.get(str(element.get("type"))), element.find("limit"), 0.0

@@ -190,7 +190,9 @@ def test_srdf(tmp_path: Path) -> None:
     (tmp_path / "r.srdf").write_text('<robot><disable_collisions link1="a" link2="b" reason="Never"/></robot>')
     arm = arm_of(tmp_path, text=f'{ARM}[cell]\nsrdf = "r.srdf"\n')
     assert arm.cell is not None
-    assert arm.cell.apart == {frozenset("ab")}
+    # and what joints connect, the table and the link by way of the base, which has no body
+    neighbours = ["upper bracket", "bracket tip", "tip finger", "upper part", "table upper"]
+    assert arm.cell.apart == {frozenset("ab"), *(frozenset(pair.split()) for pair in neighbours)}
     (tmp_path / "r.srdf").write_text('<robot><disable_collisions link1="a"/></robot>')
     with pytest.raises(InputError, match=r"r.srdf: found <robot>, allowed: an SRDF file"):
         load_arm(tmp_path / "arm.toml")
@@ -228,6 +230,13 @@ radius_mm = 9.0
 def loaded(tmp_path: Path, text: str) -> Arm:
     (tmp_path / "arm.toml").write_text(text)
     return load_arm(tmp_path / "arm.toml")
+
+
+def test_pairs_that_are_not_looked_at(tmp_path: Path) -> None:
+    """Links beside each other, and what the file says."""
+    arm = loaded(tmp_path, f'link_width_mm = 40.0\n{PLAIN}[cell]\napart = [["link 1", "table"]]\n')
+    assert arm.cell is not None
+    assert arm.cell.apart == {frozenset(("link 1", "link 2")), frozenset(("link 1", "table"))}
 
 
 def test_bodies_of_a_planar_arm(tmp_path: Path) -> None:
@@ -285,6 +294,7 @@ def test_what_is_dumped_is_loaded(tmp_path: Path, text: str) -> None:
         np.testing.assert_allclose(after[name].capsules, body.capsules, rtol=1e-12, atol=1e-9)
         np.testing.assert_allclose(after[name].boxes, body.boxes, rtol=1e-12, atol=1e-9)
         assert after[name].joint == body.joint
+    assert loaded(tmp_path, dump_arm(arm)).cell.apart == arm.cell.apart
     again = pickle.loads(pickle.dumps(arm))
     assert again == arm
     assert hash(again) == hash(arm)

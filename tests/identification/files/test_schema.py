@@ -35,6 +35,7 @@ BODIES = """
 floor_z_mm = -10.0
 clearance_mm = 5.0
 bodies_of_urdf = true
+apart = [["wall", "sphere 3"]]
 
 [[cell.bodies]]
 kind = "box"
@@ -170,7 +171,7 @@ def test_a_misspelt_key(tables: dict[str, Any], tmp_path: Path) -> None:
 def test_a_list_that_is_too_long(tables: dict[str, Any], tmp_path: Path) -> None:
     lists = [path for path in places(tables) if isinstance(at(tables, path), list) and type(path[-1]) is str]
     for path in lists:
-        if path[-1] not in ("dh", "constraints", "bodies", "effects", "values_deg", "links_mm", "parameters"):
+        if path[-1] not in ("dh", "constraints", "bodies", "apart", "effects", "values_deg", "links_mm", "parameters"):
             message = refused(tables, tmp_path, path, [*at(tables, path), at(tables, path)[-1]])
             assert message.startswith(f"{dotted(path)}: found "), message
 
