@@ -299,7 +299,7 @@ def discrimination_design(
     cloud = pool_of(state.extended, many * runs, dice)
     at_random = float(np.median([state.wrong(dice.permutation(cloud)[:runs]) for _ in range(many)]))
     bounds = state.wrong(chosen), state.wrong(best.plan.postures), at_random
-    return DiscriminationDesign(design, best, *sees, *(min(1.0, bound) for bound in bounds))
+    return DiscriminationDesign(design, best, sees[0], sees[1], *(min(1.0, bound) for bound in bounds))
 
 
 # -- where swaps start -------------------------------------------------------------------------------------------------
@@ -449,7 +449,7 @@ class Swaps:
 
         def gains(pairs: NDArray[np.intp]) -> Array:
             """(c,) what swaps of a run for a posture of the pool add to the criterion; -inf below the least value."""
-            change = information_of_each(offered[pairs[:, 1]]) - information_of_each(jacobians[pairs[:, 0]])
+            change = information_of_each(columns[pairs[:, 1]]) - information_of_each(jacobians[pairs[:, 0]])
             informations = information + change / total
             before = np.linalg.slogdet(information[:p, :p])[1]
             fits = np.linalg.slogdet(informations[:, :p, :p])[1] - before + slack >= 0.0
@@ -470,7 +470,7 @@ class Swaps:
                 each = []
                 for gradient in gradients:
                     losses = np.sum((jacobians @ gradient) * jacobians, axis=(1, 2))
-                    slopes = np.where(free, np.sum((offered @ gradient) * offered, axis=(1, 2)), -np.inf)
+                    slopes = np.where(free, np.sum((columns @ gradient) * columns, axis=(1, 2)), -np.inf)
                     runs, places = np.argsort(losses, kind="stable")[:outs], np.argsort(-slopes, kind="stable")[:ins]
                     each.append(np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2))
                 pairs = np.unique(np.concatenate(each), axis=0)
@@ -482,7 +482,7 @@ class Swaps:
                     free[place] = False
                     trial = np.array(plan)
                     trial[run] = pool[place]
-                    # the plan keeps its least value and its distances; else the posture is not offered again
+                    # the plan keeps its least value and its distances; else the posture is not columns again
                     if not has_repeats(problem, trial, run) and (kept := allowed_value(problem, trial)) >= least:
                         return run, place, kept
             return None
@@ -490,13 +490,13 @@ class Swaps:
         rounds = 5  # effort: of pools
         for number in range(rounds):
             before, pool = value, self.pool(plan, generator)
-            offered, free = self.extended.scaled_jacobians(pool), np.ones(len(pool), dtype=bool)
+            columns, free = self.extended.scaled_jacobians(pool), np.ones(len(pool), dtype=bool)
             if problem.choices is not None and problem.minimum_distance > 0.0:  # no place for what is in the plan
                 free = ~np.any(np.all(pool[:, None] == plan, axis=-1), axis=1)
             while not budget.out_of_time and (swap := best_swap()) is not None:
                 run, place, kept = swap
                 plan, slack = np.array(plan), kept - least
-                plan[run], jacobians[run] = pool[place], offered[place]
+                plan[run], jacobians[run] = pool[place], columns[place]
                 information = self.extended.information(plan)
                 value = float(-np.log(self.bound.wrong(information)))
                 yield plan
