@@ -104,7 +104,7 @@ def test_which_pairs_are_looked_at(clearance: Clearance) -> None:
     assert not any({SIGHT, FLOOR} <= {*pair} for pair in clearance.pairs)
 
 
-@pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (25.0, 0, [0.0]), (80.0, 0, [10.0])])
+@pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (28.0, 0, [2.0]), (80.0, 0, [10.0])])
 def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: list[float]) -> None:
     """Two balls of radius 10 at and behind a planar arm's elbow, whose distance no joint changes."""
     places = ((1, 400.0), (2, place))
