@@ -14,7 +14,7 @@ differences of these.
 
 Pieces contain their bodies, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
 joint connects are not looked at (`Cell.apart`), nor those that touch wherever the arm goes, which random postures tell;
-of a pair that is always near, as the links next to a short one, no more is asked than a quarter of its largest distance.
+of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
 """
 
 from __future__ import annotations

@@ -110,7 +110,8 @@ def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: l
     places = ((1, 400.0), (2, place))
     balls = tuple(Body(f"ball {j}", j, np.array([x, 0.0, 0, x, 0, 0, 10])) for j, x in places)
     clearance = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls, clearance=10.0)))))
-    assert (len(clearance.touching), clearance.asked.tolist()) == (touching, asked)
+    assert len(clearance.touching) == touching
+    assert clearance.asked.tolist() == pytest.approx(asked)
 
 
 def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:
@@ -190,7 +191,7 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     judge = next(each for each in problem.constraints if isinstance(each, Clearance))
     assert any(SIGHT in pair for pair in judge.pairs)
     start = random_postures(problem, 14, np.random.default_rng(5))
-    climbed = PlanAscent(problem)(start, tolerance=1e-2)
+    climbed = PlanAscent(problem)(start, tolerance=1e-3)
     assert problem.objective(climbed) > problem.objective(start) + 1.0
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))
