@@ -161,14 +161,14 @@ class KinematicChain(ByValue):
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
-    def _links(self) -> list[Array]:
+    def _links(self) -> tuple[Array, ...]:
         """(n + 1) poses (4, 4) of each joint's frame in the one before, and of the tip's."""
-        return [*(joint.origin for joint in self.joints), self.end]
+        return *(joint.origin for joint in self.joints), self.end
 
     @cached_property
-    def link_vectors(self) -> list[Array]:
+    def link_vectors(self) -> tuple[Array, ...]:
         """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
-        return [matrix[:3, 3] for matrix in self._links[1:]]
+        return tuple(matrix[:3, 3] for matrix in self._links[1:])
 
     @cached_property
     def lengths(self) -> Array:
