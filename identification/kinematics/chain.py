@@ -348,7 +348,7 @@ class KinematicChain(ByValue):
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
         *frames, _, measured = self._in_base(q, self._named(values))
-        return [frame.origin for frame in (*frames, measured)]
+        return [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
 
     def _named(self, values: ArrayLike) -> dict[str, float]:
         return self.parameters().mapping(values)
