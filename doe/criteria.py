@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, nearest, readonly
-from identification.information import rounding_share, significant
+from identification import Array, InputError, nearest, readonly, rounding_share, significant
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
 Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R

@@ -26,8 +26,7 @@ import numpy as np
 
 from doe.criteria import Criterion, InverseTrace, log_determinants
 from doe.problem.problem import PriorInformation, Stop, information_of_each, never
-from identification import Array, InputError, JobError
-from identification.information import significant
+from identification import Array, InputError, JobError, significant
 
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
 # of each solver, tried in turn: Clarabel fails on some programs with its own scaling of the rows, on others without it

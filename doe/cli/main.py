@@ -141,7 +141,7 @@ def help_of(topic: str = FORMATS) -> Answer:
     if topic == FORMATS:
         from rich.markdown import Markdown
 
-        from identification.files import formats
+        from identification import formats
 
         text = formats()
         return Answer({"topic": topic, "text": text}, [Markdown(text)])

@@ -23,6 +23,7 @@ from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
 from identification import (
     Arm,
     Array,
+    Compared,
     Measurements,
     Model,
     Plan,
@@ -35,7 +36,6 @@ from identification import (
     with_effects,
 )
 from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
-from identification.documents.pictures import Compared
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
 

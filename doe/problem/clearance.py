@@ -121,16 +121,25 @@ class Clearance:
         )
 
     def levers(self) -> Array:
-        """(n,) how much at most a distance changes by a unit of each joint [mm/rad, 1]: the length of the stretched arm
-        from there to the farthest point of any body."""
+        """(k, n) how much at most the distance of each pair changes by a unit of each joint [mm/rad, 1].
+
+        For a joint between two bodies it is the length of the stretched arm from there to the farthest point of the
+        outer one. A joint that moves both or neither changes nothing, except that a line of sight ends in the tracker.
+        """
         at_limits = np.stack([self.model.lower, self.model.upper])
         origins = self.model.joint_frames(at_limits)[:, :, :3, 3]
         steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
         along = np.r_[0.0, 0.0, np.cumsum(steps)]  # from joint 1 to each frame
-        far = along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii
-        farthest = np.where(self._frames > 0, far, 0.0).max(initial=0.0)
+        far = np.max(along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii, axis=0)
         turning = turns(self.model)
-        return np.where(turning, np.maximum(farthest - along[1:-1], 0.0), 1.0)
+        joints, (first, second) = np.arange(1, len(turning) + 1), self._pieces[:, 1:].T
+        second = np.where(second < len(far), second, -1)  # boxes and the floor stand still
+        frames, sights = np.r_[self._frames[1], 0], np.r_[self._frames[0] != self._frames[1], False]
+        lengths = np.where(turning, np.maximum(np.r_[far, 0.0][:, None] - along[1:-1], 0.0), 1.0)  # (K + 1, n)
+        lengths *= joints <= frames[:, None]
+        inside = np.where(sights[first][:, None], lengths[second], -np.inf)
+        apart = np.where(joints > frames[second][:, None], lengths[first], lengths[first] * sights[first][:, None])
+        return np.asarray(np.maximum.reduceat(apart + np.maximum(inside, 0.0), self._starts, axis=0))
 
     # -- distances -----------------------------------------------------------------------------------------------------
     def margin(self, postures: Array) -> Array:

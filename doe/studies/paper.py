@@ -33,7 +33,7 @@ from identification import (
     Model,
     Plan,
     Progress,
-    planar_chain,
+    arm_from_tables,
     silent,
 )
 
@@ -46,11 +46,11 @@ RUNS = tuple(range(4, 21))  # the axis of Figure 2
 
 def paper_arm(links: int = 4, limited: bool = False) -> Arm:
     """The first links of the paper's arm; `limited`: within the joint limits of doe/README.md, "Planar theorem"."""
-    lower, upper = (np.radians(PAPER["joint_limits_deg"][side][:links]) for side in ("lower", "upper"))
-    chain, name = planar_chain(LENGTHS[:links]), f"{links} links"
-    if limited:
-        return Arm(chain, lower, upper, SIGMA, f"{name} within joint limits")
-    return Arm(chain, sigma=SIGMA, name=name)
+    tables = {"name": f"{links} links", "links_mm": PAPER["lengths_mm"][:links], "measurement": {"sigma_mm": SIGMA}}
+    if not limited:
+        return arm_from_tables(tables)
+    limits = {side: PAPER["joint_limits_deg"][side][:links] for side in ("lower", "upper")}
+    return arm_from_tables(tables | {"name": f"{links} links within joint limits", "joint_limits_deg": limits})
 
 
 def paper_truth(links: int = 4) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from identification.gap.likelihood import SIZES, Products, orthonormal
 from identification.information import VISIBLE, column_space, column_space_of
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.model import Model
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 EFFECT, ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one

@@ -46,7 +46,7 @@ from identification.kinematics.parameters import (
     chain_parameters,
     error_names,
 )
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 DIMENSION = 3  # of space
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"

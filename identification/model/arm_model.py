@@ -33,7 +33,7 @@ from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 Given = ArrayLike | None
 When = Conditions | None

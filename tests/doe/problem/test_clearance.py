@@ -136,9 +136,19 @@ def test_bends_are_differences_of_slopes(clearance: Clearance, postures: Array) 
 
 def test_no_distance_changes_faster_than_the_levers_say(arm: Arm, clearance: Clearance, postures: Array) -> None:
     others = np.random.default_rng(4).uniform(arm.lower, arm.upper, postures.shape)
-    nearby = postures + 0.05 * (others - postures)
-    changes = np.abs(clearance.distance(nearby) - clearance.distance(postures))
-    assert np.all(changes.max(axis=1) <= np.abs(nearby - postures) @ clearance.levers())
+    for step in (0.05, 1.0, np.eye(6)):
+        nearby = postures[:, None] + np.atleast_2d(step) * (others - postures)[:, None]
+        for there in np.moveaxis(nearby, 1, 0):
+            changes = np.abs(clearance.distance(there) - clearance.distance(postures))
+            assert np.all(changes <= np.abs(there - postures) @ clearance.levers().T + 1e-9)
+
+
+def test_a_joint_that_moves_both_bodies_changes_no_distance(clearance: Clearance) -> None:
+    """Links 5 and 2 have joints 3 to 5 between them, the stretched arm of which is at least their links."""
+    levers = clearance.levers()[clearance.pairs.index(("link 5", "link 2"))]
+    assert np.flatnonzero(levers).tolist() == [2, 3, 4]
+    assert levers[2] > 572.3
+    assert np.all(clearance.levers()[[SIGHT in pair for pair in clearance.pairs]][:, 0] > 0.0)
 
 
 @settings(max_examples=60, deadline=None)

@@ -107,7 +107,7 @@ def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[n
             line = f"w{target} = np.{FUNCTIONS[operation]}({', '.join(words)}){one}"
         else:
             reason = f"CasADi operation {operation} has no numpy form here"
-            raise NotImplementedError(f"{reason}; add it to identification/vectorize.py")
+            raise NotImplementedError(f"{reason}; add it to identification/vectorized.py")
         lines.append(f"    {line}")
     scope: dict[str, object] = {"np": np}
     exec(compile("\n".join([*lines, "    return y"]), f"<instructions of {function.name()}>", "exec"), scope)
