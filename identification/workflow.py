@@ -37,8 +37,8 @@ Verb = TypeVar("Verb", bound=Callable[..., Answer])
 VERBS: dict[str, tuple[Callable[..., Answer], str]] = {}  # name -> what it does, and an example of it
 
 
-def verb(example: str) -> Callable[[Verb], Verb]:
-    """Makes a function the verb of its example, `armcal NAME ...`."""
+def declares(example: str) -> Callable[[Verb], Verb]:
+    """The function below is the verb of its example, `armcal NAME ...`."""
 
     def declare(function: Verb) -> Verb:
         VERBS[example.split()[1]] = function, example
@@ -75,7 +75,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 # -- the first files ---------------------------------------------------------------------------------------------------
-@verb("armcal init --urdf robot.urdf --out calibration")
+@declares("armcal init --urdf robot.urdf --out calibration")
 def init_files(
     *,
     links: Annotated[str, "N|LENGTHS"] | None = None,
@@ -136,7 +136,7 @@ def init_files(
 
 
 # -- check, simulate ---------------------------------------------------------------------------------------------------
-@verb("armcal check arm.toml measurements.csv")
+@declares("armcal check arm.toml measurements.csv")
 def check_files(
     arm: Path,
     data: Path,
@@ -182,7 +182,7 @@ def check_files(
     return answer
 
 
-@verb("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
+@declares("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
 def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
     """Simulate the measurements of a plan.
 
@@ -226,7 +226,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
 
 # -- identify ----------------------------------------------------------------------------------------------------------
-@verb("armcal identify arm.toml data.csv --out calibrated.toml")
+@declares("armcal identify arm.toml data.csv --out calibrated.toml")
 def identify_files(
     arm: Path,
     data: Path,
@@ -573,7 +573,7 @@ def _write_calibrated(
 
 
 # -- diagnose ----------------------------------------------------------------------------------------------------------
-@verb("armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html")
+@declares("armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html")
 def diagnose_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -655,7 +655,7 @@ def diagnose_files(
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
-@verb("armcal validate calibrated.toml other_session.csv --picture transfer.png")
+@declares("armcal validate calibrated.toml other_session.csv --picture transfer.png")
 def validate_files(
     model: Path,
     data: Path,
@@ -692,7 +692,7 @@ def validate_files(
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 
 
-@verb("armcal compensate calibrated.toml targets.csv --out commands.csv")
+@declares("armcal compensate calibrated.toml targets.csv --out commands.csv")
 def compensate_files(
     calibrated: Path,
     targets: Path,
@@ -732,7 +732,7 @@ def compensate_files(
 
 
 # -- the library -------------------------------------------------------------------------------------------------------
-@verb("armcal effects joint_compliance")
+@declares("armcal effects joint_compliance")
 def effects(name: str | None = None) -> Answer:
     """The physical effects that armcal knows, and the data that each needs.
 
