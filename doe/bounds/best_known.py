@@ -30,6 +30,7 @@ def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> B
     closed = closed_form_bound(problem)
     if closed is not None and not problem.constraints and problem.choices is None:
         return closed
+    closed = None if closed is None else replace(closed, unconstrained=bool(problem.constraints))
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
     try:
@@ -53,7 +54,8 @@ def best_design(
     many, rough = problem.many_parameters, 1e-3  # relative gap: some seconds instead of half a minute
     if problem.choices is None:
         free, gap = (replace(problem, constraints=()), rough) if many else (problem, 1e-8)
-        return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
+        design = continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
+        return replace(design, unconstrained=bool(problem.constraints) and many)
     one_number = rough if many and problem.model.dimension == 1 else 1e-9  # a run: weights hardly settle
     gap = 1e-2 if problem.missing else one_number  # with a prior weights are spread over as many postures
     candidates = listed_candidates(problem, problem.choices)

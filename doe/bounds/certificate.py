@@ -41,6 +41,8 @@ class Bound:
         a numerical search for the largest sensitivity, which could have missed a posture
     cut : True if the time ended before the search for a lower bound did: it holds, and may be far from the best plan
     candidates : how many postures the list has, None: all postures within limits and constraints
+    unconstrained : True if it is over all postures within the limits, as if there were no constraints: so it holds for
+        plans that keep them, too
     """
 
     value: float
@@ -48,6 +50,7 @@ class Bound:
     rigorous: bool = False
     cut: bool = False
     candidates: int | None = None
+    unconstrained: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """The key `bound` (identification/files/README.md, "JSON keys"): `scope`, of which designs it holds, and
@@ -55,6 +58,7 @@ class Bound:
         data: dict[str, Any] = {"value": self.value, "source": self.source, "scope": SCOPES[self.source]}
         data |= {"proof": PROVEN if self.rigorous else NUMERICAL, "rigorous": self.rigorous}
         data |= {} if self.candidates is None else {"candidates": self.candidates}
+        data |= {"unconstrained": True} if self.unconstrained else {}
         return data | {"cut": True} if self.cut else data
 
     def __str__(self) -> str:
@@ -77,7 +81,7 @@ def postures_in_words(bound: Mapping[str, Any]) -> str:
     if SCOPES.get(bound["source"]) == "list":
         count = bound.get("candidates")
         return "the postures of the list" if count is None else f"the list of {count:,} postures"
-    return "all postures"
+    return "all postures, constraints or none" if bound.get("unconstrained") else "all postures"
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,7 @@ class ApproximateDesign:
         gradient of unit trace gives a bound there, and that of the dual problem the lowest
     largest : no less than max tr(G F) over the design space, inf: not all of it was visited
     candidates : how many postures the design space has, None: all within limits and constraints
+    unconstrained : as of `Bound`
     rigorous : whether `largest` is a theorem
     status : how the solver ended;  solver_status : as the solver names it
     """
@@ -104,6 +109,7 @@ class ApproximateDesign:
     solver_status: str = ""
     solver: str = ""
     seconds: float = 0.0
+    unconstrained: bool = False
 
     def __post_init__(self) -> None:
         # a mean is no larger than the largest: a gap below zero is rounding in a matrix that is nearly singular
@@ -186,7 +192,7 @@ class ApproximateDesign:
         if not cut and self.status is not Status.converged:
             return None
         source = "continuous" if self.candidates is None else "grid"
-        return Bound(self.upper, source, self.rigorous, cut, self.candidates)
+        return Bound(self.upper, source, self.rigorous, cut, self.candidates, self.unconstrained)
 
     @property
     def criterion(self) -> str:

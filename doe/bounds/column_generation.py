@@ -38,8 +38,7 @@ from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives, Walls
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
-from identification import Array, InputError, JobError, Status, nearest
-from identification.newton_ascent import newton_ascent
+from identification import Array, InputError, JobError, Status, nearest, newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited

@@ -61,7 +61,8 @@ def ordered(plan: Plan, order: str = "travel", *, seed: int = 0, speeds: Array |
     if order == "random":
         rows = np.random.default_rng(seed).permutation(rows)
     elif order == "travel" and len(plan) > 1:
-        rows = shortest_path(plan.postures, speeds)
+        scaled = plan.postures if speeds is None else plan.postures / speeds
+        rows = shortest_path(np.abs(scaled[:, None] - scaled).max(axis=-1))
     weights = None if plan.weights is None else plan.weights[rows]
     return replace(plan, postures=plan.postures[rows], weights=weights)
 
@@ -72,10 +73,9 @@ def travel(postures: Array, speeds: Array | None = None) -> float:
     return float(moves.max(axis=1).sum())
 
 
-def shortest_path(postures: Array, speeds: Array | None = None) -> Path:
-    """(m,) rows in the order of the shortest open path; never longer than the order given."""
-    scaled, m = postures if speeds is None else postures / speeds, len(postures)
-    cost = np.abs(scaled[:, None] - scaled).max(axis=-1)
+def shortest_path(cost: Array) -> Path:
+    """(m,) rows in the order of the shortest open path by the costs (m, m) of edges; never longer than that given."""
+    m = len(cost)
     padded = np.pad(cost, (0, 1))  # the last row is the dummy posture that joins the ends
     starts = [np.arange(m)]
     for first in range(0, m, max(1, m // 20)):  # always on to the nearest posture not yet visited

@@ -14,7 +14,7 @@ differences of these.
 
 Pieces contain their bodies, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
 joint connects are not looked at (`Cell.apart`), nor those that touch wherever the arm goes, which random postures tell;
-of a pair that hardly anywhere comes as far apart as is asked, it is asked only that it does not touch.
+of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from doe.problem.model import turns
 from identification import Array
 
-SAMPLES, SELDOM = 1000, 0.02  # random postures that tell what pairs do, and the share of them that is hardly any
+SAMPLES, SELDOM = 1000, 0.02  # random postures that tell how far apart pairs come, but for this share of them
+SHARE = 0.25  # of the largest distance of a pair: the clearance that is asked at most
 SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
 STEP = 1e-4  # [rad] of a joint, for second derivatives
 PART = 2**18  # pairs of pieces at once: 2 MB an array
@@ -75,6 +76,7 @@ class Clearance:
         trackers : (3,) [mm] in the frame of the base, from which the measured point must be seen
         """
         self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
+        self.usual = cell.clearance
         # a line of sight is a capsule from the base's frame to that of the measured point
         none, no_box = np.empty((0, 7)), np.empty((0, 15))
         sights = [(SIGHT, tip, np.r_[place, np.zeros(4)][None], no_box) for place in trackers]
@@ -104,10 +106,11 @@ class Clearance:
         self._set_pieces(np.array(pieces, dtype=int).reshape(-1, 3))
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, tip - 1))
         apart = self.distance(drawn)
-        never, hardly = (np.mean(apart > least, axis=0) < SELDOM for least in (0.0, cell.clearance))
+        largest = np.quantile(apart, 1.0 - SELDOM, axis=0)
+        never = largest <= 0.0
         self.touching = tuple(pair for pair, always in zip(pairs, never, strict=True) if always)
         self.pairs = tuple(pair for pair, always in zip(pairs, never, strict=True) if not always)
-        self.asked = np.where(hardly, 0.0, cell.clearance)[~never]
+        self.asked = np.minimum(cell.clearance, SHARE * largest)[~never]
         self._set_pieces(self._pieces[~never[self._pieces[:, 0]]])
 
     def _set_pieces(self, pieces: np.ndarray) -> None:
@@ -121,16 +124,25 @@ class Clearance:
         )
 
     def levers(self) -> Array:
-        """(n,) how much at most a distance changes by a unit of each joint [mm/rad, 1]: the length of the stretched arm
-        from there to the farthest point of any body."""
+        """(k, n) how much at most the distance of each pair changes by a unit of each joint [mm/rad, 1].
+
+        For a joint between two bodies it is the length of the stretched arm from there to the farthest point of the
+        outer one. A joint that moves both or neither changes nothing, except that a line of sight ends in the tracker.
+        """
         at_limits = np.stack([self.model.lower, self.model.upper])
         origins = self.model.joint_frames(at_limits)[:, :, :3, 3]
         steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
         along = np.r_[0.0, 0.0, np.cumsum(steps)]  # from joint 1 to each frame
-        far = along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii
-        farthest = np.where(self._frames > 0, far, 0.0).max(initial=0.0)
+        far = np.max(along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii, axis=0)
         turning = turns(self.model)
-        return np.where(turning, np.maximum(farthest - along[1:-1], 0.0), 1.0)
+        joints, (first, second) = np.arange(1, len(turning) + 1), self._pieces[:, 1:].T
+        second = np.where(second < len(far), second, -1)  # boxes and the floor stand still
+        frames, sights = np.r_[self._frames[1], 0], np.r_[self._frames[0] != self._frames[1], False]
+        lengths = np.where(turning, np.maximum(np.r_[far, 0.0][:, None] - along[1:-1], 0.0), 1.0)  # (K + 1, n)
+        lengths *= joints <= frames[:, None]
+        inside = np.where(sights[first][:, None], lengths[second], -np.inf)
+        apart = np.where(joints > frames[second][:, None], lengths[first], lengths[first] * sights[first][:, None])
+        return np.asarray(np.maximum.reduceat(apart + np.maximum(inside, 0.0), self._starts, axis=0))
 
     # -- distances -----------------------------------------------------------------------------------------------------
     def margin(self, postures: Array) -> Array:
@@ -167,17 +179,19 @@ class Clearance:
                 lines.append(f"  run {run}: {_and(pair)} {amount}")
         elif apart.size:
             run, k = divmod(int(np.argmin(apart - self.asked)), apart.shape[1])
-            kept = f"{len(self.pairs)} pairs of bodies keep their distance in all {len(postures)} postures"
+            kept = f"{len(self.pairs)} pairs of bodies keep {self.usual:g} mm apart in all {len(postures)} postures"
             nearest = f"{_and(self.pairs[k])} come nearest, to {apart[run, k]:.0f} mm in run {run + 1}"
             lines.append(f"Collisions: {kept}; {nearest}.")
-        narrow = [pair for pair, gap in zip(self.pairs, self.asked, strict=True) if gap == 0.0]
+        narrow = [
+            f"{_and(pair)} {gap:.0f} mm" for pair, gap in zip(self.pairs, self.asked, strict=True) if gap < self.usual
+        ]
         for why, pairs in (
-            ("Hardly anywhere as far apart as the clearance, so only kept from touching", narrow),
-            ("Not looked at, since they touch wherever the arm goes", self.touching),
+            ("Kept apart by less, since they are near wherever the arm goes", narrow),
+            ("Not looked at, since they touch wherever the arm goes", [*map(_and, self.touching)]),
         ):
             if pairs:
                 rest = f" and {len(pairs) - SHOWN} more pairs" if len(pairs) > SHOWN else ""
-                lines.append(f"{why}: {', '.join(map(_and, pairs[:SHOWN]))}{rest}.")
+                lines.append(f"{why}: {', '.join(pairs[:SHOWN])}{rest}.")
         return lines
 
     def _seen(self, postures: Array) -> Seen:
@@ -330,13 +344,31 @@ def from_box(points: Array, half: Array) -> Array:
 
 
 def nearest_to_box(a: Array, b: Array, half: Array) -> Array:
-    """(...) shares of the way from a to b (3, ...) to the point nearest to a box, or deepest in it, by thirds."""
-    low, high = np.zeros(a.shape[1:]), np.ones(a.shape[1:])
-    for _ in range(40):  # to 1e-7 of the way
-        one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
-        nearer = from_box(a + one * (b - a), half) < from_box(a + other * (b - a), half)
-        low, high = np.where(nearer, low, one), np.where(nearer, other, high)
-    return 0.5 * (low + high)
+    """(N,) shares of the way from a to b (3, N) to the point nearest to a box, or deepest in it.
+
+    The derivative of the squared distance grows along the way, and linearly between the planes of the box's faces.
+    Inside, where it is zero, the deepest point is found by thirds.
+    """
+    along, n = b - a, np.arange(a.shape[1])
+    crossed = np.concatenate([half - a, -half - a]) / np.tile(np.where(np.abs(along) > SMALL, along, np.inf), (2, 1))
+    shares = np.concatenate([np.zeros((1, len(n))), np.sort(np.clip(crossed, 0.0, 1.0), axis=0), np.ones((1, len(n)))])
+    points = a + shares[:, None] * along
+    slopes = np.sum(along * np.sign(points) * np.maximum(np.abs(points) - half, 0.0), axis=1)  # (8, N)
+    after = np.where((slopes >= 0.0).any(axis=0), np.argmax(slopes >= 0.0, axis=0), len(shares) - 1)
+    before = np.maximum(after - 1, 0)
+    low, high = slopes[before, n], slopes[after, n]
+    part = np.where(high > 0.0, -low / np.where(high > low, high - low, 1.0), 1.0)
+    nearest = shares[before, n] + np.clip(part, 0.0, 1.0) * (shares[after, n] - shares[before, n])
+    inside = np.flatnonzero(from_box(a + nearest * along, half) < ROUNDING)
+    if len(inside):
+        a, along, half = a[:, inside], along[:, inside], half[:, inside]
+        low, high = np.zeros(len(inside)), np.ones(len(inside))
+        for _ in range(40):  # to 1e-7 of the way
+            one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
+            nearer = from_box(a + one * along, half) < from_box(a + other * along, half)
+            low, high = np.where(nearer, low, one), np.where(nearer, other, high)
+        nearest[inside] = 0.5 * (low + high)
+    return nearest
 
 
 def away_from_box(points: Array, along: Array, half: Array) -> Array:

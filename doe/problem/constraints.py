@@ -18,8 +18,7 @@ import numpy as np
 
 from doe.problem.clearance import Clearance, Slopes
 from doe.problem.model import PRISMATIC, Offers, offered, offers
-from identification import Array, InputError, design_model
-from identification.vectorize import vectorize
+from identification import Array, InputError, design_model, vectorize
 
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 FLAT = 1e-9  # [mm] lengths that divide nothing

@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from doe.criteria import Criterion, D, information_matrix
 from doe.problem.constraints import Constraint, Derivatives, Walls, constraints_of
 from doe.problem.model import NEEDS_SIGMA, DesignModel, check_model, offers, turns
-from identification import Array, InputError, design_model, readonly
-from identification.vectorize import vectorize
+from identification import Array, InputError, design_model, readonly, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
 MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them

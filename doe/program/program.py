@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.problem.constraints import constraints_of
-from identification import PRISMATIC, Arm, Array, InputError, Model, Plan
+from identification import Arm, Array, InputError, Model, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 PEAK = 15.0 / 8.0
@@ -78,7 +79,7 @@ class Program(NamedTuple):
     text: str
     name: str
     moves: list[dict[str, Any]]
-    units: list[str]
+    units: tuple[str, ...]
     seconds: float
 
 
@@ -107,7 +108,8 @@ def program(
         raise InputError(f"--robot {robot}: {n} joints, allowed: {least} to {language.most}")
     if not 0.0 <= settle <= LONGEST_SETTLE:
         raise InputError(f"--settle: {settle:g} s, allowed: 0 to {LONGEST_SETTLE:g}")
-    slides = np.array([kind == PRISMATIC for kind in arm.joint_types])
+    shown = replace(plan, joint_types=arm.joint_types).units
+    slides = np.array([unit == "mm" for unit in shown])
     if robot == "ur" and slides.any():
         raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
     via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
@@ -142,7 +144,6 @@ def program(
         {"kind": "measure" if run else "via", "run": run or None, "joints": row, "seconds": a / 1000.0}
         for run, row, a in zip(runs, columns.tolist(), arrivals, strict=True)
     ]
-    shown = ["mm" if slide else "deg" for slide in slides]
     text = rendered_template(language.template, template, known)
     return Program(text, identifier, moves, shown, departures[-1] / 1000.0)
 
@@ -166,8 +167,8 @@ def in_units(arm: Arm, postures: Array) -> Array:
 
 def limits_in_units(arm: Arm) -> Array:
     """(2, n) limits of what the controller shows [deg, mm]; NaN where there are none (`Arm.column_limits`)."""
-    slides = np.array([kind == PRISMATIC for kind in arm.joint_types])
-    return np.where(slides, arm.column_limits, np.degrees(arm.column_limits))
+    ends = np.array(arm.column_limits)
+    return np.where([unit == "mm" for unit in Plan(ends, joint_types=arm.joint_types).units], ends, np.degrees(ends))
 
 
 def decimal(value: float, digits: int) -> str:

@@ -37,7 +37,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
         for k, view in enumerate(((up, around), (up, around + 90.0)), start=1):
             draw_side(top.add_subplot(1, 2, k, projection="3d"), arm, shown, view)
         first = "" if arm.cell is None else "; bodies as in the first"
-        top.subplots_adjust(left=0.03, right=0.93, bottom=0.06, top=0.94, wspace=0.3)
+        top.subplots_adjust(left=0.09, right=0.9, bottom=0.06, top=0.94, wspace=0.3)
         top.suptitle(f"{count}, from two sides; light to dark in order of measurement{first}", fontsize=9)
         bottom.subplots_adjust(left=0.06, right=0.97, bottom=0.2)
         draw_joints(bottom.subplots(), arm, postures)
@@ -128,21 +128,21 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) 
     frames = np.concatenate([np.eye(4)[None], design_model(Model(arm)).joint_frames(posture[None])[0]])
     elevation, azimuth = np.radians(view)
     viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    bodies = [(body.joint, looks(body)) for body in arm.cell.bodies]
-    share = min(1.0, DRAWN / max(sum(len(triangles) for _, triangles in bodies), 1))
     seen, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
-    for joint, triangles in bodies:
-        vertices, faces = simplified(triangles, max(int(share * len(triangles)), 100))
-        corners = (vertices @ frames[joint, :3, :3].T + frames[joint, :3, 3])[faces.astype(int)]
+    for body in (one for one in arm.cell.bodies if len(looks(one))):
+        vertices, faces = simplified(looks(body), DRAWN // len(arm.cell.bodies))
+        corners = (vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals *= np.sign(np.linalg.det(corners - corners.mean(axis=(0, 1))).sum()) or 1.0  # outward
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         front = normals @ viewer > -0.1  # perspective shows a little more than parallel rays
         lit = np.clip(normals[front] @ (viewer + np.eye(3)[2]), 0.0, 1.5)  # from above the viewer
         seen.append(corners[front])
-        colors.append(np.clip((0.5 + 0.4 * lit)[:, None] * to_rgb(LINK if joint else CELL), 0.0, 1.0))
+        colors.append(np.clip((0.5 + 0.4 * lit)[:, None] * to_rgb(LINK if body.joint else CELL), 0.0, 1.0))
     paint = np.concatenate(colors)  # in one collection, of which far ones are drawn first
-    axes.add_collection3d(Poly3DCollection(np.concatenate(seen), facecolors=paint, edgecolors=paint, lw=0.3, zorder=3))
+    if len(paint):
+        polygons = Poly3DCollection(np.concatenate(seen), facecolors=paint, edgecolors=paint, lw=0.3, zorder=3)
+        axes.add_collection3d(polygons)
     within = [*(corners.reshape(-1, 3) for corners in seen), frames[:, :3, 3]]
     floor = arm.cell.floor
     axes.auto_scale_xyz(*np.concatenate([*within, [[0.0, 0.0, floor or 0.0]]]).T, had_data=True)

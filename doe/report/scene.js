@@ -221,7 +221,11 @@ class Cell {
     Object.assign(this.controls, { minDistance: this.size / 5, maxDistance: this.size * 20 });
     this.controls.addEventListener("start", () => { this.moved = true; });
     this.controls.addEventListener("change", () => this.draw());
-    this.canvas.style.touchAction = "pan-y"; // a finger that moves up or down scrolls the page
+    // a finger that moves up or down scrolls the page; what it turned before that was clear is turned back
+    this.canvas.style.touchAction = "pan-y";
+    let before;
+    this.canvas.addEventListener("pointerdown", () => { before = this.camera.position.clone(); });
+    this.canvas.addEventListener("pointercancel", () => { this.camera.position.copy(before); this.controls.update(); });
     // a wheel scrolls the page, too, until the picture has been clicked
     this.box.addEventListener("wheel", event => { if (document.activeElement !== this.canvas) event.stopPropagation(); }, { capture: true });
   }

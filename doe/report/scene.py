@@ -42,8 +42,8 @@ def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, A
     frames = model.joint_frames(np.zeros((1, model.joints)))[0]
     before = np.concatenate([np.eye(4)[None], frames[:-1]])
     moves = [{"axis": joint.axis.tolist(), "type": joint.type} for joint in model.arm.chain.joints]
-    bodies = [] if model.cell is None else [(body, looks(body)) for body in model.cell.bodies]
-    share = TRIANGLES / max(sum(len(triangles) for _, triangles in bodies), 1)
+    bodies = () if model.cell is None else model.cell.bodies
+    most = TRIANGLES // max(len(bodies), 1)
     return {
         "chain": [
             {"pose": step[:3].ravel().tolist()} | move
@@ -51,10 +51,7 @@ def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, A
         ],
         "postures": np.asarray(postures).round(9).tolist(),
         "via": via,
-        "bodies": [
-            {"joint": body.joint} | shape(triangles, max(int(share * len(triangles)), 100))
-            for body, triangles in bodies
-        ],
+        "bodies": [{"joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))],
         "floor": None if model.cell is None else model.cell.floor,
         "trackers": [list(tracker) for tracker in trackers(model.arm)],
         "view": side(model.arm),
@@ -115,20 +112,22 @@ def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
     in one cell of a grid are one, at their mean (J. Rossignac, P. Borrel, "Multi-resolution 3D approximations", 1993);
     of few triangles only those that are equal.
     """
-    corners = triangles.reshape(-1, 3)
-    low, size = corners.min(axis=0), max(float(np.ptp(corners, axis=0).max()), 1e-6)
+    vertices, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
+    low, size = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-6)
+    weights = np.ones(len(vertices))  # of the vertices that are one, how many
     cells = 2.0**14 if len(triangles) <= most else 2.0 * most**0.5  # along the longest side
     while True:
-        places = np.floor((corners - low) * (cells / size)).astype(np.int64)
-        keys = (places[:, 0] << 42) + (places[:, 1] << 21) + places[:, 2]
-        _, number, count = np.unique(keys, return_inverse=True, return_counts=True)
-        faces = number.reshape(-1, 3)
+        places = np.floor((vertices - low) * (cells / size)).astype(np.int64)
+        _, number = np.unique(places @ [1 << 42, 1 << 21, 1], return_inverse=True)
+        columns = weights, *(weights * vertices.T)
+        weights, *sums = (np.asarray(np.bincount(number, weights=each), dtype=float) for each in columns)
+        vertices = np.column_stack(sums) / weights[:, None]
+        faces = number[faces]
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # not those that are a line now
-        faces = np.unique(faces, axis=0) if len(faces) > most else faces
-        if len(faces) <= most and len(count) <= FINE:
-            sums = np.column_stack([np.bincount(number, weights=corner) for corner in corners.T])
-            return sums / count[:, None], faces.astype("<u2")
-        cells *= 0.8
+        faces = faces[np.unique(faces @ [len(vertices) ** 2, len(vertices), 1], return_index=True)[1]]  # each once
+        if len(faces) <= most and len(vertices) <= FINE:
+            return vertices, faces.astype("<u2")
+        cells *= 0.9
 
 
 def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:

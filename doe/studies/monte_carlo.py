@@ -30,12 +30,13 @@ from identification import (
     Model,
     Plan,
     Progress,
+    Replications,
+    StudyFile,
     dump_arm,
     nearest,
     silent,
 )
 from identification.files.io import write_together
-from identification.replications import Replications, StudyFile
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"

@@ -26,16 +26,7 @@ from doe.bounds.planar_theorem import pair_means
 from doe.criteria import information_matrix
 from doe.jobs import Row, frame_of
 from doe.studies.monte_carlo import Study, dft_postures, run_study
-from identification import (
-    Arm,
-    Array,
-    InputError,
-    Model,
-    Plan,
-    Progress,
-    planar_chain,
-    silent,
-)
+from identification import Arm, Array, InputError, Model, Plan, Progress, load_arm, silent
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())
 LENGTHS, SIGMA = np.array(PAPER["lengths_mm"]), PAPER["sigma_mm"]
@@ -46,11 +37,11 @@ RUNS = tuple(range(4, 21))  # the axis of Figure 2
 
 def paper_arm(links: int = 4, limited: bool = False) -> Arm:
     """The first links of the paper's arm; `limited`: within the joint limits of doe/README.md, "Planar theorem"."""
-    lower, upper = (np.radians(PAPER["joint_limits_deg"][side][:links]) for side in ("lower", "upper"))
-    chain, name = planar_chain(LENGTHS[:links]), f"{links} links"
-    if limited:
-        return Arm(chain, lower, upper, SIGMA, f"{name} within joint limits")
-    return Arm(chain, sigma=SIGMA, name=name)
+    tables = {"name": f"{links} links", "links_mm": PAPER["lengths_mm"][:links], "measurement": {"sigma_mm": SIGMA}}
+    if not limited:
+        return load_arm(tables)
+    limits = {side: PAPER["joint_limits_deg"][side][:links] for side in ("lower", "upper")}
+    return load_arm(tables | {"name": f"{links} links within joint limits", "joint_limits_deg": limits})
 
 
 def simulated(arms: Sequence[Arm], plans: Any, runs: Sequence[int], replications: int, seed: int) -> list[Row]:

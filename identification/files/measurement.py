@@ -13,13 +13,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, frame_of_columns, readonly
-from identification.conditions import gaps_of
+from identification.conditions import directions_from_order, gaps_of
 from identification.errors import InputError
-from identification.files.csv import VIA, Table, csv_text, read_table
+from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
@@ -407,14 +407,26 @@ class Plan(ByValue):
         with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
             return str(self.to_frame()._repr_html_())
 
-    def text(self, joint_types: JointTypes = None, further: Mapping[str, Sequence[str]] | None = None) -> str:
+    def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
         """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad).
 
-        joint_types : None: those of the plan;  further : columns of names, (m,) each
+        joint_types : None: those of the plan;  further : columns of names, one for each run
+
+        With way-points directions no longer follow from the order of the measurements: they are columns then.
         """
-        joints = posture_columns(self.postures, joint_types or self.joint_types or None)
-        columns: Columns = {"run": np.arange(1, len(self) + 1), **joints}
-        columns |= {name: np.array(texts, dtype=np.str_) for name, texts in (further or {}).items()}
+        types = joint_types or self.joint_types or None
+        measured = np.ones(len(self), dtype=bool) if self.via is None else ~self.via
+        columns: Columns = {"run": np.where(measured, np.cumsum(measured), np.nan)}
+        columns |= {} if self.via is None else {"kind": np.where(measured, MEASURE, VIA)}
+        columns |= posture_columns(self.postures, types)
+        if not measured.all():
+            signs = directions_from_order(np.round(in_columns(self.postures, types), 9))  # a joint that stays does so
+            signs = np.where((signs == 0.0) | ~measured[:, None], np.nan, signs)
+            columns |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
+        for name, values in (further or {}).items():
+            column = np.asarray(values)
+            columns[name] = np.full(len(self), "" if column.dtype.kind == "U" else np.nan, dtype=column.dtype)
+            columns[name][measured] = column
         return csv_text(columns if self.weights is None else columns | {"weight": self.weights}, self.fit)
 
 

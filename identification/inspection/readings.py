@@ -21,7 +21,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, rows_in_words
 from identification.errors import InputError
 from identification.instruments import Placement, Unplaced
-from identification.kinematics.chain import TOOL, KinematicChain
+from identification.kinematics.chain import TOOL
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
@@ -42,9 +42,7 @@ def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
     tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
-    return replace(
-        arm, chain=KinematicChain(chain.joints, chain.end, settled=tip, instrument=chain.instrument, axes=chain.axes)
-    )
+    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument))
 
 
 def some_of_one_point(measurements: Measurements) -> Measurements:

@@ -26,7 +26,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -46,12 +46,10 @@ from identification.kinematics.parameters import (
     chain_parameters,
     error_names,
 )
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 DIMENSION = 3  # of space
-IN_SPACE, IN_PLANE = "xyz", "xy"
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
-PLANAR_SHIFT = ("base_offset.x0", "base_offset.y0")  # of the base, an effect of planar arms
 Values = Mapping[str, ca.SX | float]  # parameter name -> value
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 Complex = NDArray[np.complex128]
@@ -109,7 +107,12 @@ class KinematicChain(ByValue):
     angle_scale: float | None = None  # [mm/rad] a radian of a measured orientation counts as; None: only points are
     tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
-    axes: str = IN_SPACE  # of the frames, along which positions are measured: `xyz`, or `xy` of a planar arm
+
+    axes: ClassVar[str] = "xyz"  # of the frames, along which positions are measured
+    turning: ClassVar[tuple[int, ...]] = (0, 1, 2)  # numbers of the axes that a frame may turn about
+    turn_names: ClassVar[tuple[str, ...]] = ("wx", "wy", "wz")  # of the parts of a rotation
+    base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
+    planar: ClassVar[bool] = False  # a `PlanarChain`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
@@ -119,15 +122,9 @@ class KinematicChain(ByValue):
         return len(self.joints)
 
     @property
-    def planar(self) -> bool:
-        """Whether it moves in a plane: then its free errors are link lengths and joint zeros, and its base and tip are
-        where the drawing has them (effects may move them)."""
-        return self.axes == IN_PLANE
-
-    @property
     def positions_in_plane(self) -> bool:
         """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
-        return self.planar and self.instrument.reads_positions
+        return False
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
@@ -141,31 +138,20 @@ class KinematicChain(ByValue):
         return len(self.axes)
 
     @property
-    def turning(self) -> tuple[int, ...]:
-        """Numbers of the axes that a frame may turn about: all three in space, z in the plane."""
-        return (2,) if self.planar else (0, 1, 2)
-
-    @property
-    def turn_names(self) -> tuple[str, ...]:
-        """Names of the parts of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
-        return ("w",) if self.planar else ("wx", "wy", "wz")
-
-    @property
     def bends(self) -> dict[str, int]:
-        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In the plane each
-        link's end to its left; in space each joint's frame after it moved, by three turns and three shifts."""
-        n = len(self)
-        return {"deflections": n, "slopes": n} if self.planar else {"joint_turns": 3 * n, "joint_shifts": 3 * n}
+        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In space each joint's
+        frame after it moved, by three turns and three shifts; in the plane each link's end to its left."""
+        return {"joint_turns": 3 * len(self), "joint_shifts": 3 * len(self)}
 
     @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
-        return not (self.planar or self.fixed)
+        return not self.fixed
 
     @property
     def held(self) -> frozenset[str]:
         """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
-        return self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset())
+        return self.fixed
 
     @property
     def coordinates(self) -> int:
@@ -175,14 +161,14 @@ class KinematicChain(ByValue):
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
-    def _links(self) -> list[Array]:
+    def _links(self) -> tuple[Array, ...]:
         """(n + 1) poses (4, 4) of each joint's frame in the one before, and of the tip's."""
-        return [*(joint.origin for joint in self.joints), self.end]
+        return *(joint.origin for joint in self.joints), self.end
 
     @cached_property
-    def link_vectors(self) -> list[Array]:
+    def link_vectors(self) -> tuple[Array, ...]:
         """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
-        return [matrix[:3, 3] for matrix in self._links[1:]]
+        return tuple(matrix[:3, 3] for matrix in self._links[1:])
 
     @cached_property
     def lengths(self) -> Array:
@@ -197,10 +183,9 @@ class KinematicChain(ByValue):
 
     @cached_property
     def levers(self) -> Array:
-        """(n,) distances [mm] over which each joint acts, in order of magnitude: in the plane the length of its link
-        (paper), in space from joint to tip as the parts could add up, not below a tenth of the reach."""
-        beyond = np.cumsum(self.lengths[::-1])[::-1]
-        return self.lengths if self.planar else np.maximum(beyond, self.reach / 10.0)
+        """(n,) distances [mm] over which each joint acts, in order of magnitude: from joint to tip as parts could add
+        up, not below a tenth of the reach; in the plane the length of its link (paper)."""
+        return np.maximum(np.cumsum(self.lengths[::-1])[::-1], self.reach / 10.0)
 
     @property
     def joint_types(self) -> tuple[str, ...]:
@@ -212,8 +197,6 @@ class KinematicChain(ByValue):
     def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
         and six errors, in the plane lengths of links and offsets of joints, and last those of the instrument itself."""
-        if self.planar:
-            return ParameterSet([*chain_parameters(self.lengths), *self.instrument.parameters])
         parameters = _six(BASE, self.reach, (BASE, BASE))
         for name, place in self.tools.items():
             # no measured point is farther from where it is drawn or found first
@@ -229,14 +212,8 @@ class KinematicChain(ByValue):
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
-        which move all that lies beyond as the base does; nor what no reading of the instrument shows.
-
-        best : best known values, by which the offsets of a planar arm are scaled as far as anything is left of a link
-        """
-        if self.planar:
-            errors = [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
-            scales = np.where(self.lengths + errors == 0.0, self.lengths, np.abs(self.lengths + errors))
-            return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
+        which move all that lies beyond as the base does; nor what no reading of the instrument shows;  best : best
+        known values, which matter in the plane"""
         stands = BASE in self.settled
         hidden = {
             error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
@@ -267,16 +244,8 @@ class KinematicChain(ByValue):
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets of a planar arm; None for others, and where one of a
-        length or an offset is not among the parameters.
-
-        others : the model has parameters or curves beside these
-        """
-        chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
-        if not self.positions_in_plane or len(chain) < 2 * len(self):
-            return None
-        base = [k for k, name in enumerate(parameters.names) if name in PLANAR_SHIFT]
-        indices = np.array(chain + base if len(base) == 2 else chain)
-        return PlanarClosedForm(self.lengths, len(base) == 2, indices, not others and len(indices) == len(parameters))
+        length or an offset is not among the parameters;  others : the model has parameters or curves beside these"""
+        return None
 
     def along_base(self, shift: Mapping[str, float], values: Values, back: bool = False) -> dict[str, Any]:
         """A shift of the base along its own axes as one along those of the instrument, both by the names of its
@@ -284,20 +253,20 @@ class KinematicChain(ByValue):
 
         values : of parameters, where the base is turned by them;  back : the reverse
         """
-        names = PLANAR_SHIFT if self.planar else error_names(BASE)[:3]
-        if not set(names) & set(shift):
+        if set(self.base_shift).isdisjoint(shift):
             return {}
-        axes: Any = ca.DM(self.base[:3, :3])
-        if self.planar:  # where the base stands is an effect, and how it is turned the offset of joint 1
-            axes = Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
-        turned = ca.mtimes(axes.T if back else axes, in_space(ca.DM([shift.get(name, 0.0) for name in names])))
-        return {name: turned[k] for k, name in enumerate(names)}
+        axes, along = self._base_axes(values), in_space(ca.DM([shift.get(name, 0.0) for name in self.base_shift]))
+        turned = ca.mtimes(axes.T if back else axes, along)
+        return {name: turned[k] for k, name in enumerate(self.base_shift)}
+
+    def _base_axes(self, values: Values) -> Any:
+        """(3, 3) axes of the base in the frame of the instrument."""
+        return ca.DM(self.base[:3, :3])
 
     # -- symbols -------------------------------------------------------------------------------------------------------
     def link_lengths(self, values: ca.SX) -> ca.SX:
         """(n,) `lengths` with their errors, where values of the parameters have some."""
-        lengths = ca.SX(ca.DM(self.lengths))
-        return lengths + values[: len(self)] if self.planar else lengths
+        return ca.SX(ca.DM(self.lengths))
 
     def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = NOTHING) -> list[Frame]:
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
@@ -377,10 +346,9 @@ class KinematicChain(ByValue):
         return _of_marker([ca.vec(frame.axes) for frame in measured], marker)
 
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
-        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base; in the plane,
-        where joint 1 is the base, n + 1 points (2,)."""
+        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
         *frames, _, measured = self._in_base(q, self._named(values))
-        return [frame.origin[: self.dimension] for frame in (*frames, measured)][int(self.planar) :]
+        return [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
 
     def _named(self, values: ArrayLike) -> dict[str, float]:
         return self.parameters().mapping(values)
@@ -459,12 +427,75 @@ def _six(frame: str | int, lever: float, kinds: tuple[str, str], farthest: float
     return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in names[3:]]
 
 
+@dataclass(frozen=True, eq=False)
+class PlanarChain(KinematicChain):
+    """A chain that moves in a plane: its free errors are link lengths and joint zeros, and its base and tip are where
+    the drawing has them; where the base stands is an effect, and how it is turned the offset of joint 1."""
+
+    axes = "xy"
+    turning = (2,)
+    turn_names = ("w",)
+    base_shift = ("base_offset.x0", "base_offset.y0")
+    planar = True
+
+    @property
+    def positions_in_plane(self) -> bool:
+        return self.instrument.reads_positions
+
+    @property
+    def bends(self) -> dict[str, int]:
+        return {"deflections": len(self), "slopes": len(self)}
+
+    @property
+    def redundant(self) -> bool:
+        return False
+
+    @property
+    def held(self) -> frozenset[str]:
+        return self.fixed | self.instrument.hidden(self.base)
+
+    @property
+    def levers(self) -> Array:
+        return self.lengths
+
+    @property
+    def every_parameter(self) -> ParameterSet:
+        return self.parameters()
+
+    def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
+        """Length errors, joint offsets and those of the instrument.
+
+        best : best known values, by which the offsets are scaled as far as anything is left of a link
+        """
+        lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
+        scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths))
+        return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
+
+    def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
+        chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
+        if not self.positions_in_plane or len(chain) < 2 * len(self):
+            return None
+        base = [k for k, name in enumerate(parameters.names) if name in self.base_shift]
+        indices = np.array(chain + base if len(base) == 2 else chain)
+        return PlanarClosedForm(self.lengths, len(base) == 2, indices, not others and len(indices) == len(parameters))
+
+    def _base_axes(self, values: Values) -> Any:
+        return Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
+
+    def link_lengths(self, values: ca.SX) -> ca.SX:
+        return super().link_lengths(values) + values[: len(self)]
+
+    def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
+        """n + 1 points (2,), since joint 1 is the base."""
+        return [point[:2] for point in super().symbolic_points(q, values)[1:]]
+
+
 def planar_chain(lengths: ArrayLike) -> KinematicChain:
     """The planar arm of links (n,) [mm] behind revolute joints."""
     links = np.ravel(np.asarray(lengths, dtype=float))
     before = (pose((length, 0.0, 0.0)) for length in (0.0, *links[:-1]))
     joints = (Joint(f"joint_{j}", origin, Z) for j, origin in enumerate(before, start=1))
-    return KinematicChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}), axes=IN_PLANE)
+    return PlanarChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}))
 
 
 def in_space(vector: Any) -> Any:

@@ -33,7 +33,7 @@ from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 Given = ArrayLike | None
 When = Conditions | None
@@ -396,6 +396,8 @@ class Model:
         arm, at, shape = self.arm, self._columns, postures.shape[:-1]
         payload = 0.0 if arm.gravity is None else arm.gravity.payload
         plain = conditions.table(shape, arm.links, payload, postures if "past" in at else None)
+        if {"marker", "reference", "errors"}.isdisjoint(at):
+            return plain
         table = np.zeros((*shape, max(place.stop for place in at.values())))
         table[..., : plain.shape[-1]] = plain
         unsaid = arm.chain.instrument.unsaid if conditions.marker is None else conditions.marker

@@ -85,13 +85,6 @@ def test_more_runs_never_tell_less(arm: Arm) -> None:
         assert (now[n:] / lengths).max() <= (then[n:] / lengths).max() * (1.0 + 1e-8)  # and of an angle
 
 
-def test_numbers_of_runs_need_not_be_in_order() -> None:
-    found = advise(problem(FOUR), [9, 4, 6], seconds=0.6)
-    assert found.runs == (9, 4, 6)
-    accuracies = [found.accuracy(design) for design in found.designs]
-    assert accuracies[0] <= accuracies[2] <= accuracies[1]
-
-
 def test_no_time_at_all_still_tells_more_with_more_runs() -> None:
     found = advise(problem(FOUR), range(5, 8), seconds=1e-6)
     accuracies = [found.accuracy(design) or np.inf for design in found.designs]

@@ -31,7 +31,7 @@ from doe.studies.blind.simulator import (
     turn,
     wound_up,
 )
-from identification import Arm, Array, DHRow, EffectSpec, Gravity, Measurements, chain_of, planar_chain
+from identification import Arm, Array, EffectSpec, Measurements, load_arm
 
 EVERY_JOINT = "joint_compliance*"  # stands for the compliance of all joints at once
 COMMON = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "gear_ratio", "joint_coupling")
@@ -180,17 +180,21 @@ def leaning(truth: TrueArm, rng: np.random.Generator) -> TrueArm:
 def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     """The arm as its maker describes it, who in space does not know where base and reflectors are."""
     masses = truth.masses * (rng.uniform(0.7, 1.3, truth.n) if spec.wrong == "masses" else 1.0)
-    payload = 0.0 if spec.wrong == "tool" else truth.payload
-    down = -simulator.G * np.eye(truth.dimension)[-1]
-    gravity = Gravity(down, masses, np.full(truth.n, truth.center), payload)
-    effects = tuple(EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled)
+    gravity = {
+        "acceleration_m_s2": (-simulator.G * np.eye(truth.dimension)[-1]).tolist(),
+        "link_masses_kg": masses.tolist(),
+        "center_of_mass": [truth.center] * truth.n,
+        "payload_kg": 0.0 if spec.wrong == "tool" else truth.payload,
+    }
+    limits = {side: np.degrees(getattr(truth, side)).tolist() for side in ("lower", "upper")}
+    tables = {"joint_limits_deg": limits, "measurement": {"sigma_mm": truth.sigma}, "gravity": gravity}
+    effects = [EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled]
     if truth.in_plane:
-        return Arm(planar_chain(truth.lengths), truth.lower, truth.upper, truth.sigma, gravity=gravity, effects=effects)
-    limits = zip(truth.lower.tolist(), truth.upper.tolist(), strict=True)
-    rows = [DHRow(a, alpha, d, limits=pair) for (a, alpha, d), pair in zip(truth.table.tolist(), limits, strict=True)]
-    chain = replace(chain_of(rows), tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))})
-    effects += (EffectSpec("tool_mass"),) if spec.wrong == "tool" else ()
-    return Arm(chain, sigma=truth.sigma, gravity=gravity, effects=effects)
+        return load_arm(tables | {"links_mm": truth.lengths.tolist()}).with_effects(*effects)
+    rows = [{"a_mm": a, "alpha_deg": float(np.degrees(alpha)), "d_mm": d} for a, alpha, d in truth.table.tolist()]
+    arm = load_arm(tables | {"kind": "spatial", "dh": rows})
+    arm = replace(arm, chain=replace(arm.chain, tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))}))
+    return arm.with_effects(*effects, *([EffectSpec("tool_mass")] if spec.wrong == "tool" else []))
 
 
 def to_be_planned(cell: str, seed: int) -> tuple[Arm, int]:

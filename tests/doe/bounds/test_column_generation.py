@@ -262,15 +262,6 @@ def test_independent_solvers_agree(criterion: Criterion) -> None:
         assert design.plan.shares.min() > 0.0
 
 
-def test_around_measured_postures() -> None:
-    generator = np.random.default_rng(1)
-    case = problem(FOUR, OFFSET, kept=generator.uniform(FOUR.lower, FOUR.upper, (6, 4)))
-    other, mine = (relax(case, 3, solver, runs=4) for solver in SOLVERS[1:])
-    assert other.value == pytest.approx(mine.value, abs=1e-5)
-    with pytest.raises(InputError, match="runs"):
-        relax(case, 3, "clarabel")
-
-
 @pytest.mark.parametrize("word", ["optimal_inaccurate", "user_limit", "unknown_to_us"])
 def test_a_status_other_than_solved_is_reported_and_is_no_bound(monkeypatch: pytest.MonkeyPatch, word: str) -> None:
     """Even with perfect weights; the gap and the efficiency are facts about the weights and stay."""

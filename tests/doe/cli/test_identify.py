@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tests.doe.cli.conftest import ARM, CALIBRATION, Folder, table
+from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 from tests.small_arm import MASSES, OTHERS, as_csv, measured, random_postures, small_arm, urdf
 
 ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.2\nb_deg = 0.1\n'
@@ -182,34 +182,6 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
             assert found["held_from"]["data.csv"]["rows"] == len(old)
             (note,) = folder.said("validate again.toml data.csv")["notes"]
             assert note.startswith("these are the measurements that the model was identified from:")
-
-
-def test_what_is_held_counts_from_the_old_temperature(folder: Folder) -> None:
-    """Links that grow by 1e-4 per K, measured at some 20 deg, and at some 29 after a motor was changed: the lengths and
-    their growth stay right, whether they are held or the prior; anew, everything counts from the new mean."""
-    lengths, zeros = np.array([261.5, 179.4, 119.6, 100.7]), np.radians([0.5, -0.5, 0.7, -0.3])
-    generator = np.random.default_rng(12)
-    for name, rows, middle, moved in (("cold.csv", 40, 20.0, 0.0), ("warm.csv", 12, 29.0, np.radians(0.4))):
-        q = generator.uniform(-1.5, 1.5, (rows, 4))
-        warm = middle + generator.uniform(-3.0, 3.0, rows)
-        turned = np.cumsum(q + zeros + moved * np.eye(4)[1], axis=1)
-        tip = (1.0 + 1e-4 * (warm - 20.0)) * (np.exp(1j * turned) @ lengths)
-        tip += 0.01 * (generator.standard_normal((2, rows)).T @ [1.0, 1.0j])
-        angles = {f"q{j}_deg": column for j, column in enumerate(np.degrees(q).T, start=1)}
-        folder.write(name, table({**angles, "x_mm": tip.real, "y_mm": tip.imag, "temperature_C": warm}))
-    sure = ARM.replace("sigma_mm = 0.1", "sigma_mm = 0.01")
-    folder.write("arm.toml", sure + '\n[[effects]]\nname = "thermal_growth"\n')
-    folder.said("identify arm.toml cold.csv --out calibrated.toml")
-    only = folder.said("identify calibrated.toml warm.csv --only joint_offset:2 --out only.toml")
-    (zero,) = only["parameters"]
-    assert zero["value"] == pytest.approx(-0.1, abs=0.005)
-    assert only["rms_after_mm"] < 0.03  # 0.4 mm where temperatures count from the new mean
-    means = [origin(folder, name)["mean_temperature_C"] for name in ("only.toml", "calibrated.toml")]
-    assert means[0] == means[1]
-    prior = folder.said("identify arm.toml warm.csv --prior calibrated.toml")
-    assert [one["name"] for one in prior["prior_from"]["contradicted"]] == ["joint_offset:2"]
-    folder.said("identify arm.toml warm.csv --out anew.toml")
-    assert origin(folder, "anew.toml")["mean_temperature_C"] == pytest.approx(29.0, abs=1.0)
 
 
 def test_prior_is_the_library_or_a_file(folder: Folder) -> None:

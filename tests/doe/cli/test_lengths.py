@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tests.doe.cli.conftest import Folder, table
-from tests.identification.exponentials import TABLE, Exponentials
-from tests.identification.touching import sphere, touching
+from tests.identification.exponentials import TABLE
 
 ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha)}\nd_mm = {d}\n" for a, alpha, d in TABLE)
 SIX = f"""\
@@ -38,7 +37,6 @@ VALUES = """
 """
 TRUTH = TOOL + VALUES + '"base.x" = 9.0\n'
 ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 3\na_deg = 0.05\nb_deg = 0.04\n'
-CENTER = np.array([600.0, -200.0, 300.0])
 
 
 def of_postures(postures: np.ndarray, **columns: Any) -> str:
@@ -84,30 +82,6 @@ def test_the_loop_of_a_ball_bar(cell: Folder) -> None:
 
 
 # -- contacts ----------------------------------------------------------------------------------------------------------
-
-
-def test_contacts_with_a_ball_that_nobody_measured(cell: Folder) -> None:
-    """The radius is left out of the file, found, written, used, and found anew for another ball."""
-    generator = np.random.default_rng(5)
-    truth = Exponentials(generator)
-    for name, radius in (("data", 30.0), ("other", 20.0)):
-        cell.write(f"{name}.csv", of_postures(touching(truth, sphere(CENTER, radius), 80, generator)))
-    cell.write("ball.toml", SIX + 'kind = "sphere"\n')
-    assert cell.said("check ball.toml data.csv")["rms_fitted_mm"] < 0.01
-    found = cell.said("identify ball.toml data.csv --out calibrated.toml")
-    (row,) = [row for row in found["parameters"] if row["name"] == "sphere.radius"]
-    assert (row["unit"], row["value"]) == ("mm", pytest.approx(30.0, abs=3.0 * row["std"]))
-    (shown,) = [one for one in found["corrected_values"] if one["name"] == "sphere radius"]
-    assert shown["corrected"] == row["value"]
-    assert "sphere radius [mm]: " in cell.armcal("identify ball.toml data.csv").out
-    assert cell.said("validate calibrated.toml data.csv --refit none")["rms_mm"] < 0.01
-    other = cell.said("validate calibrated.toml other.csv")
-    assert other["rms_mm"] < 0.01 < 0.3 < other["rms_nominal_mm"]
-    (radius,) = [one["value"] for one in other["refitted"] if one["name"] == "sphere.radius"]
-    assert radius == pytest.approx(20.0 * row["value"] / 30.0, abs=1e-3)  # the size of the arm is as it was found
-    why = "minimal for contacts with spheres of unknown radius, which leave the size of the arm open"
-    cell.refused("identify ball.toml data.csv --parameters minimal", why)
-    cell.refused("design ball.toml --runs 30")
 
 
 @pytest.mark.usefixtures("few")

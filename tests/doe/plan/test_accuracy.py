@@ -93,17 +93,6 @@ def test_none_without_sigma_or_enough_runs() -> None:
     assert expected_deviations(problem(FOUR), np.zeros((4, 4))) is None
 
 
-def test_zero_for_what_is_known() -> None:
-    model = Model(FOUR, held={"length_error:2": 0.0, "joint_offset:1": 0.0})
-    from doe.problem.problem import DesignProblem
-
-    found = expected_deviations(DesignProblem.of(model), fourier(8, 4))
-    assert found.length[1] == 0.0
-    assert found.joint_offset[0] == 0.0
-    assert np.all(found.length[[0, 2, 3]] > 0.0)
-    assert np.all(found.joint_offset[1:] > 0.0)
-
-
 def test_weights_share_the_runs_out() -> None:
     plan = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (6, 4))
     weights = np.array([3, 1, 1, 1, 1, 1]) / 8

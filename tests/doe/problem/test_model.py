@@ -26,7 +26,7 @@ from identification.estimation import estimate
 from identification.gap.diagnose import diagnose
 from identification.kinematics.parameters import Parameter, ParameterSet
 from identification.measurements import Measurements
-from identification.vectorize import vectorize
+from identification.vectorized import vectorize
 
 
 class Sine:

@@ -176,7 +176,7 @@ def test_a_rail_is_an_external_axis_whatever_its_place_in_the_chain(robot: str) 
             assert made.text.count("9E9") == 2 * 5
             postures = postures[:, :7]
     np.testing.assert_allclose(postures, in_file, rtol=0.0, atol=1e-6)
-    assert made.units == ["mm"] + ["deg"] * 6
+    assert made.units == ("mm", *["deg"] * 6)
 
 
 def test_joints_are_written_as_the_controller_counts_them() -> None:

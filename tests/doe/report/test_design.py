@@ -16,11 +16,9 @@ from doe.design import score
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import missing_effects, robust_problem
 from doe.report.design import (
-    accuracy,
     design_document,
     design_facts,
     design_verdict,
-    missing_lines,
     next_document,
     plan_section,
     plan_steps,
@@ -28,36 +26,16 @@ from doe.report.design import (
 )
 from identification import Plan
 from identification.arm import Arm, Gravity
-from identification.document import Pictures, Sheet, as_text
+from identification.document import Pictures, as_text
 from identification.files.measurement import load_plan
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
-from tests.doe.six_axis import SIX_AXIS, six_axis
+from tests.doe.six_axis import SIX_AXIS
 
 AROUND = (WorkspaceBox((-500.0, 500.0), (-400.0, 600.0)), KeepOutCircle((700.0, 0.0), 50.0))
 ARM = Arm([300.0, 200.0], sigma=0.1, constraints=(*AROUND, LineOfSight((900.0, 0.0), 0.5, (0.0, 0.0))))
-
-
-def test_effects_that_may_be_missing_are_counted_not_listed() -> None:
-    plain = six_axis()
-    wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
-    design = score(wide, np.random.default_rng(3).uniform(-2.0, 2.0, (16, 6)))
-    table, held = accuracy(design)
-    assert isinstance(table, Sheet)
-    assert isinstance(held, str)
-    known = {p.name: std for p, std in zip(design.deviations.parameters, design.deviations.values, strict=True)}
-    weak = sum(known[name] > 0.5 * size for name, size in plain.deviations.items())
-    assert 0 < weak == len(plain.model.parameters) - len(table.rows)
-    assert held.startswith(f"and {weak} more that these postures hardly determine")
-    text = as_text(table)
-    assert "rotation_x:2 [deg]" in text
-    assert "gear_ratio" not in text
-    assert "if effects of typical size may be missing" in table.title
-    (complete, *_) = accuracy(score(plain, design.plan.postures))
-    assert "if the model is complete" in as_text(complete)
-    assert any("6 parameters of gear_ratio" in line for line in missing_lines(design))
 
 
 def test_a_robust_plan_is_judged_by_millimetres() -> None:

@@ -10,11 +10,9 @@ import pytest
 from mpl_toolkits.mplot3d import art3d
 
 from doe.report.figures import outlines, plan_figure
-from doe.report.scene import side
+from doe.report.scene import scene, side
 from identification import design_model
-from identification.arm import Arm, Calibration, EffectSpec
 from identification.bodies import Body, Cell
-from identification.documents.pictures import workspace_arrows
 from identification.model import Model
 from tests.doe.problem.test_spatial_constraints import ARM, PILLAR, POSTURES, SIGHT, SPHERE
 
@@ -73,24 +71,8 @@ def test_the_bodies_of_a_cell_are_drawn_where_they_are(monkeypatch: pytest.Monke
     assert (view.elev, view.azim) == side(arm)
 
 
-def test_of_very_many_postures_some_are_drawn() -> None:
-    """The first and the last among them, and the title says so; every angle stands beside them."""
-    planar = Arm([300.0, 200.0])
-    postures = np.linspace([-1.0, 0.5], [1.0, 1.5], 4000)
-    plane, joints = plan_figure(planar, postures).axes
-    assert plane.get_title() == "500 of 4000 postures"
-    figures = [line for line in plane.lines if len(line.get_xdata()) == 3]
-    assert len(figures) == 500
-    for line, q in ((figures[0], postures[0]), (figures[-1], postures[-1])):
-        tip = 300.0 * np.exp(1j * q[0]) + 200.0 * np.exp(1j * (q[0] + q[1]))
-        np.testing.assert_allclose([line.get_xdata()[-1], line.get_ydata()[-1]], [tip.real, tip.imag])
-    assert sum(len(shown.get_offsets()) for shown in joints.collections) == 2 * 4000
-
-
-def test_the_base_is_drawn_where_the_arm_stands() -> None:
-    place = {"base_offset.x0": 1200.0, "base_offset.y0": -300.0}
-    stands = Arm([300.0, 200.0], effects=(EffectSpec("base_offset"),), calibration=Calibration(place))
-    for arm, expected in ((stands, (1200.0, -300.0)), (Arm([300.0, 200.0]), (0.0, 0.0))):
-        points, residuals = np.random.default_rng(8).normal(size=(2, 5, 2))
-        axes = workspace_arrows(arm, points, ((residuals, "before"), (residuals, "after"))).axes
-        assert [tuple(np.ravel(axis.lines[0].get_xydata())) for axis in axes] == [expected] * 2
+def test_a_floor_without_bodies_is_drawn() -> None:
+    arm = replace(ARM, cell=Cell((Body("nothing"),), floor=-50.0))
+    views = [axes for axes in plan_figure(arm, POSTURES[:2]).axes if axes.name == "3d"]
+    assert all(view.get_zlim()[0] <= -50.0 for view in views)
+    assert scene(design_model(Model(arm)), POSTURES[:2], [[], []], {})["bodies"] == []

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.solvers import Analytic, Random, solve
+from doe.solvers import Analytic, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm, EffectSpec
 from identification.errors import JobError
@@ -110,12 +110,3 @@ def test_none_where_the_number_of_runs_does_not_allow_it(arm: Arm) -> None:
 def test_none_for_models_without_the_theorem() -> None:
     with pytest.raises(JobError, match="analytic"):
         solve(problem(Arm(FOUR.lengths), ECCENTRICITY), 20, Analytic())
-
-
-def test_random_is_no_rival() -> None:
-    """The same interface, the same certificate: a random plan is worth less, and says by how much."""
-    design = solve(problem(FOUR), 8, Random())
-    best = solve(problem(FOUR), 8, "best_of_random")
-    assert design.status is Status.starts_finished
-    assert best.starts == 1000
-    assert design.value < best.value < closed_form_log_det(problem(FOUR))

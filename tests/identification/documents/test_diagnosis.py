@@ -78,25 +78,6 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
         assert not any("compensate" in action.command for action in diagnosis_actions(data))
 
 
-def test_what_curves_describe_has_a_size_and_no_cause() -> None:
-    curves = [{"joint": j, "shape": f"smooth curve {j}"} for j in (3, 1)]
-    data = said("unknown") | {"curves": curves[:1], "shape": "smooth curve 3"}
-    two = said("unknown", "backlash:2") | {"curves": curves, "shape": "smooth curve 3"}
-    elsewhere, nowhere = two | {"curves": curves[1:]}, said("unknown") | {"where": None}
-    look = "Look for a cause at joint 3"
-    meanwhile = f"{look}; the error curves, within the angles measured, may be used meanwhile."
-    for found, second, action in (
-        (data, "An error curve of joint 3 describes it; its cause is open.", meanwhile),
-        (two, "Error curves of joints 1 and 3 describe it; its cause is open.", meanwhile),
-        (elsewhere, f"Beside it: {PLAY}.", f"{look}; the named part may be used meanwhile."),
-        (said("unknown"), "", f"{look}."),
-    ):
-        assert diagnosis_verdict(found)[1:2] == ([second] if second else [])
-        assert diagnosis_actions(found)[0].text == action
-    assert diagnosis_verdict(two)[2] == f"Beside it: {PLAY}."
-    assert diagnosis_verdict(nowhere)[0].endswith("is missing, at a place that is not known.")
-
-
 @pytest.mark.parametrize(("rms", "word"), [(0.31, "no better than"), (0.27, "no better beyond chance than")])
 def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: str) -> None:
     """It is said before what was named, and the commands of the robot are to come from the geometry."""

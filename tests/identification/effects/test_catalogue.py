@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 import tomllib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ import pytest
 from identification.arm import EffectSpec
 from identification.effects import Effect, Parameter, Setting, build, formulas, library
 from identification.effects.catalogue import SUPPLY, entries, entry
-from identification.kinematics.chain import planar_chain
+from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.parameters import ParameterSet, chain_parameters
 
 
@@ -28,7 +27,10 @@ def test_every_effect_can_be_read_from_the_example_once_its_settings_are_given()
         values = {key: value for key, value in table.items() if key not in ("name", "joint")}
         spec = EffectSpec(table["name"], table.get("joint"), values)
         chain = planar_chain(np.ones(3))
-        assert build(spec, replace(chain, axes="xyz") if found.arms == ("spatial",) else chain).name == found.name
+        assert (
+            build(spec, KinematicChain(chain.joints, chain.end) if found.arms == ("spatial",) else chain).name
+            == found.name
+        )
 
 
 def test_what_is_needed_says_how_to_give_it() -> None:
@@ -50,7 +52,7 @@ def example(cls: type[Effect]) -> Effect:
     settings = {name: Setting.of(allowed).low for name, allowed in cls.settings.items()}
     spec = EffectSpec(cls.name, 2 if cls.per_joint == "required" else None, settings)
     chain = planar_chain([300.0, 200.0])
-    return build(spec, chain if 2 in cls.dimensions else replace(chain, axes="xyz"))
+    return build(spec, chain if 2 in cls.dimensions else KinematicChain(chain.joints, chain.end))
 
 
 @pytest.mark.parametrize("name", OWN)

@@ -204,26 +204,6 @@ def test_an_arm_far_from_its_drawing_is_fitted_as_well_as_one_near_it(times: flo
         assert any("farther from its drawing" in doubt for doubt in found.doubts) == (times > 1.0)
 
 
-def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing() -> None:
-    """1,000 rows, and the same ten times: misfits that come again do not make other errors of frames likelier."""
-    generator, zero = np.random.default_rng(36), np.zeros(len(SPATIAL.names))
-    data = Measurements(generator.uniform(-2.5, 2.5, (1000, len(CHAIN))), np.zeros((1000, 3)))
-    jacobian = SPATIAL.jacobian(data.postures, zero).reshape(-1, len(zero)) / 0.05
-    sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
-    # 20 mm: so large that the rows once leave the machining's errors open, and ten times do not
-    misfit = 400.0 * generator.standard_normal(len(jacobian))
-    problem = Problem.of(SPATIAL, data, prior=Prior(SPATIAL.prior))
-
-    def width(times: float, copies: int) -> float:
-        target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
-        copied = replace(problem, weights=np.ones(1000 * copies))
-        return likeliest(copied, zero, target, columns)[1][0]
-
-    once = [width(times, 1) for times in (0.5, 1.2, 1.6, 4.0)]
-    assert once[0] == 1.0 < once[-1]
-    assert [width(times, 10) for times in (0.5, 1.2, 1.6, 4.0)] == once
-
-
 @pytest.mark.parametrize("factors", [(6.0, 1.0), (1.0, 30.0)])
 def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[float, float]) -> None:
     """Of all rows' covariance at the nominal arm, with the noise given; what has no prior as good as infinite. A width

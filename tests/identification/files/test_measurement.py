@@ -438,15 +438,6 @@ def test_gaps_are_those_of_each_session(load: Load) -> None:
     assert (np.flatnonzero(together.gaps) + 1).tolist() == [M + 5, M + 10, M + 18]
 
 
-def test_numbers_that_are_left_out_nearly_everywhere_do_not_count(load: Load) -> None:
-    """Every second row, by frame numbers of the instrument: the row before is the one before."""
-    thinned = struck(load, list(range(1, M, 2)))
-    assert thinned.gaps is None
-    alone = replace(thinned, order=None)
-    np.testing.assert_array_equal(thinned.conditions.directions, alone.conditions.directions)
-    assert struck(load, [k for k in range(1, M) if k % 4 == 1]).gaps is not None  # 7 of 22 rows: these count
-
-
 def test_effects_that_need_the_row_before_are_not_looked_for_without_it() -> None:
     thinned = replace(WHOLE.rows(slice(None, None, 2)), directions=None, past=None, gaps=np.r_[0.0, np.ones(14)])
     assert not thinned.conditions.follow

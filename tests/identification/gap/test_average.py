@@ -142,10 +142,3 @@ def test_shapes_with_a_name_and_without(error: np.ndarray, shape: str) -> None:
     text, waves = shape_and_waves(ANGLES, error, STD)
     assert text.startswith(shape)
     assert bool(waves) == bool(error.any())
-
-
-def test_angles_without_data_do_not_count() -> None:
-    """Where the curve is not known it is zero, with a wide band."""
-    error = np.where(ANGLES > 0.0, 3e-4 * np.cos(17.0 * ANGLES), 0.0)
-    std = np.where(ANGLES > 0.0, 1e-5, 1e-2)
-    assert radians(shape_and_waves(ANGLES, error, std)[1][0])[0] == pytest.approx(3e-4, rel=0.02)

@@ -90,13 +90,6 @@ def test_a_stretch_of_time_ends_with_a_posture() -> None:
     assert np.bincount(stretches).tolist() == [18, 15, 15, 15, 15, 15, 15, 15]
 
 
-def test_regions_are_cut_at_the_median_of_the_joint_that_moves_most() -> None:
-    postures = np.column_stack([np.arange(16.0), 0.1 * np.arange(16.0) % 0.4])
-    of_all, of_one, of_three = (groupings(postures[:m], np.arange(m), np.arange(m))[1] for m in (16, 1, 3))
-    assert of_all.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7]
-    assert (of_one.tolist(), of_three.max()) == ([0], 1)
-
-
 def held_out(rng: np.random.Generator, m: int, size: float, present: float = 1.0, noise: float = 1.0) -> Confirmation:
     """m fresh rows; the named model moves the tip by `size` sigma (RMS) where the truth moves it by `present` as much.
 

@@ -152,24 +152,6 @@ def test_sigma_per_row_is_a_relative_weight() -> None:
     np.testing.assert_allclose(deviations, other.std, rtol=1e-7)
 
 
-def test_an_active_bound() -> None:
-    """Links that rise under their load: the flexibility ends at its bound, in both with the interval behind it."""
-    model = Model(arm(EffectSpec("link_bending")))
-    true = np.zeros(9)
-    true[-1] = -2e-5
-    exact = model.position(plan(40), true)
-    noise = 0.1 * np.random.default_rng(8).standard_normal(exact.shape)
-    rows = Measurements(plan(40), exact + noise)
-    other = estimate(model, rows, sigma="estimated")
-    found = fit(model, Rows.of(rows))
-    assert other.parameters[-1] == found.values[-1] == 0.0
-    np.testing.assert_array_equal(found.free, np.r_[np.ones(8, dtype=bool), False])
-    np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
-    without = replace(found, free=np.ones(9, dtype=bool)).covariance
-    np.testing.assert_allclose(np.sqrt(np.diag(without)), other.std, rtol=1e-7)
-    assert np.all(found.covariance[-1] == 0.0)
-
-
 def test_a_fit_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any("did not converge" in note for note in diagnosed(None).notes)
     monkeypatch.setattr(Problem, "minimized", partialmethod(Problem.minimized, iterations=0))

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm
 from identification.estimation import estimate
 from identification.inspection.inspection import inspect
 from identification.kinematics.chain import DHRow, chain_of
@@ -112,14 +112,6 @@ def test_each_fault_has_its_sentence() -> None:
     assert copied.startswith("1 row is an exact copy of another (of 41 rows): the first row 41 of row 6")
     (wrong,) = inspect(replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good).problems
     assert wrong.startswith("the drawing is")
-
-
-def test_a_base_away_from_the_origin_asks_for_its_effect() -> None:
-    away = data(base=300.0 - 120.0j)
-    (sentence,) = inspect(ARM, away).problems
-    assert sentence.startswith("the data are in another frame than the arm")
-    assert 'add [[effects]] name = "base_offset"' in sentence
-    assert inspect(replace(ARM, effects=(EffectSpec("base_offset"),)), away).problems == ()
 
 
 def test_whole_turns_beyond_the_limits_are_said() -> None:

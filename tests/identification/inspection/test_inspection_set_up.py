@@ -14,7 +14,7 @@ from identification.inspection.inspection import constant_length, other_base, tu
 from identification.inspection.readings import read_differently
 from identification.instruments import Distance
 from identification.kinematics.chain import BASE
-from identification.kinematics.frames import pose, rotation_about
+from identification.kinematics.frames import rotation_about
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.exponentials import Exponentials, drawing
@@ -65,15 +65,6 @@ def test_a_base_that_stands_elsewhere() -> None:
     assert "zero of joint 1" not in said
     assert other_base(Arm(replace(chain, base=truth.base)), data) == []
     assert other_base(Arm(drawing()), data) == []
-
-
-def test_a_base_turned_about_joint_1_may_be_its_zero() -> None:
-    generator = np.random.default_rng(3)
-    truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (60, 6))
-    data = Measurements(q, truth.poses(q)[:, :3, 3])
-    turned = truth.base @ pose(rotation=rotation_about([0.0, 0.0, 1.0], np.radians(-40.0)))
-    (said,) = other_base(Arm(replace(drawing(), base=turned, settled=frozenset({BASE}))), data)
-    assert "or the zero of joint 1 is off by that" in said
 
 
 def bar_readings(offset: float, q: Array, generator: np.random.Generator) -> Measurements:

@@ -23,7 +23,7 @@ from identification.kinematics.parameters import (
     ParameterSet,
     chain_parameters,
 )
-from identification.vectorize import vectorize
+from identification.vectorized import vectorize
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
 

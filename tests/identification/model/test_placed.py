@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.estimation import estimate
 from identification.instruments import Distance
 from identification.instruments.search import registered
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
@@ -18,7 +17,7 @@ from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.model.minimal import independent, minimal, practical
+from identification.model.minimal import minimal, practical
 from identification.model.placed import of_positions, placed_model, tip_jacobian
 from tests.doe.six_axis import CHAIN as DRAWN
 
@@ -132,23 +131,6 @@ def test_as_many_as_can_be_told_apart(chain: KinematicChain, count: int | None) 
     assert len(found.names) == rank == int(np.sum(kept_value > 1e-9 * kept_value[0]))
     assert count is None or rank == count
     assert found.prior == {}
-
-
-def test_a_fit_predicts_as_that_of_all() -> None:
-    """Errors of parameters that are left out move the points as those that are kept, to first order: what is left is of
-    the square of the errors, some (0.3 mm)^2 over a lever of 100 mm, 1e-3 mm."""
-    chain = replace(SIX, tools=OFF_AXIS, settled=frozenset({"base"}))
-    truth, generator = Model(Arm(chain)), np.random.default_rng(6)
-    values = 0.3 / truth.scales * generator.standard_normal(len(truth.names))
-    postures = generator.uniform(-2.0, 2.0, (60, 6))
-    data = Measurements(postures, truth.position(postures, values))
-    found = estimate(minimal(placed_model(Model(Arm(replace(chain, tools=ON_AXIS))), data)), data)
-    fresh = generator.uniform(-2.0, 2.0, (50, 6))
-    np.testing.assert_allclose(found.model.position(fresh, found.parameters), truth.position(fresh, values), atol=2e-3)
-
-
-def test_columns_that_others_span() -> None:
-    assert independent(np.array([[1.0, 2.0, 0.0, 1.0], [0.0, 0.0, 3.0, 1.0], [0.0, 0.0, 0.0, 1e-9]])) == [0, 2]
 
 
 def test_what_measurements_hardly_tell_is_left_out() -> None:

@@ -27,7 +27,7 @@ from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
-from identification.origin import mostly_outside, outside
+from identification.origin import outside
 from identification.validate import Figures, Offered, extrapolation, judged, prior_judged, validate
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
@@ -159,25 +159,6 @@ def test_rows_outside_the_identified_range_are_said() -> None:
     assert "curves are zero there" not in (extrapolation(replace(arm, effects=(replace(curve, joint=2),)), other) or "")
     tied = replace(curve, curve=replace(curve.curve, geometry={"joint_offset:1": 1e-3}))
     assert "by the geometry that was fitted alone" in (extrapolation(replace(arm, effects=(tied,)), other) or "")
-
-
-def test_rows_at_angles_that_were_seen_are_judged_by_themselves() -> None:
-    """Twelve of forty rows inside the range, the others beyond it in joint 2, whose encoder the geometry lacks."""
-    q = postures(40, 13, 0.5)
-    arm = estimate(Model(Arm(LENGTHS)), Measurements(q, tip(q))).calibrated_arm()
-    other = 0.9 * q
-    other[12:, 1] = np.linspace(1.0, 2.5, 28)
-    found = validate(arm, Measurements(other, tip(other)))
-    note = next(note for note in found.notes if "has seen" in note)
-    model, drawing = (np.sum(r**2, axis=1) for r in (found.residuals, found.nominal_residuals))
-    there, elsewhere = (
-        [f"{np.sqrt(r[rows].mean()):.3g} mm" for r in (model, drawing)] for rows in (slice(12), slice(12, None))
-    )
-    assert note.startswith("30 % of these rows lie at joint angles that the calibration has seen: RMS there ")
-    assert note.endswith(f"{there[0]} (drawing {there[1]}), elsewhere {elsewhere[0]} (drawing {elsewhere[1]})")
-    assert mostly_outside(arm, other)
-    assert not mostly_outside(arm, other[:20])
-    assert not any("has seen" in note for note in validate(arm, Measurements(other[1:], tip(other[1:]))).notes)
 
 
 def test_missing_columns_and_the_same_file_are_said() -> None:
