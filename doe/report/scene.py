@@ -51,7 +51,9 @@ def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, A
         ],
         "postures": np.asarray(postures).round(9).tolist(),
         "via": via,
-        "bodies": [{"joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))],
+        "bodies": [
+            {"name": body.name, "joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))
+        ],
         "floor": None if model.cell is None else model.cell.floor,
         "trackers": [list(tracker) for tracker in trackers(model.arm)],
         "view": side(model.arm),

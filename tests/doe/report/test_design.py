@@ -85,7 +85,7 @@ def test_rows_without_payload_are_completed_before_others_are_appended() -> None
 @pytest.mark.parametrize(("arm", "joints", "runs"), [(ARM, 2, 9), (SIX_AXIS, 6, 16)])
 def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: int, runs: int) -> None:
     plan = Plan(np.random.default_rng(1).uniform(-2.0, 2.0, (runs, joints)))
-    steps = plan_steps(arm, plan)
+    steps = plan_steps(problem(arm), plan)
     assert steps is not None
     p = steps["parameters"]
     rows = np.array(steps["jacobians"]).reshape(-1, p)
@@ -96,7 +96,7 @@ def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: 
 
 
 def test_outlines_of_a_plane_lie_on_what_they_show() -> None:
-    steps = plan_steps(ARM, Plan(np.ones((4, 2))))
+    steps = plan_steps(problem(ARM), Plan(np.ones((4, 2))))
     assert steps is not None
     box, circle, cone = (np.array(one["line"]) for one in steps["outlines"])
     assert [one["forbidden"] for one in steps["outlines"]] == [False, True, False]
@@ -112,7 +112,7 @@ def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
     path.write_text('run;q1_deg;q2_deg;payload_kg;note\n7;1,5;-20;2,5;a, b\n8;30;40;0;"c"\n')
     with pytest.warns(UserWarning, match="note"):
         file = load_plan(path)
-    steps = plan_steps(ARM, file, "mine")
+    steps = plan_steps(problem(ARM), file, "mine")
     assert steps is not None
     assert steps["columns"] == ["q1_deg", "q2_deg", "payload_kg", "note"]
     assert steps["rows"] == [["1.5", "-20", "2.5", "a, b"], ["30", "40", "0", "c"]]
@@ -121,7 +121,7 @@ def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
 
 def test_long_and_weighted_plans_are_drawn_only() -> None:
     for plan in (Plan(np.ones((201, 2))), Plan(np.ones((2, 2)), np.array([0.25, 0.75]))):
-        assert plan_steps(ARM, plan) is None
+        assert plan_steps(problem(ARM), plan) is None
     drawn = plan_section(ARM, plan)
     (pictures,) = drawn.parts
     assert isinstance(pictures, Pictures)
