@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from importlib import import_module
+from types import MappingProxyType
 from typing import Any
 
 _PLACES = {
     "D": "doe.criteria",
     "Design": "doe.design",
     "DesignProblem": "doe.problem.problem",
-    "Plan": "doe.plan.plan",
-    "load_plan": "doe.plan.plan",
+    "Plan": "identification",
+    "load_plan": "identification",
     "score": "doe.design",
     "score_plan": "doe.design",
     "solve": "doe.solvers",
 }
 __all__ = sorted(_PLACES)
+# what the environment of a new process says for one thread
+SINGLE_THREAD = MappingProxyType(dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 
 def __getattr__(name: str) -> Any:

@@ -18,11 +18,11 @@ from doe.bounds.best_known import bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import Bound
 from doe.design import Design
 from doe.plan.accuracy import TipError, TipErrors
-from doe.plan.plan import Plan
 from doe.plan.spacing import with_additions
+from doe.problem.model import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification import LENGTH_ERROR, NEEDS_SIGMA, Array, InputError, Progress, silent
+from identification import Arm, Array, InputError, Plan, Progress, silent
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Advice:
         if not self.tip_errors:
             return False
         problem = self.designs[0].problem
-        return bool(problem.deviations) or not any(p.kind == LENGTH_ERROR for p in problem.model.parameters)
+        return bool(problem.deviations) or not problem.model.parameters.length_errors.size
 
     def accuracy(self, design: Design) -> float | None:
         """Accuracy of a design [mm]: the largest expected standard deviation of a length of the arm's geometry, or
@@ -81,6 +81,17 @@ class Advice:
             rows.append(row | {"tip_error_mm": self.tip_errors[k].to_json() if self.tip_errors else None})
         smallest = None if self.smallest is None else len(self.smallest.plan)
         return {"rows": rows, "target_mm": self.target, "smallest_runs": smallest}
+
+
+def with_scatter(arm: Arm) -> tuple[Arm, str]:
+    """The arm with a sigma, where it has none the scatter that its calibration left; and where it comes from, or what
+    is missing without one."""
+    if arm.sigma is not None:
+        return arm, ""
+    if arm.calibration is None or (scatter := arm.calibration.scatter) is None:
+        return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
+    scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
+    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
 
 
 def advise(

@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, information_matrix, nearest, readonly
-from identification.information import rounding_share, significant
+from identification import Array, InputError, log_determinants, nearest, readonly
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
 Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R
@@ -234,31 +233,42 @@ class Average(D):
 
 
 @dataclass(frozen=True)
-class SoftWorst(Criterion):
-    """-(1/t) log sum_k exp(-t log det M_k) = -(1/t) log sum_k det(M_k)^-t: smooth, concave, below the smallest by at
-    most log(K) / t. Its gradient is block diagonal, of s_k M_k^-1, with weights s_k the greater, the worse.
+class Worst(Criterion):
+    """min_k log det M_k, or with a finite `sharpness` t -(1/t) log sum_k exp(-t log det M_k): smooth, concave, below
+    the smallest by at most log(K) / t.
+
+    The gradient is block diagonal, of s_k M_k^-1, with weights s_k the greater, the worse; that of the minimum is taken
+    at t = 200. Solvers climb t = 20.
 
     count : K blocks on the diagonal of M;  sharpness : t
     """
 
     count: int
-    sharpness: float = 20.0
-    name, power = "soft_worst", 0
+    sharpness: float = np.inf
+    name, power = "worst", 0
+
+    @property
+    def smooth(self) -> Criterion:
+        return Worst(self.count, 20.0) if np.isinf(self.sharpness) else self
+
+    surrogate = smooth
 
     def degree(self, parameters: int) -> float:
         return parameters / self.count
 
     def value(self, information: Array) -> Array:
-        return self._soft_minimum(D().value(_blocks(information, self.count)))
+        return self._minimum(D().value(_blocks(information, self.count)))
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """A singular M_k counts as nearly so."""
         before = D().value(ridged(_blocks(information, self.count)))
-        return self._soft_minimum(before[..., None] + _gains(information, jacobians, self.count))
+        return self._minimum(before[..., None] + _gains(information, jacobians, self.count))
 
-    def _soft_minimum(self, each: Array) -> Array:
+    def _minimum(self, each: Array) -> Array:
         """(...) of (K, ...)."""
         lowest = each.min(axis=0)
+        if np.isinf(self.sharpness):
+            return np.asarray(lowest)
         safe = np.where(np.isfinite(lowest), lowest, 0.0)
         with np.errstate(invalid="ignore"):
             total = np.sum(np.exp(-self.sharpness * (each - safe)), axis=0)
@@ -267,7 +277,7 @@ class SoftWorst(Criterion):
     def _weights(self, information: Array) -> Array:
         """(K,) s_k."""
         each = D().value(_blocks(information, self.count))
-        raised = np.exp(-self.sharpness * (each - each.min()))
+        raised = np.exp(-min(self.sharpness, 200.0) * (each - each.min()))
         return np.asarray(raised / raised.sum())
 
     def gradient(self, information: Array) -> Array:
@@ -290,23 +300,6 @@ class SoftWorst(Criterion):
         """Tangent of sum_k s_k log det M_k, which no design's smallest log det exceeds: its value + largest - p / K."""
         mean = self._weights(information) @ D().value(_blocks(information, self.count))
         return float(mean + largest - len(information) / self.count)
-
-
-@dataclass(frozen=True)
-class Worst(SoftWorst):
-    """min_k log det M_k; solvers climb its smooth stand-in, whose gradient also gives the bound."""
-
-    sharpness: float = 200.0
-    name = "worst"
-
-    @property
-    def smooth(self) -> Criterion:
-        return SoftWorst(self.count)
-
-    surrogate = smooth
-
-    def value(self, information: Array) -> Array:
-        return np.min(D().value(_blocks(information, self.count)), axis=0)
 
 
 def _gains(information: Array, jacobians: Array, count: int) -> Array:
@@ -510,25 +503,12 @@ def _woodbury(information: Array, jacobians: Array) -> tuple[Array, Array, Array
     return inverse, seen, np.asarray(np.eye(d) + seen @ np.swapaxes(jacobians, -1, -2))
 
 
-def log_determinants(information: Array) -> Array:
-    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule of ranks calls them
-    singular.
-
-    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
-    eigenvalues.
-    """
-    p = information.shape[-1]
-    lengths = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
-    usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))
-    usable &= np.all(significant(np.where(usable[..., None], lengths, 1.0)), axis=-1)
-    lengths = np.where(usable[..., None], lengths, 1.0)
-    unit = np.where(usable[..., None, None], information / lengths[..., :, None] / lengths[..., None, :], np.eye(p))
-    signs, logs = np.linalg.slogdet(unit)
-    usable &= signs > 0
-    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
-    if np.any(close):
-        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
-    return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
+def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
+    """(..., p, p) sum_i w_i J_i^T J_i of Jacobians (..., m, d, p); weights (m,) default to one."""
+    *batch, m, d, p = jacobian.shape
+    rows = jacobian if weights is None else jacobian * np.sqrt(np.asarray(weights))[:, None, None]
+    rows = rows.reshape(*batch, m * d, p)
+    return np.swapaxes(rows, -1, -2) @ rows
 
 
 def inverses(information: Array) -> Array:

@@ -16,10 +16,10 @@ from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, postures
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, expected_deviations, plan_jacobians
-from doe.plan.plan import Plan
+from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification import PRISMATIC, Array, InputError, Status, identifiability
+from identification import Array, InputError, Plan, Status, spectrum
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
 
@@ -64,7 +64,8 @@ class Design:
         cannot tell it from none, and `value` is -inf all the same."""
         parameters = self.problem.model.parameters
         jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
-        return identifiability(jacobians, parameters.names, np.ones(len(parameters))).combinations
+        ones = np.ones(len(parameters))
+        return spectrum(jacobians, ones).identifiability(parameters.names, ones).combinations
 
     @cached_property
     def outside(self) -> tuple[int, ...]:
@@ -78,9 +79,9 @@ class Design:
         breaks = beyond(q)
         if breaks.any():
             # joints that may take every angle moved into their limits by whole turns, unless the model sees it
-            middle, turns = 0.5 * (problem.lower + problem.upper), np.array(problem.model.joint_types) != PRISMATIC
-            turns &= problem.upper - problem.lower >= 2.0 * np.pi - fits
-            moved = np.where(turns, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
+            middle, rotary = 0.5 * (problem.lower + problem.upper), turns(problem.model)
+            rotary &= problem.upper - problem.lower >= 2.0 * np.pi - fits
+            moved = np.where(rotary, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
             change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
             breaks = beyond(moved) if change < 1e-9 else breaks  # relative to what a whole parameter does: rounding
         for constraint in problem.constraints:
@@ -150,7 +151,7 @@ class Design:
     def to_json(self) -> dict[str, Any]:
         """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
         worst, postures = self.worst_deviations, {"postures_deg": self.plan.displayed.tolist()}
-        if PRISMATIC in self.plan.joint_types:
+        if "mm" in self.plan.units:
             postures = {"postures": self.plan.displayed.tolist(), "joint_units": list(self.plan.units)}
         return {
             "criterion": self.problem.criterion.name,

@@ -5,11 +5,12 @@ IPOPT) is built there. Its rows depend on key and seed, never on workers or orde
 
 A table is one Parquet file. While work goes on, finished rows are appended to a journal beside it (one line of JSON per
 key, floats to the last bit); closing the table turns both into the Parquet file. After a kill the journal remains, and
-`resume` reads it; a line cut short by the crash is dropped, and its key is done again.
+`resume` reads it; a line cut short by the crash is passed over, and its key is done again.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import io
 import json
@@ -32,7 +33,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import polars as pl
 
-from identification import SINGLE_THREAD, InputError, JobError, Progress, silent
+from doe import SINGLE_THREAD
+from identification import InputError, JobError, Progress, silent
 from identification.files.io import check_writable, write_together
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
@@ -54,9 +56,9 @@ def canonical(key: Key) -> str:
     return json.dumps(key, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def short_hash(content: str | bytes) -> str:
+def short_hash(content: str) -> str:
     """Twelve hexadecimal digits that identify a long input in the keys of tasks."""
-    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()[:12]
+    return hashlib.sha256(content.encode()).hexdigest()[:12]
 
 
 def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
@@ -104,22 +106,41 @@ class RowTable:
         if self.path is None:
             return
         check_writable(self.path, force=True)
-        self._journal = _locked(journal_of(self.path))
+        journal = journal_of(self.path)
+        for file in (self.path, journal):
+            if file.exists() and not (resume or force):
+                allowed = "a new name, --resume to go on, or --force to replace it"
+                raise InputError(f"{file}: exists, allowed: {allowed}")
+        if resume:
+            self._read(self.path)
         try:
-            if resume:
-                self.rows = _stored(self.path, self._journal)
-                return
-            for file, exists in ((self.path, self.path.exists()), (journal_of(self.path), self._journal.tell() > 0)):
-                if exists and not force:
-                    allowed = "a new name, --resume to go on, or --force to replace it"
-                    raise InputError(f"{file}: exists, allowed: {allowed}")
+            self._journal = journal.open("ab", buffering=0)
+            fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._journal.close()
+            raise InputError(f"{journal}: another run is writing this table, allowed: one at a time") from None
+        except OSError as error:
+            raise InputError(f"{journal}: cannot be written ({error.strerror}), allowed: a writable place") from None
+        if resume:
+            for line in journal.read_bytes().splitlines():
+                with suppress(ValueError):  # cut short by a crash
+                    text, rows = json.loads(line)
+                    self.rows[text] = [{KEY: text, **row} for row in rows]
+            self._journal.write(b"\n")
+        else:
             self.path.unlink(missing_ok=True)
             self._journal.truncate(0)
-        except BaseException:
-            if self._journal.seek(0, io.SEEK_END) == 0:
-                journal_of(self.path).unlink()
-            self._journal.close()
-            raise
+
+    def _read(self, path: Path) -> None:
+        """The rows of the Parquet file, if there is one."""
+        try:
+            frame = pl.read_parquet(path)
+            self.rows = frame.rows_by_key(KEY, named=True, include_key=True)
+        except FileNotFoundError:
+            return
+        except (pl.exceptions.PolarsError, OSError) as error:
+            reason = f"not a Parquet file with a column {KEY!r} ({str(error).splitlines()[0]})"
+            raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
 
     def __enter__(self) -> Self:
         return self
@@ -127,20 +148,10 @@ class RowTable:
     def __exit__(self, *_: object) -> None:
         if self.path is None:
             return
-        try:
-            self.write()
-        except KeyboardInterrupt:  # once more, for the signal to find the table whole and no journal
-            self.write()
-            raise
-        finally:
-            self._journal.close()
-
-    def write(self) -> None:
-        """The Parquet file in place of the journal; without a row none."""
-        assert self.path is not None
-        if self.rows:
-            write_together({self.path: parquet(self.frame(self.rows))}, force=True)
-        journal_of(self.path).unlink(missing_ok=True)
+        with self._journal:
+            if self.rows:
+                write_together({self.path: parquet(self.frame(self.rows))}, force=True)
+            journal_of(self.path).unlink(missing_ok=True)
 
     def add(self, text: str, rows: Sequence[Row]) -> None:
         """The rows of the key with this text, in the journal before this returns. Raises `JobError` if that cannot be
@@ -161,50 +172,6 @@ class RowTable:
         return frame_of([row for text in texts for row in self.rows[text]])
 
 
-def _locked(path: Path) -> io.FileIO:
-    """A journal, at its end, that no other process writes."""
-    import portalocker
-
-    try:
-        stream = io.FileIO(path, "a+b")
-        portalocker.lock(stream, portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING)
-    except portalocker.AlreadyLocked:
-        stream.close()
-        raise InputError(f"{path}: another run is writing this table, allowed: one at a time") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: a writable place") from None
-    stream.seek(0, io.SEEK_END)
-    if path.exists() and os.path.samestat(os.fstat(stream.fileno()), path.stat()):
-        return stream
-    stream.close()
-    return _locked(path)  # another run ended, and took its journal away, between the two lines
-
-
-def _stored(path: Path, journal: io.FileIO) -> dict[str, list[Row]]:
-    """The rows of the Parquet file, if there is one, and of the journal; the torn end of a crashed run is cut off."""
-    rows: dict[str, list[Row]] = {}
-    if path.exists():
-        try:
-            frame = pl.read_parquet(path)
-        except (pl.exceptions.PolarsError, OSError) as error:
-            reason = f"not a Parquet file ({str(error).splitlines()[0]})"
-            raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
-        if KEY not in frame.columns:
-            raise InputError(f"{path}: has no column {KEY!r}, allowed: a table written by armcal")
-        rows = frame.rows_by_key(KEY, named=True, include_key=True)
-    journal.seek(0)
-    size = 0
-    with suppress(ValueError, TypeError):
-        for line in journal.read().splitlines(keepends=True):
-            text, of_key = json.loads(line)
-            if line.endswith(b"\n"):
-                rows[text] = [{KEY: text, **row} for row in of_key]
-                size += len(line)
-    journal.truncate(size)
-    return rows
-
-
-# -- tasks -------------------------------------------------------------------------------------------------------------
 @contextmanager
 def tables(
     folder: Path | str | None, *names: str, resume: bool = False, force: bool = False
@@ -220,6 +187,29 @@ def tables(
     with ExitStack() as stack:
         paths = [None if folder is None else Path(folder) / name for name in names]
         yield [stack.enter_context(RowTable(path, resume=resume, force=force)) for path in paths]
+
+
+# -- tasks -------------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Workers:
+    """Where tasks run: what gives an executor; how many tasks run at once; what raises `JobError` where futures of the
+    executor will never end."""
+
+    open: Callable[[], AbstractContextManager[Executor]]
+    count: int = 1
+    check: Callable[[Any], None] = lambda _: None
+
+
+class _Serial(Executor):
+    """Runs each task in this process when it is submitted; one that raises is a row."""
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments, **named))
+        return future
+
+
+SERIAL = Workers(_Serial)  # this process, one task at a time
 
 
 def run_tasks(
@@ -247,8 +237,8 @@ def run_tasks(
             if (made := row.get(SEED)) not in (None, key.get(SEED, seed)):
                 allowed = f"--seed {made} to go on, or --force to replace them"
                 raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
-    waiting = deque(text for text in asked if text not in table.rows)
-    done, failed, running = len(asked) - len(waiting), 0, dict[Future[Any], str]()
+    waiting, running = deque(text for text in asked if text not in table.rows), dict[Future[Any], str]()
+    done, failed = len(asked) - len(waiting), 0
     # three tasks per worker, so that none waits; a million tasks are never in flight at once
     ahead = workers.count * 3 if workers.count > 1 else 1
 
@@ -261,33 +251,25 @@ def run_tasks(
         done, failed = done + 1, failed + (rows[0]["status"] != "done")
         progress(done, len(asked), f"{failed} failed" if failed else "")
 
-    def lost(future: Future[Any]) -> bool:
-        """Whether a task that has ended went down with its executor."""
-        return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
-
-    def take(future: Future[Any]) -> None:
-        text, error = running.pop(future), future.exception()  # the executor's own: rows that cannot travel
-        store(text, future.result() if error is None else [_failure(asked[text], seed, error)])
+    def collect(executor: Executor) -> None:
+        """Submits tasks and stores what ends, to the last. Raises `BrokenExecutor` where a process died."""
+        while waiting or running:
+            while waiting and len(running) < ahead:
+                future = executor.submit(perform, *task(waiting[0]))
+                running[future] = waiting.popleft()
+            for future in wait(running, 0.2, FIRST_COMPLETED).done:
+                if future.cancelled() or isinstance(error := future.exception(), BrokenExecutor):
+                    raise BrokenExecutor
+                text = running.pop(future)  # the executor's own error: rows that cannot travel
+                store(text, future.result() if error is None else [_failure(asked[text], seed, error)])
+            workers.check(executor)
 
     progress(done, len(asked), "")
     try:
         while waiting:
             try:
                 with workers.open() as executor:
-                    try:
-                        while waiting or running:
-                            while waiting and len(running) < ahead:
-                                future = executor.submit(perform, *task(waiting[0]))
-                                running[future] = waiting.popleft()
-                            for future in wait(running, 0.2, FIRST_COMPLETED).done:
-                                if lost(future):
-                                    raise BrokenExecutor
-                                take(future)
-                            workers.check(executor)
-                    finally:  # after Ctrl-C what is finished is kept, before the executor ends
-                        for future in list(running):
-                            if future.done() and not lost(future):
-                                take(future)
+                    collect(executor)
             except BrokenExecutor:  # one task of these killed its worker, and took the others with it
                 if not running:
                     raise JobError(LOST) from None
@@ -322,34 +304,8 @@ def one_line(error: BaseException) -> str:
 
 
 # -- workers -----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Workers:
-    """Where tasks run: what gives an executor, for one that stays open `Workers(lambda: nullcontext(executor), 8)`;
-    how many tasks run at once; what raises `JobError` where futures of the executor will never end."""
-
-    open: Callable[[], AbstractContextManager[Executor]]
-    count: int = 1
-    check: Callable[[Any], None] = lambda _: None
-
-
-class _Serial(Executor):
-    """Runs each task in this process when it is submitted."""
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*arguments, **named))
-        except Exception as error:  # noqa: BLE001 - as every executor: the future has it
-            future.set_exception(error)
-        return future
-
-
-SERIAL = Workers(_Serial)  # this process, one task at a time
-
-
-def processes(number: int | None = None) -> Workers:
-    """`number` processes of this machine (default: its cores), each with one thread of linear algebra."""
-    number = number or os.cpu_count() or 1
+def processes(number: int) -> Workers:
+    """`number` processes of this machine, each with one thread of linear algebra."""
     return Workers(partial(_pool, number), number)
 
 
@@ -407,7 +363,7 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
         raise InputError(f"--cluster: found {address!r}, allowed: an address as tcp://host:8786") from None
 
     @contextmanager
-    def connected() -> Iterator[Executor]:
+    def connected() -> Iterator[Any]:
         """dask prints nothing meanwhile: a lost scheduler is one line of ours."""
         before = logging.root.manager.disable
         logging.disable()
@@ -426,7 +382,7 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
 
     try:
         with connected() as executor:
-            client = executor._client  # type: ignore[attr-defined]
+            client = executor._client
             client.wait_for_workers(1, timeout=patience)
             threads = sum(client.nthreads().values())
     except OSError as error:

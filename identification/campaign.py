@@ -32,7 +32,7 @@ from identification.estimation.result import CorrectedValue, corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table, read_table
 from identification.files.io import read_text
-from identification.files.measurement import UNITS, PlanFile, read_plan
+from identification.files.measurement import UNITS, Plan, load_plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances, load_measurements
@@ -65,14 +65,15 @@ class Campaign:
 
     kinds : of every file, in words;  results : command -> name -> its JSON object
     tests : measurements -> calibrated arm -> what it leaves of them
-    show_plan : the section of a plan of an arm, and its name;  judge : a design in a sentence
+    show_plan : the section of a plan of an arm, its name, and what the chosen model leaves of measurements
+    judge : a design in a sentence
     """
 
-    show_plan: Callable[[Arm, PlanFile, str], Section] | None = None
+    show_plan: Callable[..., Section] | None = None
     judge: Callable[[Mapping[str, Any]], str] | None = None
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
-    plans: dict[str, PlanFile] = field(default_factory=dict)
+    plans: dict[str, Plan] = field(default_factory=dict)
     measurements: dict[str, Measurements] = field(default_factory=dict)
     commands: dict[str, Table] = field(default_factory=dict)
     results: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: defaultdict(dict))
@@ -129,7 +130,7 @@ class Campaign:
         if touched or any(column in table for column in columns):
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
-        self.plans[name] = read_plan(path, arm.joint_types)
+        self.plans[name] = load_plan(path, arm.joint_types, vias=True)
         return "plan"
 
     # -- models and measurements ---------------------------------------------------------------------------------------
@@ -180,7 +181,7 @@ class Campaign:
         lines += [identification_verdict(data) for data in self.results["identify"].values()]
         designs = self.results["design"].values()
         lines += [self.judge(data) for data in designs if self.judge is not None]
-        lines += [f"The plan {name} has {len(p.postures)} runs." for name, p in self.plans.items() if not designs]
+        lines += [f"The plan {name} has {len(p.measured)} runs." for name, p in self.plans.items() if not designs]
         lines += [commanded_in_words(name, table) for name, table in self.commands.items()]
         return lines or [f"{name}: {kind}." for name, kind in self.kinds.items()]
 
@@ -263,9 +264,24 @@ class Campaign:
             sections += dh_sections(dh, data.get("dh_places", ()), name)
         sections += [self.test_section(rows) for rows in self.tests]
         for drawn in [*self.arms.values()][:1]:
-            show = self.show_plan
-            sections += [] if show is None else [show(drawn, plan, name) for name, plan in self.plans.items()]
-            sections += [commands_section(name, table, drawn) for name, table in self.commands.items()]
+            show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
+            sections += [show(drawn, plan, name, tests=left) for name, plan in self.plans.items()] if show else []
+            joints = [
+                f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(drawn.joint_types, start=1)
+            ]
+            axes = [f"{axis}_mm" for axis in "xyz"[: drawn.dimension]]
+            for name, table in self.commands.items():
+                targets = np.column_stack([table.floats(key) for key in axes])
+                angles = np.column_stack([table.floats(key, empty=np.nan) for key in joints])
+                commanded = command_rows(targets, angles, table.floats("error_mm", empty=np.nan))
+                reasons = table.frame["message"].fill_null("").to_list() if "message" in table else [""] * len(table)
+                lines = [[*row, str(reason)] for row, reason in zip(commanded, reasons, strict=True)]
+                lead = (
+                    f"{commanded_in_words(name, table)} The miss is the calibrated model's, not the robot's accuracy."
+                )
+                heads = ["row", *axes, *joints, "miss [mm]", "why there is none"]
+                sheet = Sheet(heads, lines, "", 24, "the file has all")
+                sections.append(Section(f"Joint commands: {name}", [lead, sheet]))
         sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
         return sections + [part for part in parts if part.folded]
 
@@ -318,17 +334,3 @@ def commanded_in_words(name: str, commands: Table) -> str:
     missing = (np.flatnonzero(~reached) + 1).tolist()
     none = f"; {rows_listed(missing)} {'have' if len(missing) > 1 else 'has'} none" if missing else ""
     return f"{name} has commands for {np.count_nonzero(reached)} of {len(commands)} targets{none}."
-
-
-def commands_section(name: str, commands: Table, arm: Arm) -> Section:
-    """The part of a page about a file that `armcal compensate` wrote."""
-    joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(arm.joint_types, start=1)]
-    axes = [f"{axis}_mm" for axis in "xyz"[: arm.dimension]]
-    targets = np.column_stack([commands.floats(key) for key in axes])
-    angles = np.column_stack([commands.floats(key, empty=np.nan) for key in joints])
-    rows = command_rows(targets, angles, commands.floats("error_mm", empty=np.nan))
-    messages = commands.frame["message"].fill_null("").to_list() if "message" in commands else [""] * len(commands)
-    cells = [[*row, str(message)] for row, message in zip(rows, messages, strict=True)]
-    lead = f"{commanded_in_words(name, commands)} The miss is the calibrated model's, not the robot's accuracy."
-    table = Sheet(["row", *axes, *joints, "miss [mm]", "why there is none"], cells, "", 24, "the file has all")
-    return Section(f"Joint commands: {name}", [lead, table])

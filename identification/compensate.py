@@ -28,7 +28,7 @@ from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.newton_ascent import newton_ascent
+from identification.newton import newton_ascent
 from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.sessions import BASE
 from identification.simulate import servo_shift

@@ -84,22 +84,17 @@ class Conditions(ByValue):
         past = past_from_order(postures) if remembers else None
         return cls(time=time, directions=directions_from_order(postures), past=past)
 
-    @staticmethod
-    def columns(n: int, past: bool = False) -> int:
-        """Number of columns of the table for n joints, with their past or without."""
-        return 4 + n + (n * REMEMBERED if past else 0)
-
     def table(self, m: int | tuple[int, ...], n: int, payload: float, postures: Array | None = None) -> Array:
         """(m, 4 + n) columns payload [kg], temperature [K], time, session, directions, with the neutral values filled
         in; (K, m, 4 + n) for m = (K, m).
 
         postures : (m, n) for 12 n columns more with the past, where there is none the posture itself; None: without
         """
-        table = np.empty((*np.atleast_1d(m), self.columns(n, postures is not None)))
-        table[..., 0] = payload if self.payload is None else self.payload
-        table[..., 1] = 0.0 if self.temperature is None else self.temperature
-        table[..., 2] = 0.0 if self.time is None else self.time
-        table[..., 3] = 0.0 if self.session is None else self.session
+        shape = np.atleast_1d(m)
+        table = np.empty((*shape, 4 + n + (0 if postures is None else n * REMEMBERED)))
+        given = (self.payload, payload), (self.temperature, 0.0), (self.time, 0.0), (self.session, 0.0)
+        for column, (values, neutral) in enumerate(given):
+            table[..., column] = neutral if values is None else values
         table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
         if postures is not None:
             past = postures[..., None] if self.past is None else np.asarray(self.past)

@@ -10,17 +10,16 @@ import base64
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
-
-from identification.errors import InputError
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import RenderableType
+
+    from identification.errors import InputError
 
 LONG = 24  # characters, from which a cell is text that may be broken
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
@@ -42,16 +41,16 @@ class Sheet:
     most: int | None = None
     where: str = "--out writes all"
 
+    @classmethod
+    def facts(cls, facts: Iterable[tuple[str, str | None]]) -> Self:
+        """Names and what is to be said of each, without those of which nothing is."""
+        return cls((), [(name, text) for name, text in facts if text])
+
     def cut(self, most: int | None) -> tuple[Sequence[Sequence[str]], str]:
         """The first rows, and a line that says so if these are not all."""
         if self.most is None or most is None or len(self.rows) <= most:
             return self.rows, ""
         return self.rows[:most], f"first {most} of {len(self.rows)}; {self.where}"
-
-
-def facts_sheet(facts: Iterable[tuple[str, str | None]]) -> Sheet:
-    """Names and what is to be said of each, without those of which nothing is."""
-    return Sheet((), [(name, text) for name, text in facts if text])
 
 
 @dataclass(frozen=True)
@@ -62,20 +61,16 @@ class Pictures:
 
 
 @dataclass(frozen=True)
-class PlanSteps:
-    """A plan to be stepped through in a page (doe/report/page.js), as the script reads it;  caption : how"""
-
-    data: Mapping[str, Any]
-    caption: str = ""
-
-
-@dataclass(frozen=True)
 class Section:
     """A part with a title;  folded : closed until a reader opens it, as no terminal does"""
 
     title: str
     parts: Sequence[Part]
     folded: bool = False
+
+    def html(self, picture: Callable[[Figure], str]) -> str:
+        """As a page has it;  picture : a figure as HTML"""
+        return html(self, picture)
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,7 @@ class Documented:
         return html(self.document())
 
 
-Part: TypeAlias = str | Sheet | Pictures | PlanSteps | Section | Document
+Part: TypeAlias = str | Sheet | Pictures | Section | Document
 
 
 @dataclass
@@ -145,6 +140,11 @@ class Answer:
     exit_code: int = 0
     warnings: Sequence[str] = ()
     failure: InputError | None = None
+
+    def rendered(self, width: int) -> Iterator[RenderableType]:
+        """What a terminal of this many characters shows (rich), from the top."""
+        for part in self.shown:
+            yield from [part] if hasattr(part, "__rich_console__") else rendered(part, width)
 
 
 # -- HTML, everything escaped ------------------------------------------------------------------------------------------
@@ -173,9 +173,8 @@ def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name:
             return ""
         drawn = part.draw()
         shown = "".join(picture(one) for one in drawn if not isinstance(one, str))
-        return "".join(html(one) for one in drawn if isinstance(one, str)) + f'<div class="pictures">{shown}</div>\n'
-    if isinstance(part, PlanSteps):
-        return html(part.caption)
+        box = f'<div class="pictures">{shown}</div>\n' if shown else ""
+        return "".join(html(one) for one in drawn if isinstance(one, str)) + box
     inside = "".join(html(one, picture, part.title if isinstance(part, Section) else "") for one in part.parts)
     if isinstance(part, Section):
         head = f"<h2>{escape(part.title)}</h2>\n"
@@ -221,20 +220,6 @@ def in_symbols(text: str) -> str:
     return text
 
 
-def picture_bytes(figure: Figure, path: Path) -> bytes:
-    """The content of a picture file. Raises `InputError` for a name whose ending is no format."""
-    check_picture(path)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=path.suffix.lower().removeprefix("."), dpi=150)
-    return buffer.getvalue()
-
-
-def check_picture(path: Path) -> None:
-    """Raises `InputError` for the name of a picture file whose ending is no format."""
-    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise InputError(f"{path}: ending {path.suffix!r}, allowed: .png, .svg, .pdf")
-
-
 # -- the terminal ------------------------------------------------------------------------------------------------------
 def as_text(part: Part, width: int = 100) -> str:
     """A part as a terminal of this many characters shows it."""
@@ -259,7 +244,7 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
         yield terminal_table(part.headings, rows, width)
         yield from [Text(rest)] if rest else []
     elif isinstance(part, Section) and not part.folded:
-        shown: list[Part] = [one for one in part.parts if not isinstance(one, Pictures | PlanSteps)]
+        shown: list[Part] = [one for one in part.parts if not isinstance(one, Pictures)]
         yield from [Text(f"\n{part.title}", "bold italic")] if shown else []
         for one in shown:
             yield from rendered(one, width)

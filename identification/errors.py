@@ -13,7 +13,6 @@ from types import MappingProxyType
 FEWEST, LONGEST = 3, 60  # characters of a word in which letters may be wrong: shorter ones are like too many others
 NEAR, NEAR_OF_THREE = 0.75, 0.66  # share of the letters that two words have in common, in this order; of three letters
 SHOWN = 3  # names that are suggested at once; more help nobody
-LONGEST_WORD, LONGEST_LINE = 400, 2000  # characters of a message; what is in the middle of a longer one is left out
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
@@ -31,21 +30,6 @@ class InputError(ArmcalError):
 
 class JobError(ArmcalError):
     """The input was fine, the job itself could not be done (solver failed, parameters not identifiable)."""
-
-
-def in_one_line(text: str) -> str:
-    """A message as one line of printable characters, whatever names and cells of files it repeats.
-
-    Control characters are written as in Python; of a very long word or line the middle is left out.
-
-    >>> in_one_line("arm\\nfile.toml: no such file")
-    'arm\\\\nfile.toml: no such file'
-    """
-
-    def shortened(text: str, most: int) -> str:
-        return text if len(text) <= most else f"{text[: most * 2 // 3]} .. {text[-most // 4 :]}"
-
-    return shortened(re.sub(r"\S+", lambda word: shortened(word.group(), LONGEST_WORD), printable(text)), LONGEST_LINE)
 
 
 def printable(text: str) -> str:

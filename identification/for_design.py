@@ -17,6 +17,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -39,10 +40,6 @@ if TYPE_CHECKING:
     from identification.gap.detectability import Detectability
     from identification.gap.library_prior import LibraryPrior
 
-NEEDS_SIGMA = (  # the end of a sentence
-    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
-    "or what the standard deviation of one coordinate is [mm]"
-)
 OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
 BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
 CHOICES = 2000  # postures that touch to choose from, as for robust designs
@@ -69,10 +66,12 @@ class ArmModel(Model):
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
-        place, each = Conditions.columns(self.joints, self.remembers), []
+        conditions, each = self.condition_table(np.zeros((1, self.joints)), Conditions())[0], []
+        for name in {"reference", "missing", "errors", "off"} & set(self._columns):  # none is measured or looked up
+            conditions[self._columns[name]] = float(name == "missing")
         for point in range(self.points_read):
-            conditions = np.array(self.neutral_conditions)
-            conditions[place : place + (self.points_read > 1)] = point
+            if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
+                conditions[self._columns["marker"]] = point
             each.append(self.expressions.position_function(q, ca.DM(conditions), p))
         return ca.vertcat(*each)
 
@@ -92,9 +91,15 @@ class ArmModel(Model):
         """Bodies of the arm and around it; None: nothing is known of any."""
         return self.arm.cell
 
-    def joint_frames(self, postures: ArrayLike) -> Array:
-        """(m, n + 1, 4, 4) [mm] in the frame of the base, as best known: see `KinematicChain.joint_frames`."""
-        return self.arm.chain.joint_frames(np.atleast_2d(np.asarray(postures, dtype=float)), self._geometry_values)
+    @property
+    def joint_axes(self) -> Array:
+        """(n, 3) directions of the joints, each in its own frame."""
+        return np.array([joint.axis for joint in self.arm.chain.joints])
+
+    @cached_property
+    def joint_frames(self) -> Callable[[Array], Array]:
+        """Of postures (m, n) the frames (m, n + 1, 4, 4) [mm] as best known: see `KinematicChain.joint_frames`."""
+        return self.arm.chain.joint_frames(self._geometry_values)
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
@@ -108,8 +113,6 @@ class ArmModel(Model):
     def placed(self) -> ArmModel:
         """The same with its measured points in place, and without a sigma for a minimal set of parameters. Raises
         `InputError` for contacts with a surface whose place is not known; warns of points that are assumed."""
-        if self.arm.chain.positions_in_plane:
-            return self
         model = replace(self, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return design_model(minimal(model)) if model.sigma is None and model.prior else model
 
@@ -206,6 +209,12 @@ class ArmModel(Model):
         nothing else is known."""
         return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
 
+    def only(self, words: Sequence[str]) -> ArmModel:
+        """The same of which only these parameters are estimated, see `identification.reuse.only`."""
+        from identification.reuse import only
+
+        return design_model(only(self.arm, words))
+
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property
     def complete(self) -> bool:
@@ -269,6 +278,12 @@ class ArmModel(Model):
 
         return base, design_model(model), tuple(bases), weights, by_order, preflight
 
+    def detectability(self, postures: Array) -> Detectability:
+        """What measuring postures (m, n) could show of every effect of the library."""
+        from identification.gap.detectability import detectability
+
+        return detectability(without_prior(self.arm), postures)
+
     # -- what theory knows -----------------------------------------------------------------------------------------
     @property
     def planar(self) -> bool:
@@ -292,31 +307,8 @@ def design_model(model: Any) -> Any:
 
 def without_prior(arm: Arm) -> Arm:
     """An arm with its measured points in place and a minimal set of parameters, as tests for effects see it."""
-    if arm.chain.planar:
-        return arm
-    return minimal(Model(replace(arm, chain=with_points(arm.chain))), PRACTICAL).arm
-
-
-def with_scatter(arm: Arm) -> tuple[Arm, str]:
-    """The arm with a sigma, where it has none the scatter that its calibration left; and where it comes from, or what
-    is missing without one."""
-    if arm.sigma is not None:
-        return arm, ""
-    from identification.arm import SIGMA_RANGE
-    from identification.origin import identified
-
-    scatter = identified(arm).get("scatter_mm")
-    if not isinstance(scatter, float) or not SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1]:
-        return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
-    scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
-    return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."
-
-
-def refuse_contacts(chain: KinematicChain) -> None:
-    """Raises `InputError` for a chain whose probe touches a surface, where postures have to be free."""
-    if chain.instrument.contact:
-        reason = f"kind {chain.instrument.kind}: where it is touched follows from the arm"
-        raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
+    model = Model(replace(arm, chain=with_points(arm.chain)))
+    return minimal(model, PRACTICAL).arm if model.prior else model.arm
 
 
 def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain:
@@ -328,7 +320,7 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     """
     instrument, stands = chain.instrument, BASE in chain.settled or chain.instrument.stands(chain.base)
     if not instrument.reads_positions and not contacts:
-        refuse_contacts(chain)
+        chain.refuse_contacts()
     if (instrument.contact or instrument.own_targets) and not stands:
         keys = sorted(instrument.keys & {"center_mm", "normal", "cups"})
         reason = f"kind {instrument.kind} without {keys[0]}: where it is touched is not known"

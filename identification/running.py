@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from enum import Enum
 from functools import lru_cache
 from importlib import metadata
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from identification.errors import InputError
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
 Tell = Callable[[str], None]  # is told what a part of the work is at
-# what the environment of a new process says for one thread
-SINGLE_THREAD = MappingProxyType(dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
 
 
 class Status(Enum):

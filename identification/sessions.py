@@ -14,6 +14,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments import IN_PLANE, KINDS
+from identification.instruments.search import registered
 from identification.kinematics.chain import BASE as STAND
 from identification.kinematics.chain import TOOL
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
@@ -23,15 +24,14 @@ from identification.model.placed import placed_model, session_bases
 
 BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
 SESSIONS = "session_base"
-PLACES = (STAND, TOOL)
 
 
 def placing(parameters: ParameterSet) -> list[int]:
     """Numbers of the parameters that say where a spatial arm stands, in every session, and what is measured on it;
     none where all of that is known."""
-    if not any(p.kind in PLACES for p in parameters):
-        return []
-    return [k for k, p in enumerate(parameters) if p.kind in PLACES or p.name.startswith(f"{SESSIONS}.")]
+    open_places = any(p.kind in (STAND, TOOL) for p in parameters)
+    places = (p.kind in (STAND, TOOL) or p.name.startswith(f"{SESSIONS}.") for p in parameters)
+    return [k for k, is_place in enumerate(places) if open_places and is_place]
 
 
 # -- one table of several ----------------------------------------------------------------------------------------------
@@ -92,60 +92,51 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     Best known values of the bases are those that bring the best known arm nearest to each session's positions. In space
     reflectors of one name are shared by the sessions, those of other names are not.
     """
-    count = len(measurements.session_names)
-    if arm.chain.instrument.own_targets:
+    count, chain = len(measurements.session_names), arm.chain
+    if chain.instrument.own_targets:
         return placed_model(Model(arm), measurements).arm
     if count < 2:
         return arm
-    spec, values = EffectSpec(SESSIONS, values={"sessions": float(count)}), dict[str, float]()
-    if not arm.chain.planar:
-        # base of session k = that of the first, shifted along the axes of the instrument and turned about its own
-        placed = arm if arm.chain.fixed else placed_model(Model(arm), measurements).arm
-        chain, bases = session_bases(placed, measurements)
-        values |= {} if placed.calibration is None else placed.calibration.values
-        hidden_values: dict[str, float] = {}
+    spec, given, base_values = {"sessions": float(count)}, arm.calibration, dict[str, float]()
+    if chain.planar:
+        wide, model = with_base(arm), Model(with_base_offset(arm))
+        start = model.parameters.vector(model.best_known)
+        computed = model.position(measurements.postures, start, replace(measurements.conditions, session=None))
+        rows_of = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
+        bases = []
+        for session in measurements.session_names:
+            rows = rows_of.get(session)
+            at = start if rows is None else start_at_bases(start, model, computed[rows], measurements.positions[rows])
+            bases.append([float(at[model.parameters.index(name)]) for name in BASE])
+        values = Model(wide).best_known | dict(zip(BASE, bases[0], strict=True)) | dict(Model(wide).fixed)
         for number, base in enumerate(bases[1:], start=2):
-            movement, hidden = chain.instrument.between(bases[0], base)
-            values |= {f"{SESSIONS}.{short}{number}": value for short, value in movement.items()}
-            hidden_values |= {f"{short}{number}": movement[short] for short in hidden}
-        spec = replace(spec, values={**spec.values, **hidden_values})
-        kept = Calibration(values) if placed.calibration is None else replace(placed.calibration, values=values)
-        return replace(placed.with_effects(*placed.effects, spec), chain=chain, calibration=kept)
-    wide, model = with_base(arm), Model(with_base_offset(arm))
-    start = model.parameters.vector(model.best_known)
-    computed = model.position(measurements.postures, start, replace(measurements.conditions, session=None))
-    rows_of = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
-    for number, session in enumerate(measurements.session_names, start=1):
-        moved = start
-        if (rows := rows_of.get(session)) is not None:
-            moved = start_at_bases(start, model, computed[rows], measurements.positions[rows])
-        x, y, turn = (float(moved[model.parameters.index(name)]) for name in BASE)
-        if number == 1:
-            values = Model(wide).best_known | dict(zip(BASE, (x, y, turn), strict=True)) | dict(Model(wide).fixed)
-            continue
-        # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
-        first = (values[name] for name in BASE)
-        named = {short: a - b for short, a, b in zip("xyw", (x, y, turn), first, strict=True)}
-        values |= {f"{SESSIONS}.{short}{number}": value for short, value in named.items()}
-    provenance = {} if arm.calibration is None else arm.calibration.provenance
-    return replace(wide.with_effects(*wide.effects, spec), calibration=Calibration(values, provenance=provenance))
+            # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
+            first = (values[name] for name in BASE)
+            moved = {short: a - b for short, a, b in zip("xyw", base, first, strict=True)}
+            base_values |= {f"{short}{number}": value for short, value in moved.items()}
+        given = Calibration({}, provenance={} if given is None else given.provenance)
+    else:
+        # base of session k = that of the first, shifted along the axes of the instrument and turned about its own
+        wide = arm if chain.fixed else placed_model(Model(arm), measurements).arm
+        chain, in_sessions = session_bases(wide, measurements)
+        wide, given = replace(wide, chain=chain), wide.calibration or Calibration({})
+        values = dict(given.values)
+        for number, pose in enumerate(in_sessions[1:], start=2):
+            moved, hidden = chain.instrument.between(in_sessions[0], pose)
+            base_values |= {f"{short}{number}": value for short, value in moved.items()}
+            spec |= {f"{short}{number}": moved[short] for short in hidden}
+    values |= {f"{SESSIONS}.{short}": value for short, value in base_values.items()}
+    wide = wide.with_effects(*wide.effects, EffectSpec(SESSIONS, values=spec))
+    return replace(wide, calibration=replace(given, values=values))
 
 
 def without_sessions(calibration: Calibration) -> Calibration:
     """A calibration without the bases of later sessions, and without targets that stand in the frame of the base: the
     arm stands as in the first."""
-    dropped = (
-        f"{SESSIONS}.",
-        *(f"{kind.own_targets}[" for kind in (*KINDS.values(), *IN_PLANE.values()) if kind.own_targets),
-    )
-    keep = [k for k, name in enumerate(calibration.parameter_names) if not name.startswith(dropped)]
-    covariance = calibration.covariance
-    return replace(
-        calibration,
-        values={name: value for name, value in calibration.values.items() if not name.startswith(dropped)},
-        parameter_names=tuple(calibration.parameter_names[k] for k in keep),
-        covariance=None if covariance is None else covariance[np.ix_(keep, keep)],
-    )
+    words = [kind.own_targets for kind in (*KINDS.values(), *IN_PLANE.values()) if kind.own_targets]
+    dropped = (f"{SESSIONS}.", *(f"{word}[" for word in words))
+    kept = calibration.about(name for name in calibration.parameter_names if not name.startswith(dropped))
+    return replace(kept, values={name: x for name, x in kept.values.items() if not name.startswith(dropped)})
 
 
 def with_base(arm: Arm) -> Arm:
@@ -165,13 +156,8 @@ def start_at_bases(start: Array, model: Model, computed: Array, measured: Array)
 
     Exact where nothing but the chain depends on where the base stands; otherwise a start for least squares.
     """
-    place = {name: model.parameters.index(name) for name in BASE}
-    x0, y0, turn = (place[name] for name in BASE)
-    from_base = (computed - start[[x0, y0]]) @ [1.0, 1.0j]
-    goal = measured @ np.array([1.0, 1.0j])
-    angle = float(np.angle(np.vdot(from_base - from_base.mean(), goal - goal.mean())))
-    shift = complex(np.mean(goal - np.exp(1.0j * angle) * from_base))
-    moved = start.copy()
-    moved[turn] += angle
-    moved[[x0, y0]] = shift.real, shift.imag
+    x0, y0, turn = (model.parameters.index(name) for name in BASE)
+    base, moved = registered(computed - start[[x0, y0]], measured), start.copy()
+    moved[turn] += np.arctan2(base[1, 0], base[0, 0])
+    moved[[x0, y0]] = base[:2, 3]
     return moved

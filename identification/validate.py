@@ -26,7 +26,7 @@ from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import left_out_residuals
 from identification.estimation.problem import Problem
-from identification.estimation.uncertainty import LEVEL_95, gained_squares
+from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.corrected import corrected, errors_between, standing_in
@@ -308,6 +308,19 @@ class Offered:
         lengths = {"rms_mm": self.rms, "max_mm": self.largest}
         lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
         return {"by": self.by, "rows": self.rows, **lengths, "p_value": self.p_value, "better": self.better}
+
+
+def predicted_95(arm: Arm, measurements: Measurements) -> tuple[Array, Array | None]:
+    """(m, d) positions of a calibrated arm at measured postures, and how far their 95 % intervals reach by the
+    covariance of its calibration; None: it has none."""
+    model, calibration = Model(arm), arm.calibration
+    if calibration is None or calibration.covariance is None:
+        return model.position(measurements.postures, conditions=measurements.conditions), None
+    place = [model.names.index(name) for name in calibration.parameter_names]
+    positions, jacobian = model.linearize(measurements.postures, model.values, measurements.conditions)
+    columns = jacobian[..., place] * quantile_95(freedom_of(calibration))
+    squares = np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True)
+    return positions, np.sqrt(squares)
 
 
 def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: Measurements | None) -> Diagnosis:

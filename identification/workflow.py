@@ -9,14 +9,14 @@ when they are called, so that `armcal --help` answers at once.
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, TypeVar
 
-from identification.document import Answer, Document, picture_bytes
+from identification.document import Answer, Document
 from identification.errors import InputError, nearest
 from identification.files.io import PathLike, read_text, read_toml, write_together
 from identification.running import Progress, Status, silent
@@ -33,6 +33,18 @@ Written = NewType("Written", Path)  # a file that a verb writes
 Picture = NewType("Picture", Written)  # .png, .svg, .pdf
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[str, "NAMES"]
+Verb = TypeVar("Verb", bound=Callable[..., Answer])
+VERBS: dict[str, tuple[Callable[..., Answer], str]] = {}  # name -> what it does, and an example of it
+
+
+def declares(example: str) -> Callable[[Verb], Verb]:
+    """The function below is the verb of its example, `armcal NAME ...`."""
+
+    def declare(function: Verb) -> Verb:
+        VERBS[example.split()[1]] = function, example
+        return function
+
+    return declare
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -63,6 +75,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 # -- the first files ---------------------------------------------------------------------------------------------------
+@declares("armcal init --urdf robot.urdf --out calibration")
 def init_files(
     *,
     links: Annotated[str, "N|LENGTHS"] | None = None,
@@ -123,27 +136,53 @@ def init_files(
 
 
 # -- check, simulate ---------------------------------------------------------------------------------------------------
-def check_files(arm: Path, data: Path, *, progress: Progress = silent) -> Answer:
+@declares("armcal check arm.toml measurements.csv")
+def check_files(
+    arm: Path,
+    data: Path,
+    *,
+    constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
+    progress: Progress = silent,
+) -> Answer:
     """Are the measurements what they should be?
 
-    Look at the measurements DATA of ARM before anything is fitted in earnest.
+    Look at the measurements DATA of ARM before anything is fitted in earnest; of a plan at its postures.
 
     Rows, ranges against limits, units, repeats, what the drawing leaves after fitting where the arm stands, joints that
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
     """
+    import numpy as np
+
     from identification.files.arm import load_arm, urdf_masses
+    from identification.files.csv import read_table
+    from identification.files.measurement import load_plan
     from identification.inspection.inspection import inspect
     from identification.measurements import load_measurements
+    from identification.model import Model
 
     loaded = load_arm(arm)
+    bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
+    if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
+        q = load_plan(data, loaded.joint_types).postures
+        outside = (np.flatnonzero(np.any((q < loaded.lower - 1e-6) | (q > loaded.upper + 1e-6), axis=1)) + 1).tolist()
+        near = [each for clearance in bodies for each in clearance.to_json(q)]
+        said = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
+        said += f": {', '.join(map(str, outside))}" if outside else ""
+        lines = [said, *(line for clearance in bodies for line in clearance.in_words(q))]
+        return Answer({"ok": not outside and not near, "outside_limits": outside, "collisions": near}, lines)
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     inspection = inspect(loaded, measurements, urdf_masses(arm))
-    return Answer(inspection.to_json(), [inspection.document(str(arm), str(data))], inspection)
+    answer = Answer(inspection.to_json(), [inspection.document(str(arm), str(data))], inspection)
+    for clearance in bodies:
+        answer.data["collisions"] = clearance.to_json(measurements.postures)
+        answer.shown.extend(clearance.in_words(measurements.postures))
+    return answer
 
 
+@declares("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
 def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
     """Simulate the measurements of a plan.
 
@@ -157,7 +196,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
     from identification.effects import build_all
     from identification.files.arm import load_arm
-    from identification.files.measurement import measurement_text, read_plan
+    from identification.files.measurement import load_plan, measurement_text
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
@@ -166,7 +205,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    wanted = read_plan(plan, loaded.joint_types, conditions=True)
+    wanted = load_plan(plan, loaded.joint_types, conditions=True)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
@@ -187,6 +226,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
 
 # -- identify ----------------------------------------------------------------------------------------------------------
+@declares("armcal identify arm.toml data.csv --out calibrated.toml")
 def identify_files(
     arm: Path,
     data: Path,
@@ -533,6 +573,7 @@ def _write_calibrated(
 
 
 # -- diagnose ----------------------------------------------------------------------------------------------------------
+@declares("armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html")
 def diagnose_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -614,6 +655,7 @@ def diagnose_files(
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
+@declares("armcal validate calibrated.toml other_session.csv --picture transfer.png")
 def validate_files(
     model: Path,
     data: Path,
@@ -645,11 +687,12 @@ def validate_files(
     if picture is not None:
         from identification.documents.pictures import validation_figure
 
-        write_together({picture: picture_bytes(validation_figure(validation), picture)}, force)
+        write_together({picture: validation_figure(validation)}, force)
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 
 
+@declares("armcal compensate calibrated.toml targets.csv --out commands.csv")
 def compensate_files(
     calibrated: Path,
     targets: Path,
@@ -677,7 +720,7 @@ def compensate_files(
     arm = load_arm(calibrated)
     check_calibrated(arm, str(calibrated))
     wanted = load_targets(targets, arm)
-    allowed = constraints(Model(arm)) if arm.constraints else ()
+    allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     lines = []
     if out is not None:
@@ -689,6 +732,7 @@ def compensate_files(
 
 
 # -- the library -------------------------------------------------------------------------------------------------------
+@declares("armcal effects joint_compliance")
 def effects(name: str | None = None) -> Answer:
     """The physical effects that armcal knows, and the data that each needs.
 
@@ -708,18 +752,3 @@ def effects(name: str | None = None) -> Answer:
         return Answer(effect.to_json(), [entry_document(effect)])
     listed = entries()
     return Answer({"effects": [effect.to_json() for effect in listed]}, [library_document(listed)])
-
-
-# verb -> what it does, and an example of it
-VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = MappingProxyType(
-    {
-        "init": (init_files, "armcal init --urdf robot.urdf --out calibration"),
-        "simulate": (simulate_files, "armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv"),
-        "check": (check_files, "armcal check arm.toml measurements.csv"),
-        "identify": (identify_files, "armcal identify arm.toml data.csv --out calibrated.toml"),
-        "diagnose": (diagnose_files, "armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html"),
-        "validate": (validate_files, "armcal validate calibrated.toml other_session.csv --picture transfer.png"),
-        "compensate": (compensate_files, "armcal compensate calibrated.toml targets.csv --out commands.csv"),
-        "effects": (effects, "armcal effects joint_compliance"),
-    }
-)

@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 ALLOWED = {
     "doe/__main__.py": {"exec"},  # of the empty text
     "doe/jobs.py": {"multiprocessing", "joblib.externals.loky", "distributed"},  # own child, --cluster alone
-    "identification/vectorize.py": {"exec", "compile"},  # of lines that it writes itself, from a CasADi function
+    "identification/vectorized.py": {"exec", "compile"},  # of lines that it writes itself, from a CasADi function
 }
 DANGEROUS = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "yaml", "subprocess", "socket", "ssl", "ftplib"}
 DANGEROUS |= {"http", "urllib", "requests", "httpx", "aiohttp", "multiprocessing", "joblib", "distributed", "xmlrpc"}

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, JobError, information_matrix, single_thread
+from identification import Array, JobError
 
 
 def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> Bound | None:
@@ -29,10 +30,11 @@ def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> B
     closed = closed_form_bound(problem)
     if closed is not None and not problem.constraints and problem.choices is None:
         return closed
+    closed = None if closed is None else replace(closed, unconstrained=bool(problem.constraints))
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
     try:
-        with single_thread():
+        with threadpool_limits(limits=1, user_api="blas"):
             numerical = best_design(problem, runs, stop=stop).bound
     except (JobError, np.linalg.LinAlgError):  # the latter: information that is singular to rounding
         return closed
@@ -52,7 +54,8 @@ def best_design(
     many, rough = problem.many_parameters, 1e-3  # relative gap: some seconds instead of half a minute
     if problem.choices is None:
         free, gap = (replace(problem, constraints=()), rough) if many else (problem, 1e-8)
-        return continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
+        design = continuous_design(free, runs=runs, tolerance=gap, proof=gap, also=also, stop=stop)
+        return replace(design, unconstrained=bool(problem.constraints) and many)
     one_number = rough if many and problem.model.dimension == 1 else 1e-9  # a run: weights hardly settle
     gap = 1e-2 if problem.missing else one_number  # with a prior weights are spread over as many postures
     candidates = listed_candidates(problem, problem.choices)
@@ -106,18 +109,5 @@ def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = nev
             made.append(best_design(problem, m, also=also, stop=stop))
     except (JobError, np.linalg.LinAlgError):
         return dict.fromkeys(runs)
-    lowest = {m: _at(made, problem, m) for m in runs}
-    return {m: None if of.bound is None else replace(of.bound, value=upper) for m, (_, upper, of) in lowest.items()}
-
-
-def _at(made: Sequence[ApproximateDesign], problem: DesignProblem, runs: int) -> tuple[float, float, ApproximateDesign]:
-    """For another number of runs the best value of the designs, their lowest bound, and the design that gives it."""
-    values, bounds, prior = [], [], problem.prior.per_new_run(runs)
-    for one in made:
-        fixed = np.sum(one.gradient * one.prior.total)
-        alone = (one.level + max(one.gap, 0.0)) * (1.0 + one.prior.runs) - fixed  # max tr(G B^T B)
-        bounds.append(problem.criterion.upper_bound(one.information, float(prior.mixed(alone, one.gradient))))
-        new = information_matrix(problem.scaled_jacobians(one.plan.postures), one.plan.shares)
-        values.append(float(problem.criterion.value(prior.information(new))))
-    least = int(np.argmin(bounds))
-    return max(values), bounds[least], made[least]
+    tightest = {m: min(made, key=lambda one: one.upper_at(m)) for m in runs}
+    return {m: None if d.bound is None else replace(d.bound, value=d.upper_at(m)) for m, d in tightest.items()}

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.criteria import D
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem, PriorInformation
-from identification import PRISMATIC, Array, Status
+from identification import Array, Plan, Status
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
 ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one
@@ -42,6 +41,8 @@ class Bound:
         a numerical search for the largest sensitivity, which could have missed a posture
     cut : True if the time ended before the search for a lower bound did: it holds, and may be far from the best plan
     candidates : how many postures the list has, None: all postures within limits and constraints
+    unconstrained : True if it is over all postures within the limits, as if there were no constraints: so it holds for
+        plans that keep them, too
     """
 
     value: float
@@ -49,6 +50,7 @@ class Bound:
     rigorous: bool = False
     cut: bool = False
     candidates: int | None = None
+    unconstrained: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """The key `bound` (identification/files/README.md, "JSON keys"): `scope`, of which designs it holds, and
@@ -56,6 +58,7 @@ class Bound:
         data: dict[str, Any] = {"value": self.value, "source": self.source, "scope": SCOPES[self.source]}
         data |= {"proof": PROVEN if self.rigorous else NUMERICAL, "rigorous": self.rigorous}
         data |= {} if self.candidates is None else {"candidates": self.candidates}
+        data |= {"unconstrained": True} if self.unconstrained else {}
         return data | {"cut": True} if self.cut else data
 
     def __str__(self) -> str:
@@ -78,7 +81,7 @@ def postures_in_words(bound: Mapping[str, Any]) -> str:
     if SCOPES.get(bound["source"]) == "list":
         count = bound.get("candidates")
         return "the postures of the list" if count is None else f"the list of {count:,} postures"
-    return "all postures"
+    return "all postures, constraints or none" if bound.get("unconstrained") else "all postures"
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,7 @@ class ApproximateDesign:
         gradient of unit trace gives a bound there, and that of the dual problem the lowest
     largest : no less than max tr(G F) over the design space, inf: not all of it was visited
     candidates : how many postures the design space has, None: all within limits and constraints
+    unconstrained : as of `Bound`
     rigorous : whether `largest` is a theorem
     status : how the solver ended;  solver_status : as the solver names it
     """
@@ -105,6 +109,7 @@ class ApproximateDesign:
     solver_status: str = ""
     solver: str = ""
     seconds: float = 0.0
+    unconstrained: bool = False
 
     def __post_init__(self) -> None:
         # a mean is no larger than the largest: a gap below zero is rounding in a matrix that is nearly singular
@@ -167,6 +172,12 @@ class ApproximateDesign:
         """No design of the space has a greater value, whatever these weights."""
         return self.problem.criterion.upper_bound(self.information, self.largest) if self.proves else np.inf
 
+    def upper_at(self, runs: int) -> float:
+        """The same for another number of new runs (doe/README.md, "Exact plans")."""
+        prior, fixed = self.problem.prior.per_new_run(runs), float(np.sum(self.gradient * self.prior.total))
+        alone = (self.level + max(self.gap, 0.0)) * (1.0 + self.prior.runs) - fixed  # max tr(G B^T B)
+        return self.problem.criterion.upper_bound(self.information, float(prior.mixed(alone, self.gradient)))
+
     @property
     def efficiency_lower_bound(self) -> float:
         """Fraction 0..1 of an optimum that the weights reach at least, recomputed from them alone."""
@@ -181,7 +192,7 @@ class ApproximateDesign:
         if not cut and self.status is not Status.converged:
             return None
         source = "continuous" if self.candidates is None else "grid"
-        return Bound(self.upper, source, self.rigorous, cut, self.candidates)
+        return Bound(self.upper, source, self.rigorous, cut, self.candidates, self.unconstrained)
 
     @property
     def criterion(self) -> str:
@@ -198,7 +209,7 @@ class ApproximateDesign:
 
         Where a joint is prismatic, `posture` and `joint_units` stand for `posture_deg`.
         """
-        prismatic = PRISMATIC in self.plan.joint_types
+        prismatic = "mm" in self.plan.units
         key = "posture" if prismatic else "posture_deg"
         carried = zip(self.plan.displayed.tolist(), self.plan.shares.tolist(), strict=True)
         numbers = {name: getattr(self, name) for name in ("value", "log_det", "gap", "efficiency_lower_bound")}

@@ -35,17 +35,10 @@ from doe.bounds.weights import (
 )
 from doe.criteria import Criterion
 from doe.plan.ascent import PlanAscent
+from doe.problem.constraints import Derivatives, Walls
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
-from doe.problem.problem import (
-    Derivatives,
-    DesignProblem,
-    PriorInformation,
-    Stop,
-    information_of_each,
-    never,
-)
-from identification import Array, InputError, JobError, Status, nearest
-from identification.newton_ascent import newton_ascent
+from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
+from identification import Array, InputError, JobError, Status, nearest, newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited
@@ -116,7 +109,7 @@ class ContinuousSet:
         return self.problem.jacobian_derivatives(range(self.problem.joints))
 
     @cached_property
-    def _walls(self) -> Derivatives:
+    def _walls(self) -> Walls:
         return self.problem.wall_derivatives(range(self.problem.joints))
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:

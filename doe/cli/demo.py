@@ -9,7 +9,7 @@ from pathlib import Path
 from doe.cli.plans import with_collisions
 from doe.cli.verb import stopped_by, verb
 from identification import InputError, JobError, Progress, silent
-from identification.document import Answer, Document, picture_bytes
+from identification.document import Answer, Document
 from identification.files.io import write_together
 from identification.workflow import Folder
 
@@ -46,14 +46,14 @@ def command(
         raise InputError(f"{directory}: cannot be created ({error.strerror}), allowed: a writable place") from None
     try:
         demo = run_demo(directory, six_axes() if spatial else planar(), seed, progress, force)
-        document, picture = demo_document(demo), directory / "overview.png"
+        document, picture = demo_document(demo), overview_figure(demo)
         text = page(document, [directory / name for name in demo.files])
-        shown: dict[Path, str | bytes] = {picture: picture_bytes(overview_figure(demo), picture)}
-        write_together(shown | {directory / "report.html": text}, force=True)
+        write_together({directory / "overview.png": picture, directory / "report.html": text}, force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
     look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
-    return with_collisions(Answer(demo.to_json(directory), [document.plus(look)]), demo.arm)
+    answer = Answer(demo.to_json(directory), [document.plus(look)])
+    return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
 
 
 def next_free(path: Path) -> Path:

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
+from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible, verb
 from identification import InputError, Progress, load_sessions, nearest, silent
-from identification.document import Answer, Document, picture_bytes
+from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
 from identification.workflow import Picture, Written
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from doe.problem.problem import DesignProblem
     from identification import Arm
-    from identification.document import Section
 
 UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
@@ -71,11 +70,10 @@ def design_problem(
     import numpy as np
 
     from doe.criteria import NAMES, criterion
-    from doe.plan.plan import load_plan
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem, tip_jacobians
-    from identification import Model, read_plan
+    from identification import Model, load_plan
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
     if wanted.missing is not None and not wanted.robust:
@@ -85,7 +83,7 @@ def design_problem(
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
     model, restrictions = Model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
-        restrictions["kept"] = read_plan(keep, arm.joint_types, carried_out=True).postures
+        restrictions["kept"] = load_plan(keep, arm.joint_types, carried_out=True).postures
     if candidates is not None:
         choices = restrictions["choices"] = load_plan(candidates, arm.joint_types).postures
         try:
@@ -133,8 +131,7 @@ def written(
     contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
     """
     wanted = {path: content for path, content in contents.items() if path is not None}
-    files = {path: picture_bytes(c(), path) if callable(c) else c for path, c in wanted.items()}
-    write_together(files, force=force)
+    write_together(wanted, force=force)
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
@@ -150,17 +147,23 @@ def drawing(name: str, *of: Any) -> Callable[[], Figure]:
     return draw
 
 
-def with_collisions(answer: Answer, arm: Arm) -> Answer:
-    """The answer that has a plan of this arm, which in space says that collisions were not looked at."""
-    if not arm.chain.planar:
-        from doe.problem.constraints import COLLISIONS
+def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
+    """The answer with what is known of collisions at postures (m, n), None: it has no plan; nothing is said of arms in
+    a plane whose bodies nobody has described."""
+    from doe.problem.clearance import COLLISIONS, Clearance
 
-        answer.data["collisions_checked"] = False
-        answer.shown.append(COLLISIONS)
+    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
+    if looked or getattr(problem.model, "space", 0) == 3:
+        answer.data["collisions_checked"] = bool(looked)
+        answer.shown.extend([] if looked else [COLLISIONS])
+    for clearance in looked if postures is not None else []:
+        answer.data["collisions"] = clearance.to_json(postures)
+        answer.shown.extend(clearance.in_words(postures))
     return answer
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
+@verb("armcal design arm.toml --runs 20 --out plan.csv")
 def design_files(
     arm: Path,
     *,
@@ -205,7 +208,7 @@ def design_files(
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.plan import check_order, ordered, plan_text, travel
+    from doe.plan.plan import check_order, ordered, travel
     from doe.problem.uncertain import with_choices
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
@@ -247,14 +250,16 @@ def design_files(
         saved = 1.0 - after / before if before > 0.0 else 0.0
         data["travel_deg"] = {"order": order, "before": before, "after": after, "saved": saved}
         extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)")
-    text = plan_text(design.plan, loaded.joint_types, columns_beside(design))
+    text = design.plan.text(loaded.joint_types, columns_beside(design))
     extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    return with_collisions(Answer(design.to_json() | data, [design_document(design).plus(*extra)]), loaded)
+    answer = Answer(design.to_json() | data, [design_document(design).plus(*extra)])
+    return with_collisions(answer, design.problem, design.plan.postures)
 
 
+@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 def score_files(
     arm: Path,
     plan: Path,
@@ -278,11 +283,10 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
-    from doe.plan.plan import load_plan
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
-    from identification import Model, detectability, load_arm, without_prior
+    from identification import Model, design_model, load_arm, load_plan
 
     loaded = load_arm(arm)
     judged = load_plan(plan, loaded.joint_types)
@@ -300,7 +304,7 @@ def score_files(
     pictures: dict[Path | None, Any] = {picture: drawing("plan_figure", loaded, judged.postures)}
     sees = None
     try:
-        sees = detectability(without_prior(loaded), judged.postures)
+        sees = design_model(Model(loaded)).detectability(judged.postures)
         tables: list[Any] = [*sees.document().parts]
         pictures[aliases] = sees.figure
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
@@ -319,9 +323,10 @@ def score_files(
     lines = [meant] if judged.fit and not robust else []
     written(pictures, force)
     document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
-    return with_collisions(Answer(data, [document]), loaded)
+    return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
 def advise_files(
     arm: Path,
     *,
@@ -345,15 +350,15 @@ def advise_files(
     seconds : Time budget of all numbers of runs together [s].
     picture : Write the curve as .png, .svg or .pdf.
     """
-    from doe.advise import advise
+    from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import Model, load_arm, with_scatter
-    from identification.reuse import only as only_these
+    from identification import Model, design_model, load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm))
     named = [word for text in only for word in words(text) if word]
-    problem = DesignProblem.of(only_these(loaded, named) if named else Model(loaded))
+    model = design_model(Model(loaded))
+    problem = DesignProblem.of(model.only(named) if named else model)
     fewest = problem.fewest_runs
     text = runs or (f"{fewest}:40" if named else "4:40")
     ends = text.split(":")
@@ -371,9 +376,10 @@ def advise_files(
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
     written({picture: drawing("advice_figure", advice)}, force)
-    return with_collisions(Answer(data, shown, warnings=doubts), loaded)
+    return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
+@verb("armcal relax arm.toml --grid 9 --solver clarabel")
 def relax_files(
     arm: Path,
     *,
@@ -403,10 +409,9 @@ def relax_files(
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
-    from doe.plan.plan import load_plan, plan_text
     from doe.problem.uncertain import with_choices
     from doe.report.design import relax_document
-    from identification import load_arm
+    from identification import load_arm, load_plan
 
     loaded, robust = load_arm(arm), criterion.robust
     if robust and runs is None:
@@ -441,11 +446,13 @@ def relax_files(
         exact = runs or max(2 * loaded.links, problem.fewest_runs)
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
-    text = plan_text(replace(relaxation.plan, fit=problem.fit), loaded.joint_types)
+    text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
     document = relax_document(relaxation, compared)
-    return with_collisions(Answer(data, [document, *written({out: text}, force, "plan with weights")]), loaded)
+    answer = Answer(data, [document, *written({out: text}, force, "plan with weights")])
+    return with_collisions(answer, problem, relaxation.plan.postures)
 
 
+@verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
@@ -494,19 +501,66 @@ def compare_files(
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None and not alone:
         from doe.report.page import svg
-        from doe.report.studies import profile_figure, time_figure
+        from doe.report.studies import profile_figure
 
         files: dict[Path, str | bytes] = {
             job.out / "summary.parquet": parquet(summed),
             job.out / "profile.svg": svg(profile_figure(rows)),
-            job.out / "time.svg": svg(time_figure(rows)),
         }
         write_together(files, force=True)
-        shown.append(f"rows, summary and pictures written to {job.out}")
+        shown.append(f"rows, summary and picture written to {job.out}")
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
+@verb("armcal program arm.toml plan.csv --robot ur --out plan.script")
+def program_files(
+    arm: Path,
+    plan: Path,
+    *,
+    robot: Literal["ur", "abb", "kuka", "fanuc", "ros"],
+    speed: Annotated[int, range(1, 101), "PERCENT"] = 20,
+    settle: Annotated[float, "S"] = 2.0,
+    template: Path | None = None,
+    out: Written,
+    force: bool = False,
+) -> Answer:
+    """The robot's program that drives through a plan.
+
+    Joint moves to the postures of PLAN in its order, at each a pause for the measurement. Joints are written as the
+    controller counts them (columns of PLAN). No controller was there to test these programs: run them slowly first.
+
+    robot : Language: URScript, RAPID, KRL, FANUC TP (.LS), or a JointTrajectory of ROS 2 (YAML).
+    speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
+    settle : Seconds from the arrival to the measurement, up to 300.
+    template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
+    out : Write the program, which takes the name of the file.
+    """
+    from doe.program.program import program
+    from identification import load_arm, load_plan
+
+    loaded = load_arm(arm)
+    file = load_plan(plan, loaded.joint_types, vias=True)
+    if file.weights is not None:
+        raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
+    options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
+    try:
+        made = program(loaded, file, robot, **options)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(("--", str(template))) else f"{plan}: {error}") from None
+    lines = written({out: made.text}, force, "program")
+    vias = sum(move["kind"] == "via" for move in made.moves)
+    runs = len(file) - vias
+    data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
+    counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
+    sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
+    headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
+    rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
+    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *lines]
+    return Answer(data, shown)
+
+
 # -- after measurements ------------------------------------------------------------------------------------------------
+@verb("armcal discriminate arm.toml data.csv --runs 4 --out next.csv")
 def discriminate_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -532,7 +586,7 @@ def discriminate_files(
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
-    from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm, refuse_contacts
+    from identification import Model, diagnose, load_arm
 
     loaded, masses = load_arm(arm), None
     if payloads is not None:
@@ -540,13 +594,14 @@ def discriminate_files(
             masses = tuple(float(word) for word in payloads.split(","))
         except ValueError:
             masses = (-1.0,)
-        if not all(0.0 <= mass <= LARGEST_MASS for mass in masses):
+        if not all(0.0 <= mass < math.inf for mass in masses):
             raise InputError(f"--payloads: {payloads!r}, allowed: numbers >= 0 [kg], as in 0,5,10")
         if loaded.gravity is None:
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     measurements = load_sessions(data, loaded)
-    refuse_contacts(loaded.chain)
-    postures, fewest = len(set(measurements.posture_numbers.tolist())), DesignProblem.of(Model(loaded)).fewest_runs
+    loaded.chain.refuse_contacts()
+    problem = DesignProblem.of(Model(loaded))
+    postures, fewest = len(set(measurements.posture_numbers.tolist())), problem.fewest_runs
     if postures < fewest:
         counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
@@ -563,13 +618,14 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
-    lines = written({out: csv_text(chosen.columns)}, force, "next postures")
+    lines = written({out: chosen.plan.text(further=chosen.conditions)}, force, "next postures")
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
     shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
-    return with_collisions(Answer(keys | chosen.to_json(), shown), loaded)
+    return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 
+@verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html")
 def report_files(
     files: tuple[Path, ...],
     *,
@@ -586,15 +642,11 @@ def report_files(
 
     out : Write the page.
     """
-    from doe.plan.plan import Plan
     from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    def show(arm: Arm, file: Any, name: str) -> Section:
-        return plan_section(arm, Plan(file.postures, file.weights, fit=file.fit), file.cells, name)
-
-    campaign = Campaign.of(files, show_plan=show, judge=design_verdict)
+    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict)
     write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
@@ -602,18 +654,3 @@ def report_files(
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
     return Answer(data, [*campaign.verdict, f"page written to {out}"])
-
-
-# verb -> what it does, and an example of it
-VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
-    "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
-    "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
-    "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
-    "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
-    "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),
-    "discriminate": (
-        discriminate_files,
-        "armcal discriminate arm.toml data.csv --runs 4 --out next.csv",
-    ),
-    "report": (report_files, "armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html"),
-}

@@ -14,6 +14,7 @@ import re
 import shlex
 import signal
 import sys
+import tempfile
 import threading
 import time
 import warnings
@@ -26,9 +27,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Union, get_
 
 import click
 
-from identification import ArmcalError, InputError, JobError, Progress, in_one_line, silent
-from identification.document import Answer, check_picture
-from identification.files.io import check_writable, provide_temporary_folder
+from identification import InputError, JobError, Progress, silent
+from identification.document import Answer
+from identification.files.io import check_writable
 from identification.workflow import Folder, Picture, Written
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing el
 PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
 INTERVAL = 10.0  # seconds between lines in a log
+LONGEST_WORD, LONGEST_LINE = 400, 2000  # characters of a message; what is in the middle of a longer one is left out
 
 
 # -- types of options --------------------------------------------------------------------------------------------------
@@ -125,8 +127,8 @@ class JobOptions:
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
-def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], click.Command]:
-    """Turn `function(argument, .., *, option, ..) -> Answer` into a click command of its module's name, or another.
+def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
+    """Turn `function(argument, .., *, option, ..) -> Answer` into the click command of its example, `armcal NAME ...`.
 
     Positional parameters are arguments, the others options, those of a dataclass a group of them. Their types are those
     of Python, with `Written` and `Picture` for files to write and `Folder` for where, or `Annotated` with a type of
@@ -140,7 +142,7 @@ def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], clic
     """
 
     def decorate(function: Callable[..., Answer]) -> click.Command:
-        called = name or function.__module__.rpartition(".")[2]
+        called = example.split()[1]
         text, helps = documented(function)
         hints, parameters = get_type_hints(function, include_extras=True), list[click.Parameter]()
         groups: dict[str, Any] = {}
@@ -168,7 +170,9 @@ def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], clic
             with warnings_as_lines(quiet), shown_progress(called, quiet) as progress:
                 provided = dict(zip(PROVIDED, (seed, progress, made_page, made_constraints), strict=True))
                 values |= {key: value for key, value in provided.items() if key in signature}
-                answer = guarded(function, values)
+                with errors_as_lines():
+                    check_outputs(click.get_current_context())
+                    answer = function(**values)
                 for sentence in answer.warnings if as_json else ():
                     warnings.warn(sentence, UserWarning, stacklevel=2)
             if answer.failure is not None:
@@ -268,6 +272,22 @@ def made_constraints(model: Any) -> Any:
 
 
 # -- errors and signals ------------------------------------------------------------------------------------------------
+def in_one_line(text: str) -> str:
+    """A message as one line of printable characters, whatever names and cells of files it repeats.
+
+    Control characters are written as in Python; of a very long word or line the middle is left out.
+
+    >>> in_one_line("arm\\nfile.toml: no such file")
+    'arm\\\\nfile.toml: no such file'
+    """
+
+    def shortened(text: str, most: int) -> str:
+        return text if len(text) <= most else f"{text[: most * 2 // 3]} .. {text[-most // 4 :]}"
+
+    text = "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
+    return shortened(re.sub(r"\S+", lambda word: shortened(word.group(), LONGEST_WORD), text), LONGEST_LINE)
+
+
 def say(sentence: str) -> None:
     """One line on standard error."""
     click.echo(f"armcal: {in_one_line(sentence)}", err=True)
@@ -291,14 +311,13 @@ def check_outputs(context: click.Context) -> None:
         if other != name and (context.command.name, name, other) not in UPDATES:
             raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
         if kind is not FOLDER:
-            check_writable(path, context.params["force"])
-    for path in (path for _, kind, path in outputs if kind.picture):
-        check_picture(path)
+            check_writable(path, context.params["force"], picture=kind.picture)
     provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
 
 
-def guarded(function: Callable[..., Answer], options: dict[str, Any]) -> Answer:
-    """The answer of a function; where there is none, one line says why and the command ends."""
+@contextmanager
+def errors_as_lines() -> Iterator[None]:
+    """Where there is no answer, one line says why and the command ends."""
     try:
         with stoppable():
             if sys.stdout is None:
@@ -307,9 +326,9 @@ def guarded(function: Callable[..., Answer], options: dict[str, Any]) -> Answer:
                 os.getcwd()
             except FileNotFoundError:
                 raise JobError("the working directory is no longer there; change into another one") from None
-            check_outputs(click.get_current_context())
-            return function(**options)
-    except ArmcalError as error:
+            yield
+        return
+    except (InputError, JobError) as error:
         say(str(error))
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, click.Abort) as error:
@@ -319,6 +338,20 @@ def guarded(function: Callable[..., Answer], options: dict[str, Any]) -> Answer:
     except ImportError as error:  # of a library in C: memory, or an installation that is not whole
         say(f"a library cannot be loaded ({error}), allowed: enough memory, and a whole installation")
     sys.exit(1)
+
+
+def provide_temporary_folder(*folders: Path) -> None:
+    """Where the system has no folder for temporary files (a root file system that is read-only), name one of these,
+    the first that can be written to: some libraries want one as soon as they are loaded. Folders may be missing yet;
+    what counts is where they would be made."""
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError:
+        for folder in folders:
+            existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
+            if os.access(existing, os.W_OK):
+                os.environ["TMPDIR"] = str(existing)  # for processes started from here too
+                return
 
 
 @contextmanager
@@ -351,7 +384,7 @@ def stoppable() -> Iterator[None]:
             sys.unraisablehook = not_lost
         try:
             yield
-        except ArmcalError:
+        except (InputError, JobError):
             raise
         except Exception:  # what a library in C makes of the signal while it is loaded
             if came:
@@ -489,21 +522,18 @@ def shown(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
-    from identification.document import rendered
-
     columns = os.environ.get("COLUMNS", "")
     width = None if sys.stdout.isatty() else 110
     if columns.isdecimal() and int(columns):
         width = int(columns)
     console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
-    for part in answer.shown:
-        for one in [part] if hasattr(part, "__rich_console__") else rendered(part, console.width):
-            # names in files may have control characters, which a terminal would obey
-            segments = (
-                Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
-                for s in console.render(one)
-            )
-            console.print(Segments(segments), end="")
+    for one in answer.rendered(console.width):
+        # names in files may have control characters, which a terminal would obey
+        segments = (
+            Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
+            for s in console.render(one)
+        )
+        console.print(Segments(segments), end="")
 
 
 def plain(value: Any) -> Any:

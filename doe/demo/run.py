@@ -14,7 +14,6 @@ import tomlkit
 from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
-from doe.plan.plan import Plan, plan_text
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report.design import design_verdict, plan_section
@@ -24,18 +23,17 @@ from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
 from identification import (
     Arm,
     Array,
+    Compared,
     Measurements,
     Model,
+    Plan,
     Progress,
-    arm_from_tables,
     load_arm,
-    load_measurements,
     rms_distance,
     silent,
     with_effects,
 )
 from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
-from identification.documents.pictures import Compared
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
 
@@ -72,7 +70,7 @@ class Scenario:
 def planar() -> Scenario:
     """The paper's arm, with the paper's errors and an encoder that sits off centre."""
     truth = f"{PLANAR_ARM}\n{TRUTH}"
-    model = Model(arm_from_tables(tomllib.loads(truth)))
+    model = Model(load_arm(tomllib.loads(truth)))
     hidden = {p.name: model.best_known[p.name] * p.to_file for p in model.all_parameters}
     files = {"arm.toml": PLANAR_ARM, "truth.toml": truth}
     return Scenario("the paper's 4-link arm", files, model.position, hidden, runs=20)
@@ -97,20 +95,16 @@ def spatial(runs: int = 36) -> Scenario:
     """The scenario of the six-axis demo. What is hidden is written down to look at: no arm file can say it, since the
     fitted model has other parameters."""
     real, generator = hidden_arm(), np.random.default_rng(SEED)
-    joints = [
-        {"name": name, "point_mm": point, "drawn_mm": drawn, "axis": axis, "drawn_axis": drawn_axis, "offset_deg": zero}
-        for name, point, drawn, axis, drawn_axis, zero in zip(
-            NAMES,
-            np.round(real.points, 4).tolist(),
-            POINTS.tolist(),
-            np.round(real.axes, 6).tolist(),
-            AXES.tolist(),
-            np.round(np.degrees(real.offsets), 5).tolist(),
-            strict=True,
-        )
-    ]
+    columns = {
+        "name": list(NAMES),
+        "point_mm": np.round(real.points, 4).tolist(),
+        "drawn_mm": POINTS.tolist(),
+        "axis": np.round(real.axes, 6).tolist(),
+        "drawn_axis": AXES.tolist(),
+        "offset_deg": np.round(np.degrees(real.offsets), 5).tolist(),
+    }
     tables = {
-        "joint": joints,
+        "joint": [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)],
         "encoder_eccentricity": {"joint": HIDDEN_JOINT} | {f"{key}_deg": v for key, v in HIDDEN_WAVE.items()},
         "reflector": {"at_home_mm": REFLECTOR.tolist()},
         "base": {"in_the_tracker_mm": np.round(real.base[:3, 3], 4).tolist()},
@@ -118,12 +112,8 @@ def spatial(runs: int = 36) -> Scenario:
     head = "# What the demo hides. Joints as lines in space at home, in the frame of the base; drawn beside them.\n\n"
     files = {"robot.urdf": URDF, "arm.toml": SIX_AXES, "hidden.toml": head + tomlkit.dumps(tables)}
     hidden = {f"encoder_eccentricity:{HIDDEN_JOINT}.{key}": value for key, value in HIDDEN_WAVE.items()}
-
-    def positions(postures: Array) -> Array:
-        return position(real, session(real, postures, generator))
-
     title = "a six-axis arm before a laser tracker"
-    return Scenario(title, files, positions, hidden, runs=runs, effort={"starts": 1})
+    return Scenario(title, files, lambda q: position(real, session(real, q, generator)), hidden, runs, {"starts": 1})
 
 
 # -- the loop ----------------------------------------------------------------------------------------------------------
@@ -139,6 +129,7 @@ class Demo:
     identified: Answer
     diagnosed: Answer
     extended: Answer  # the named effect identified, from the drawing
+    validated: Answer  # what that leaves of `fresh`
     gaps: Mapping[
         str, float
     ]  # `fresh_gap_mm` of the JSON object: RMS distances from `fresh`, `noise` of a perfect model
@@ -188,8 +179,9 @@ def run_demo(
         """Simulated measurements as the commands read them from the file, rounding included."""
         exact = scenario.real(postures)
         noise = (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
-        write(name, Measurements(postures, exact + noise).to_frame(joint_types=arm.joint_types).write_csv())
-        return load_measurements(directory / name, arm)
+        table = Measurements(postures, exact + noise).to_frame(joint_types=arm.joint_types)
+        write(name, table.write_csv())
+        return Measurements.from_frame(table, arm)
 
     begin()
     for name, text in scenario.files.items():
@@ -198,13 +190,14 @@ def run_demo(
     begin()
     problem = DesignProblem.of(Model(arm))
     design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
-    write("plan.csv", plan_text(design.plan))
+    write("plan.csv", design.plan.text())
     begin()
     generator = np.random.default_rng(seed)
     measured("data.csv", design.plan.postures)
     fresh = measured("fresh.csv", random_postures(problem, 200, generator))
     begin()
-    identify, diagnose, compensate = (VERBS[name][0] for name in ("identify", "diagnose", "compensate"))
+    verbs = ("identify", "diagnose", "validate", "compensate")
+    identify, diagnose, validate, compensate = (VERBS[name][0] for name in verbs)
     path, rows = directory / "arm.toml", directory / "data.csv"
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
@@ -216,7 +209,7 @@ def run_demo(
     extended = identify(named, rows, out=named, force=True)
     begin()
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
-    write("targets.csv", plan_text(Plan(targets), arm.joint_types))
+    write("targets.csv", Plan(targets).text(arm.joint_types))
     sent = compensate(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
     begin()
     gaps = {
@@ -238,51 +231,90 @@ def run_demo(
         "targets_as_drawn_mm": rms_distance(drawn),
         "targets_corrected_mm": rms_distance(corrected),
     }
-    answers = identified, diagnosed, extended
+    answers = identified, diagnosed, extended, validate(named, directory / "fresh.csv")
     return Demo(scenario, arm, problem, design, fresh, *answers, gaps, hidden, tuple(files))
 
 
 # -- its page ----------------------------------------------------------------------------------------------------------
 def demo_document(demo: Demo) -> Document:
     """Plan, certificate, identification, gap, and what was hidden."""
-    diagnosed = demo.diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
-    postures, effort = demo.design.plan.postures, (4096, 61) if demo.arm.chain.planar else (128, 25)
+    arm, fresh, gaps, hidden, named = demo.arm, demo.fresh, demo.gaps, demo.hidden, demo.diagnosis.effects
+    base, extended = demo.identified.data, demo.extended.data
+    last = f"with {' + '.join(named)}" if named else "nothing named"  # the model that the diagnosis leads to
+    # how the gap closes, step by step, on the data and on fresh random postures that no step has seen
+    errors = {
+        "nominal (from the drawing)": (base["rms_before_mm"], gaps["drawing"]),
+        "geometry identified": (base["rms_after_mm"], gaps["identified"]),
+        last: (extended["rms_after_mm"], gaps["extended"]),
+    }
+    rows = [[name, *map(number, figures)] for name, figures in errors.items()]
+    before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
+    calibrated = demo.extended.result.calibrated_arm()
+    compared = Compared(calibrated, fresh.postures, before, after, fresh.conditions, Model(calibrated), named)
+    identified: list[Any] = [
+        Sheet(("RMS error [mm]", "on the data", "on 200 fresh postures"), rows),
+        "From simulated measurements of an arm whose true errors the fit does not know.",
+        compared.pictures("the geometry identified", f"the model {last}" if named else "the same model"),
+    ]
+    # estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm
+    values = [
+        [
+            row["name"],
+            *(f"{row[key]:.4g}" for key in ("value", "low_95", "high_95")),
+            number(row["hidden"]),
+            row["unit"],
+        ]
+        for row in hidden["parameters"]
+    ]
+    misses = {
+        "last model: where the tip is, at the fresh postures": "model_error_mm",
+        f"hidden arm from {hidden['targets_reached']} targets, sent there as drawn": "targets_as_drawn_mm",
+        "... sent there with the corrected commands": "targets_corrected_mm",
+    }
+    truth: list[Any] = [
+        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only.",
+        Sheet(("parameter", "value", "low 95 %", "high 95 %", "truth", "unit"), values),
+        Sheet(
+            ("checked against the hidden arm, without noise", "RMS [mm]"),
+            [[name, number(hidden[key])] for name, key in misses.items()],
+        ),
+    ]
+    postures, effort = demo.design.plan.postures, (4096, 61) if arm.chain.planar else (128, 25)
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
-    picture = Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])
-    within = " and the tracker's view" if demo.arm.constraints else ""
+    within = " and the tracker's view" if arm.constraints else ""
     chosen = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
+    diagnosed = demo.diagnosis.document(nominal=base["rms_drawing_mm"])
     sections = [
-        identified_section(demo),
+        Section("Identification", identified),
         *diagnosed.parts,
-        truth_section(demo),
-        plan_section(demo.arm, demo.design.plan, lead=chosen),
-        Section("The certificate", [picture]),
+        Section("Against the truth", truth),
+        plan_section(arm, demo.design.plan, lead=chosen, tests={"fresh.csv": demo.validated.result}),
+        Section(
+            "The certificate",
+            [Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])],
+        ),
     ]
-    report = "armcal report arm.toml plan.csv extended.toml fresh.csv --out page.html"
     actions = [
         Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
-        Action("Make a page of any of them:", report),
+        Action(
+            "Make a page of any of them:", "armcal report arm.toml plan.csv extended.toml fresh.csv --out page.html"
+        ),
         Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
-    gaps, test = demo.gaps, demo.diagnosis.confirmation
+    test = demo.diagnosis.confirmation
     average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""
     summary = (
         f"A plan of {len(postures)} runs ({optimality(demo, 4)}). The RMS error on 200 fresh postures falls "
         f"from {gaps['drawing']:.2f} mm (nominal) to {gaps['identified']:.3f} mm (calibrated) and "
-        f"{gaps['extended']:.3f} mm ({last_model(demo)} alone{average}); "
+        f"{gaps['extended']:.3f} mm ({last} alone{average}); "
         f"measurement noise alone gives {gaps['noise']:.3f} mm. "
-        f"Commands corrected with this model miss their targets by {demo.hidden['targets_corrected_mm']:.3f} mm, "
-        f"uncorrected ones by {demo.hidden['targets_as_drawn_mm']:.2f} mm."
+        f"Commands corrected with this model miss their targets by {hidden['targets_corrected_mm']:.3f} mm, "
+        f"uncorrected ones by {hidden['targets_as_drawn_mm']:.2f} mm."
     )
     return Document(f"armcal demo: {demo.scenario.title}", [*diagnosed.verdict, summary], sections, actions)
-
-
-def last_model(demo: Demo) -> str:
-    """The model that the diagnosis leads to."""
-    return f"with {' + '.join(demo.diagnosis.effects)}" if demo.diagnosis.effects else "nothing named"
 
 
 def optimality(demo: Demo, digits: int) -> str:
@@ -290,44 +322,6 @@ def optimality(demo: Demo, digits: int) -> str:
     bound = None if demo.design.bound is None else demo.design.bound.as_dict()
     sure = optimality_in_words(demo.design.optimality, bound) if demo.design.certified_optimal else None
     return sure or f"efficiency {demo.design.efficiency:.{digits}f}"
-
-
-def identified_section(demo: Demo) -> Section:
-    """How the gap closes, step by step, on the data and on fresh random postures that no step has seen."""
-    named, arm, fresh, gaps = demo.diagnosis.effects, demo.extended.result.calibrated_arm(), demo.fresh, demo.gaps
-    base, extended = demo.identified.data, demo.extended.data
-    errors = {
-        "nominal (from the drawing)": (base["rms_before_mm"], gaps["drawing"]),
-        "geometry identified": (base["rms_after_mm"], gaps["identified"]),
-        last_model(demo): (extended["rms_after_mm"], gaps["extended"]),
-    }
-    rows = [[name, *map(number, figures)] for name, figures in errors.items()]
-    before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
-    compared = Compared(arm, fresh.postures, before, after, fresh.conditions, Model(arm), named)
-    model = f"the model {last_model(demo)}" if named else "the same model"
-    lead = "From simulated measurements of an arm whose true errors the fit does not know."
-    table = Sheet(("RMS error [mm]", "on the data", "on 200 fresh postures"), rows)
-    return Section("Identification", [table, lead, compared.pictures("the geometry identified", model)])
-
-
-def truth_section(demo: Demo) -> Section:
-    """Estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm."""
-    rows = []
-    for row in demo.hidden["parameters"]:
-        figures = [f"{row[key]:.4g}" for key in ("value", "low_95", "high_95")]
-        rows.append([row["name"], *figures, number(row["hidden"]), row["unit"]])
-    errors = {
-        "last model: where the tip is, at the fresh postures": "model_error_mm",
-        f"hidden arm from {demo.hidden['targets_reached']} targets, sent there as drawn": "targets_as_drawn_mm",
-        "... sent there with the corrected commands": "targets_corrected_mm",
-    }
-    misses = [[name, number(demo.hidden[key])] for name, key in errors.items()]
-    lead = (
-        "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only."
-    )
-    found = Sheet(("parameter", "value", "low 95 %", "high 95 %", "truth", "unit"), rows)
-    checked = Sheet(("checked against the hidden arm, without noise", "RMS [mm]"), misses)
-    return Section("Against the truth", [lead, found, checked])
 
 
 def overview_figure(demo: Demo) -> Figure:

@@ -7,28 +7,16 @@ the right one is the only one left is multiplied by their probability together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
 from scipy.special import ndtr
 
-from doe.plan.plan import Plan
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import (
-    NEEDS_SIGMA,
-    Array,
-    Conditions,
-    InputError,
-    Measurements,
-    Model,
-    Status,
-    readonly,
-)
+from identification import Array, Conditions, InputError, Measurements, Model, Plan, Status, readonly
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis
@@ -59,10 +47,14 @@ class NextPostures:
     @property
     def columns(self) -> dict[str, Any]:
         """Columns of the plan file: run, angles, and payload and directions where they matter."""
-        columns: dict[str, Any] = {"run": np.arange(1, len(self.plan) + 1)} | self.plan.columns
-        columns |= {} if self.payload is None else {"payload_kg": self.payload}
+        return {"run": np.arange(1, len(self.plan) + 1), **self.plan.columns, **self.conditions}
+
+    @property
+    def conditions(self) -> dict[str, Array]:
+        """Those columns of it that say how to measure."""
+        payload = {} if self.payload is None else {"payload_kg": self.payload}
         sides = () if self.directions is None else self.directions.T
-        return columns | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
+        return payload | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `armcal discriminate` beside those of the diagnosis."""
@@ -95,43 +87,24 @@ class RivalPredictions:
     @classmethod
     def of(cls, diagnosis: Diagnosis, postures: Array, conditions: Conditions) -> RivalPredictions:
         """Of every candidate, fitted to the data at hand, at postures (N, n) under conditions."""
-        fitted = []
+        positions, jacobians, sigma = [], [], diagnosis.sigma
         for candidate in diagnosis.candidates:
             model, fit = Model(diagnosis.extended_arm(candidate)), candidate.calibration
             if fit.covariance is None:
                 raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
             order = [fit.parameter_names.index(name) for name in model.names]
-            predicted = model.linearize(postures, None, conditions)
-            fitted.append((*predicted, fit.covariance[np.ix_(order, order)], model.scales))
+            position, jacobian = model.linearize(postures, None, conditions)
+            values, vectors = np.linalg.eigh(
+                fit.covariance[np.ix_(order, order)] * np.outer(model.scales, model.scales)
+            )
+            root = vectors * np.sqrt(np.maximum(values, 0.0)) / model.scales[:, None]
+            positions.append(position / sigma)
+            jacobians.append(jacobian @ root / sigma)
         odds = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
         weights = np.array([candidate.probability or 0.0 for candidate in diagnosis.candidates])
-        return cls._scaled(fitted, diagnosis.sigma, odds, weights)
-
-    @classmethod
-    def of_problems(cls, rivals: Sequence[tuple[DesignProblem, Array, float]], postures: Array) -> RivalPredictions:
-        """Of any models at postures (N, n), each in a problem, with the covariance (p, p) of its values, fitted to the
-        data at hand, and its -2 log odds, as the BIC is; sigma is that of the first."""
-        if (sigma := rivals[0][0].model.sigma) is None:
-            raise InputError(f"a comparison of models {NEEDS_SIGMA}")
-        fitted = []
-        for one, covariance, _ in rivals:
-            q, p = ca.SX.sym("q", one.joints), ca.SX.sym("p", one.parameters)
-            position = ca.substitute(one.model.symbolic_position(q, p), p, ca.DM(one.model.values))
-            places = np.asarray(ca.Function("position", [q], [position])(postures.T)).T
-            scales = one.model.parameters.scales
-            fitted.append((places, one.scaled_jacobians(postures) * scales, covariance, scales))
-        return cls._scaled(fitted, sigma, np.array([odds for _, _, odds in rivals]), np.zeros(len(rivals)))
-
-    @classmethod
-    def _scaled(cls, fitted: Sequence[tuple[Array, ...]], sigma: float, odds: Array, weights: Array) -> Any:
-        """Of positions, Jacobians, covariances and scales; weights all zero: by the odds."""
-        right, jacobians = float(weights.sum()) or 1.0, []
+        right = float(weights.sum()) or 1.0
         weights = weights if weights.any() else np.exp(-0.5 * (odds - odds.min()))
-        for _, jacobian, covariance, scales in fitted:
-            values, vectors = np.linalg.eigh(covariance * np.outer(scales, scales))
-            jacobians.append(jacobian @ (vectors * np.sqrt(np.maximum(values, 0.0)) / scales[:, None]) / sigma)
-        positions = np.array([position for position, *_ in fitted]) / sigma
-        return cls(weights / weights.sum(), odds - odds[:, None], positions, jacobians, right)
+        return cls(weights / weights.sum(), odds - odds[:, None], np.array(positions), jacobians, right)
 
     def noncentrality(self, chosen: list[int]) -> tuple[Array, Array]:
         """(K, K) lambda^2 of the chosen postures, and (K, K, N) what each posture of the pool would add to it."""

@@ -18,8 +18,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from doe.criteria import A, Criterion, D, Ds, DStar, E, I, inverses
+from doe.criteria import A, Criterion, D, Ds, DStar, E, I, information_matrix, inverses
 from doe.problem.model import offers
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
@@ -31,7 +32,7 @@ from doe.problem.uncertain import (
     tip_jacobians,
     workspace,
 )
-from identification import EFFECT, JOINT_OFFSET, LENGTH_ERROR, Array, ParameterSet, information_matrix, spectrum
+from identification import Array, ParameterSet, spectrum
 
 
 @dataclass(frozen=True)
@@ -48,24 +49,20 @@ class ExpectedDeviations:
     values: Array
     orientation: Array
 
-    @property
-    def planar(self) -> bool:
-        """True if length errors, joint offsets and effects are all there is: the parameters of a planar chain."""
-        return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(self.parameters.kinds)
-
-    def of_joints(self, kind: str) -> Array:
-        """(n,) of the parameters of a kind, by joint."""
+    def of_joints(self, places: NDArray[np.int64]) -> Array:
+        """(n,) of the parameters at these places, by joint."""
         by_joint = np.zeros(self.orientation.size)
-        for k in self.parameters.indices(kind).tolist():
+        for k in places.tolist():
             by_joint[(self.parameters[k].joint or 0) - 1] = self.values[k]
         return by_joint
 
-    length = property(lambda self: self.of_joints(LENGTH_ERROR))
-    joint_offset = property(lambda self: self.of_joints(JOINT_OFFSET))
+    planar = property(lambda self: self.parameters.planar)
+    length = property(lambda self: self.of_joints(self.parameters.length_errors))
+    joint_offset = property(lambda self: self.of_joints(self.parameters.joint_offsets))
 
     def largest(self, unit: str) -> float:
         """Of a length [mm] or an angle [rad] of the arm's geometry; zero where none is estimated."""
-        chosen = [p.unit == unit and p.kind != EFFECT for p in self.parameters]
+        chosen = [p.unit == unit and not p.of_effect for p in self.parameters]
         return float(np.max(self.values[chosen], initial=0.0))
 
 
@@ -110,7 +107,7 @@ def expected_deviations(
         return None
     count, model = (len(model.draws), model.model) if isinstance(model, EnsembleModel) else (1, model)
     stacked, d, parameters = plan_jacobians(problem, postures, weights), model.dimension, model.parameters
-    p, offsets = len(parameters), parameters.indices(JOINT_OFFSET).tolist()
+    p, offsets = len(parameters), parameters.joint_offsets.tolist()
     sums, values, orientations = np.tri(len(offsets)), [], []  # dtheta_j = dq_1 + ... + dq_j
     for k in range(count):
         decomposed = spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p))

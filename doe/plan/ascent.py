@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from doe.criteria import information_matrix
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, information_matrix
+from identification import Array
 
 INSIDE = 1e-6  # [rad] constraints are kept by this much: rounding
 
@@ -46,8 +47,7 @@ class PlanAscent:
         if self.firmness == 0.0:
             return value, slopes
         forces = self.firmness * np.maximum(0.0, INSIDE - self.walls.values(plan) / self.steepness)
-        outside = np.flatnonzero(forces.any(axis=1))
-        slopes[outside] += self.walls.slope(plan[outside], forces[outside] / self.steepness)
+        slopes += self.walls.slope(plan, forces / self.steepness)
         return value - float(np.sum(forces**2)) / (2.0 * self.firmness), slopes
 
     def __call__(self, plan: Array, tolerance: float | None = None, stop: Stop = never) -> Array:

@@ -1,5 +1,4 @@
-"""A plan: the postures to measure, in the order of measurement, or an approximate design with weights; its file; whole
-numbers of runs for weights; and the order of measurement.
+"""Of a plan: whole numbers of runs for weights, and the order of measurement.
 
 *Whole numbers.* F. Pukelsheim, S. Rieder, "Efficient rounding of approximate designs", Biometrika 79 (1992): start from
 ceil((m - k/2) w_i) runs on each of the k support postures; while there are too few, add one where n_i / w_i is
@@ -14,116 +13,15 @@ path instead: no two edges can be exchanged with gain.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from html import escape
-from os import PathLike
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import (
-    Array,
-    ByValue,
-    InputError,
-    frame_of_columns,
-    nearest,
-    plan_file_text,
-    posture_columns,
-    read_plan,
-    readonly,
-)
+from identification import Array, InputError, Plan, nearest
 
 ORDERS = ("given", "random", "travel")
 Path = NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class Plan(ByValue):
-    """m postures of an n-link arm.
-
-    postures : (m, n) joint angles [rad], of prismatic joints positions [mm]
-    weights : (m,) shares of the measurements, summing to one, None: an exact plan, every row is one measurement
-    joint_types : (n) `revolute` or `prismatic`, empty: all revolute; `JointKinds` say how files count them
-    fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
-    """
-
-    postures: Array
-    weights: Array | None = None
-    joint_types: tuple[str, ...] = ()
-    fit: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
-        if self.weights is not None:
-            object.__setattr__(self, "weights", readonly(self.weights))
-
-    def __len__(self) -> int:
-        return len(self.postures)
-
-    @property
-    def links(self) -> int:
-        """n, the number of joints."""
-        return int(self.postures.shape[1])
-
-    @property
-    def shares(self) -> Array:
-        """(m,) weight of every posture; 1/m for an exact plan."""
-        return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """Name, with the unit in which it is shown, -> (m,) positions of each joint, as the controller counts."""
-        return posture_columns(self.postures, self.joint_types or None)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """(n) units in which joints are shown: deg, or mm."""
-        return tuple(name.partition("_")[2] for name in self.columns)
-
-    @property
-    def displayed(self) -> Array:
-        """(m, n) postures in `units`, as the controller counts."""
-        return readonly(np.column_stack([*self.columns.values()]))
-
-    def to_frame(self, kind: str = "polars") -> Any:
-        """A row for each posture, as in a plan file; polars or pandas."""
-        columns = {"run": range(1, len(self) + 1)} | self.columns
-        return frame_of_columns(columns if self.weights is None else columns | {"weight": self.weights}, kind)
-
-    def to_html(self, caption: object) -> str:
-        """A caption and the postures, for notebooks."""
-        return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
-
-    def _repr_html_(self) -> str:
-        from polars import Config
-
-        with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
-            return str(self.to_frame()._repr_html_())
-
-
-# -- files: CSV in degrees ---------------------------------------------------------------------------------------------
-def load_plan(path: str | PathLike[str], joints: int | Sequence[str] | None = None) -> Plan:
-    """The plan of a CSV file `run,q1_deg,...,qn_deg[,weight]`, rows in the order of measurement, `# fit: ...` above.
-
-    joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
-
-    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
-    once about columns that are not used.
-    """
-    file = read_plan(path, joints)
-    return Plan(file.postures, file.weights, fit=file.fit)
-
-
-def plan_text(
-    plan: Plan, joint_types: int | Sequence[str] | None = None, columns: Mapping[str, Sequence[str]] | None = None
-) -> str:
-    """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad).
-
-    columns : of names, (m,) each, that are written besides
-    """
-    return plan_file_text(plan.postures, plan.weights, plan.fit, joint_types, columns)
 
 
 # -- from weights to whole numbers of runs -----------------------------------------------------------------------------
@@ -163,7 +61,8 @@ def ordered(plan: Plan, order: str = "travel", *, seed: int = 0, speeds: Array |
     if order == "random":
         rows = np.random.default_rng(seed).permutation(rows)
     elif order == "travel" and len(plan) > 1:
-        rows = shortest_path(plan.postures, speeds)
+        scaled = plan.postures if speeds is None else plan.postures / speeds
+        rows = shortest_path(np.abs(scaled[:, None] - scaled).max(axis=-1))
     weights = None if plan.weights is None else plan.weights[rows]
     return replace(plan, postures=plan.postures[rows], weights=weights)
 
@@ -174,10 +73,9 @@ def travel(postures: Array, speeds: Array | None = None) -> float:
     return float(moves.max(axis=1).sum())
 
 
-def shortest_path(postures: Array, speeds: Array | None = None) -> Path:
-    """(m,) rows in the order of the shortest open path; never longer than the order given."""
-    scaled, m = postures if speeds is None else postures / speeds, len(postures)
-    cost = np.abs(scaled[:, None] - scaled).max(axis=-1)
+def shortest_path(cost: Array) -> Path:
+    """(m,) rows in the order of the shortest open path by the costs (m, m) of edges; never longer than that given."""
+    m = len(cost)
     padded = np.pad(cost, (0, 1))  # the last row is the dummy posture that joins the ends
     starts = [np.arange(m)]
     for first in range(0, m, max(1, m // 20)):  # always on to the nearest posture not yet visited

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from doe.criteria import information_matrix
 from doe.problem.postures import half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
-from identification import Array, information_matrix
+from identification import Array
 
 ROUNDING = 1.0 + 1e-9
 CHUNK = 10_000_000  # pairs of rows to compare one by one

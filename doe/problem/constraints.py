@@ -1,13 +1,13 @@
-"""What a posture must satisfy besides the joint limits: expressions that are kept >= 0, written once in CasADi.
+"""What a posture must satisfy besides the joint limits: margins that are kept >= 0.
 
 Solvers climb along them, and plans are judged by them. Each is a signed distance [mm], or has the sign of one and about
-its size where it is near zero. Links are thin and run from joint to joint, at the best known values of the model's
-parameters.
+its size where it is near zero, at the best known values of the model's parameters. Most are expressions, written once
+in CasADi, for which links are thin and run from joint to joint; those of bodies are in `doe.problem.clearance`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -16,15 +16,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from doe.problem.model import Offers, offered
-from identification import REVOLUTE, Array, InputError, design_model
-from identification.vectorize import vectorize
+from doe.problem.clearance import Clearance, Slopes
+from doe.problem.model import PRISMATIC, Offers, offered, offers
+from identification import Array, InputError, design_model, vectorize
 
-# every plan in space says this, in words and as the key `collisions_checked`, until collisions are looked at
-COLLISIONS = (
-    "Collisions were not looked at, neither of the arm with itself nor with what is around it: try each posture "
-    "slowly, or let armcal design --candidates FILE choose from postures that you allow."
-)
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 FLAT = 1e-9  # [mm] lengths that divide nothing
 Points = list[ca.SX]  # base, joints and tip
@@ -59,15 +54,99 @@ class Expression:
         return vectorize(ca.Function("constraint", [q], [ca.cse(ca.densify(self.symbolic(q)))]))
 
 
-def constraints_of(model: Any) -> tuple[Expression, ...]:
+class Derivatives:
+    """Of an expression C, whose entries have the `shape` (...), by a of the joints, at many postures.
+
+    A criterion needs second derivatives only in sums <W, C> over the entries with weights W (m, ...), and its gradient
+    alone no more than the slope of such a sum: reverse differentiation gives each at a few times the cost of C itself.
+    """
+
+    def __init__(self, q: ca.SX, expression: ca.SX, joints: Sequence[int], shape: tuple[int, ...]) -> None:
+        self.shape = shape
+        entries = ca.densify(ca.vec(expression.T))
+        self._active, self.count = q[list(joints)], entries.numel()
+        weights = ca.SX.sym("w", self.count)
+        total = ca.dot(entries, weights)
+        self._parts = {
+            "values": ([q], lambda: [entries]),
+            "first": ([q], lambda: [entries, ca.jacobian(entries, self._active)]),
+            "slope": ([q, weights], lambda: [ca.gradient(total, self._active)]),
+            "bend": ([q, weights], lambda: [ca.hessian(total, self._active)[0]]),
+        }
+        self._compiled: dict[str, Callable[..., tuple[Array, ...]]] = {}
+
+    def _evaluated(self, name: str, *arguments: Array) -> tuple[Array, ...]:
+        if name not in self._compiled:
+            inputs, outputs = self._parts[name]
+            function = ca.Function("derivatives", inputs, ca.cse([ca.densify(each) for each in outputs()]))
+            self._compiled[name] = vectorize(function)
+        return self._compiled[name](*arguments)
+
+    def values(self, postures: Array) -> Array:
+        """(m, ...) C."""
+        return self._evaluated("values", postures)[0].reshape(-1, *self.shape)
+
+    def first(self, postures: Array) -> tuple[Array, Array]:
+        """(m, ...) C and its derivatives (m, a, ...)."""
+        values, slopes = self._evaluated("first", postures)
+        slopes = np.swapaxes(slopes, 1, 2)
+        return values.reshape(-1, *self.shape), slopes.reshape(*slopes.shape[:2], *self.shape)
+
+    def slope(self, postures: Array, weights: Array) -> Array:
+        """(m, a) gradients of <W, C>."""
+        return self._evaluated("slope", postures, weights.reshape(-1, self.count))[0][..., 0]
+
+    def bend(self, postures: Array, weights: Array) -> Array:
+        """(m, a, a) Hessians of <W, C>."""
+        return self._evaluated("bend", postures, weights.reshape(-1, self.count))[0]
+
+
+class Walls:
+    """The margins of all constraints, side by side, and their derivatives by some of n joints."""
+
+    def __init__(self, constraints: Sequence[Constraint], n: int, joints: Sequence[int]) -> None:
+        q = ca.SX.sym("q", n)
+        walls = ca.SX(ca.vertcat(*(each.symbolic(q) for each in constraints if isinstance(each, Expression))))
+        self._parts: list[Derivatives | Slopes] = [Derivatives(q, walls, joints, (walls.numel(),))]
+        self._parts += [Slopes(each, joints) for each in constraints if isinstance(each, Clearance)]
+
+    def values(self, postures: Array) -> Array:
+        """(m, k) margins."""
+        return np.concatenate([part.values(postures) for part in self._parts], axis=1)
+
+    def first(self, postures: Array) -> tuple[Array, Array]:
+        """(m, k) margins and their derivatives (m, a, k)."""
+        values, slopes = zip(*(part.first(postures) for part in self._parts), strict=True)
+        return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
+
+    def slope(self, postures: Array, weights: Array) -> Array:
+        """(m, a) gradients of the sums of margins with weights (m, k)."""
+        return np.sum([part.slope(postures, each) for part, each in self._weighted(weights)], axis=0)
+
+    def bend(self, postures: Array, weights: Array) -> Array:
+        """(m, a, a) Hessians of the sums of margins with weights (m, k)."""
+        return np.sum([part.bend(postures, each) for part, each in self._weighted(weights)], axis=0)
+
+    def _weighted(self, weights: Array) -> Iterator[tuple[Derivatives | Slopes, Array]]:
+        counts = [part.count for part in self._parts]
+        return zip(self._parts, np.split(weights, np.cumsum(counts)[:-1], axis=1), strict=True)
+
+
+Constraint = Expression | Clearance
+
+
+def constraints_of(model: Any) -> tuple[Constraint, ...]:
     """The constraints that a model has, ready to be evaluated; none of one that has none."""
-    model, made = design_model(model), list[Expression]()
+    model, made = design_model(model), list[Constraint]()
     for limit in getattr(model, "constraints", ()):
         space = offered(model, "space", "constraints")
         build = {"line_of_sight": in_sight if space == 2 else in_view}.get(limit.kind) or KINDS[limit.kind]
         if build is in_sight and len(limit.tracker) != space:
             raise InputError(f"line_of_sight: a tracker in {len(limit.tracker)} dimensions, allowed: in {space}")
         made.append(Expression(partial(build, model, limit), len(model.joint_types), limit.kind))
+    if offers(model, "cell") and model.cell.bodies:
+        sights = [np.array(limit.tracker) for limit in model.constraints if limit.kind == "line_of_sight"]
+        made.append(Clearance(model, sights if model.space == 3 else ()))
     return tuple(made)
 
 
@@ -75,7 +154,7 @@ def constraints_of(model: Any) -> tuple[Expression, ...]:
 def within_column(model: Offers, limit: Any, q: ca.SX) -> ca.SX:
     """(2,) A joint that the controller counts together with others stays within its limits; an angle is the distance
     that it is at full reach."""
-    unit = model.reach if model.joint_types[limit.joint - 1] == REVOLUTE else 1.0
+    unit = 1.0 if model.joint_types[limit.joint - 1] == PRISMATIC else model.reach
     column = sum((c * q[j] for j, c in enumerate(limit.coefficients) if c), ca.SX(0.0))
     return unit * ca.vertcat(column - limit.lower, limit.upper - column)
 
@@ -132,7 +211,8 @@ def in_sight(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     """(k,) The tracker of space sees the reflector: inside its cone and range, not from behind, no link near the line
-    of sight; links have a radius here, and the last, which carries the reflector, is not in the way."""
+    of sight; links have a radius here, and the last, which carries the reflector, is not in the way. Where the model
+    has bodies, these are looked at instead (`Clearance`)."""
     points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)
     tip = points[-1]
     distance, expressions = ca.norm_2(tip - tracker), [_in_cone(sight, tip)]
@@ -144,8 +224,10 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
         looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
-    links = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in pairwise(points[:-1])]
-    return ca.vertcat(*expressions, *links)
+    solid = offers(model, "cell") and model.cell.bodies
+    links = [] if solid else [*pairwise(points[:-1])]
+    gaps = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
+    return ca.vertcat(*expressions, *gaps)
 
 
 KINDS: dict[str, Callable[..., ca.SX]] = {

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from identification import Array, InputError, ParameterSet
 
@@ -51,6 +51,8 @@ class Offers(Protocol):
     Geometry, for constraints
         constraints : of `identification.workspace`;  space : coordinates of a point, 2 or 3;  reach : [mm]
         symbolic_points : q (n,) -> k points (space,), base, joints and tip [mm]
+        cell : `identification.bodies.Cell`, None: nothing is known of any body;  joint_axes : (n, 3) each in its frame
+        joint_frames : (m, n) -> (m, n + 1, 4, 4) of the joints and of the measured point [mm], in that of the base
         with_tip_moved : (3,) [mm] in the tip's own frame -> the model with its tip there: where a reflector looks
     What is settled before a plan is made
         placed : -> the model as plans are made for it: what it leaves open is assumed, with a warning
@@ -77,6 +79,9 @@ class Offers(Protocol):
     space: int
     reach: float
     symbolic_points: Callable[[ca.SX], list[ca.SX]]
+    cell: Any
+    joint_axes: Array
+    joint_frames: Callable[[Array], Array]
     with_tip_moved: Callable[[Array], Any]
     placed: Callable[[], Any]
     tied: bool
@@ -93,7 +98,17 @@ class Offers(Protocol):
     theorem_joints: tuple[int, ...] | None
 
 
+PRISMATIC = "prismatic"  # the joint type whose position is a length
+NEEDS_SIGMA = (  # the end of a sentence
+    "needs the instrument's scatter: add to the arm file the line [measurement] and below it sigma_mm = 0.05, "
+    "or what the standard deviation of one coordinate is [mm]"
+)
 REQUIRED = (*DesignModel.__annotations__, "symbolic_position")
+
+
+def turns(model: DesignModel) -> NDArray[np.bool_]:
+    """(n,) True for joints that turn: their positions are angles [rad], of the others lengths [mm]."""
+    return np.array([kind != PRISMATIC for kind in model.joint_types])
 
 
 def check_model(model: Any) -> None:

@@ -21,11 +21,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from doe.criteria import Criterion, D
-from doe.problem.constraints import Expression, constraints_of
-from doe.problem.model import DesignModel, check_model, offers
-from identification import EFFECT, NEEDS_SIGMA, PRISMATIC, Array, InputError, design_model, information_matrix, readonly
-from identification.vectorize import vectorize
+from doe.criteria import Criterion, D, information_matrix
+from doe.problem.constraints import Constraint, Derivatives, Walls, constraints_of
+from doe.problem.model import NEEDS_SIGMA, DesignModel, check_model, offers, turns
+from identification import Array, InputError, design_model, readonly, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
 MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
@@ -99,7 +98,7 @@ class DesignProblem:
     lower: Array = None  # type: ignore[assignment]  # arrays from construction on
     upper: Array = None  # type: ignore[assignment]
     criterion: Criterion = field(default_factory=D)
-    constraints: Sequence[Expression] = ()
+    constraints: Sequence[Constraint] = ()
     kept: Array = None  # type: ignore[assignment]
     choices: Array | None = None
     sampled: bool = False
@@ -164,8 +163,7 @@ class DesignProblem:
 
         1 rad of a revolute joint; of a prismatic one [mm] such that its range counts as one turn.
         """
-        prismatic = [joint_type == PRISMATIC for joint_type in self.model.joint_types]
-        return np.where(prismatic, (self.upper - self.lower) / (2.0 * np.pi), 1.0)
+        return np.where(turns(self.model), 1.0, (self.upper - self.lower) / (2.0 * np.pi))
 
     def comparable(self, postures: Array) -> Array:
         """(..., n) postures in `joint_units`, in which one tolerance [rad] holds for every joint."""
@@ -174,7 +172,7 @@ class DesignProblem:
     @property
     def spacing(self) -> str:
         """The minimum distance in words."""
-        stroke = " (360 deg: the range of a prismatic joint)" if PRISMATIC in self.model.joint_types else ""
+        stroke = "" if turns(self.model).all() else " (360 deg: the range of a prismatic joint)"
         return f"{np.degrees(self.minimum_distance):g} deg{stroke}"
 
     @property
@@ -190,7 +188,7 @@ class DesignProblem:
     @property
     def missing(self) -> tuple[str, ...]:
         """Names of the parameters of effects that may be missing, which have a prior."""
-        return tuple(p.name for p in self.model.parameters if p.kind == EFFECT and p.name in self.deviations)
+        return tuple(p.name for p in self.model.parameters if p.of_effect and p.name in self.deviations)
 
     @property
     def fewest_runs(self) -> int:
@@ -309,60 +307,11 @@ class DesignProblem:
         jacobian = self.scaled_jacobian_function(q)
         return Derivatives(q, jacobian, joints, jacobian.shape)
 
-    def wall_derivatives(self, joints: Sequence[int]) -> Derivatives:
-        """Of all constraints' expressions (k,), which are kept >= 0, by some joints."""
-        q = ca.SX.sym("q", self.joints)
-        walls = ca.SX(ca.vertcat(*(constraint.symbolic(q) for constraint in self.constraints)))
-        return Derivatives(q, walls, joints, (walls.numel(),))
+    def wall_derivatives(self, joints: Sequence[int]) -> Walls:
+        """Of all constraints' margins (k,), which are kept >= 0, by some joints."""
+        return Walls(self.constraints, self.joints, joints)
 
 
 def information_of_each(jacobians: Array) -> Array:
     """(..., p, p) B^T B of every posture by itself, from (..., d, p) B."""
     return np.swapaxes(jacobians, -1, -2) @ jacobians
-
-
-class Derivatives:
-    """Of an expression C, whose entries have the `shape` (...), by a of the joints, at many postures.
-
-    A criterion needs second derivatives only in sums <W, C> over the entries with weights W (m, ...), and its gradient
-    alone no more than the slope of such a sum: reverse differentiation gives each at a few times the cost of C itself.
-    """
-
-    def __init__(self, q: ca.SX, expression: ca.SX, joints: Sequence[int], shape: tuple[int, ...]) -> None:
-        self.shape = shape
-        entries = ca.densify(ca.vec(expression.T))
-        self._active, self._count = q[list(joints)], entries.numel()
-        weights = ca.SX.sym("w", self._count)
-        total = ca.dot(entries, weights)
-        self._parts = {
-            "values": ([q], lambda: [entries]),
-            "first": ([q], lambda: [entries, ca.jacobian(entries, self._active)]),
-            "slope": ([q, weights], lambda: [ca.gradient(total, self._active)]),
-            "bend": ([q, weights], lambda: [ca.hessian(total, self._active)[0]]),
-        }
-        self._compiled: dict[str, Callable[..., tuple[Array, ...]]] = {}
-
-    def _evaluated(self, name: str, *arguments: Array) -> tuple[Array, ...]:
-        if name not in self._compiled:
-            inputs, outputs = self._parts[name]
-            function = ca.Function("derivatives", inputs, ca.cse([ca.densify(each) for each in outputs()]))
-            self._compiled[name] = vectorize(function)
-        return self._compiled[name](*arguments)
-
-    def values(self, postures: Array) -> Array:
-        """(m, ...) C."""
-        return self._evaluated("values", postures)[0].reshape(-1, *self.shape)
-
-    def first(self, postures: Array) -> tuple[Array, Array]:
-        """(m, ...) C and its derivatives (m, a, ...)."""
-        values, slopes = self._evaluated("first", postures)
-        slopes = np.swapaxes(slopes, 1, 2)
-        return values.reshape(-1, *self.shape), slopes.reshape(*slopes.shape[:2], *self.shape)
-
-    def slope(self, postures: Array, weights: Array) -> Array:
-        """(m, a) gradients of <W, C>."""
-        return self._evaluated("slope", postures, weights.reshape(-1, self._count))[0][..., 0]
-
-    def bend(self, postures: Array, weights: Array) -> Array:
-        """(m, a, a) Hessians of <W, C>."""
-        return self._evaluated("bend", postures, weights.reshape(-1, self._count))[0]

@@ -20,10 +20,10 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from doe.criteria import Average, I, Worst
-from doe.problem.model import DesignModel, offered, offers
+from doe.problem.model import NEEDS_SIGMA, DesignModel, offered, offers
 from doe.problem.postures import half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
-from identification import NEEDS_SIGMA, Array, InputError, ParameterSet, design_model, nearest, readonly
+from identification import Array, InputError, ParameterSet, design_model, nearest, readonly
 
 KINDS = {"average": Average, "worst": Worst}
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.plan.plan import Plan
 from doe.plan.spacing import distance_to_keep
-from doe.problem.constraints import COLLISIONS
+from doe.problem.clearance import COLLISIONS, Clearance, distance_in_words
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
+from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
-from identification import EFFECT, Array, Model
-from identification.document import Document, Pictures, PlanSteps, Section, Sheet, facts_sheet, in_a_sentence, number
+from identification import Array, Model, Plan
+from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -88,7 +90,7 @@ def design_facts(data: Data, status: str) -> Sheet:
         optimal = f"no: {are} outside joint limits or constraints"
     upper = None if in_mm or not words else f"{number(bound['value'], 7)} ({words})"
     searched = f"{data['solver']}, {data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
-    return facts_sheet(
+    return Sheet.facts(
         [
             ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
             (f"value of {kind}", None if kind == "D" or in_mm else number(data["value"], 7)),
@@ -138,7 +140,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    worst, missing = design.worst_deviations, missing_parameters(problem)
+    worst, missing = design.worst_deviations, problem.missing
     over = "" if worst is None else ", mean over the draws of the arm and worst of them"
     columns: dict[str, Array] = {}
     for which, deviations in (("", mean), ("worst ", worst)):
@@ -152,7 +154,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
         # above half of the deviation before, the prior says more of a parameter than the plan
-        if not mean.planar and p.kind != EFFECT and std > 0.5 * problem.deviations.get(p.name, np.inf)
+        if not mean.planar and not p.of_effect and std > 0.5 * problem.deviations.get(p.name, np.inf)
     ]
     names = ["" if p.name in {*missing, *weak} else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
     names = [str(link) for link in range(1, mean.length.size + 1)] if mean.planar else names
@@ -165,14 +167,9 @@ def accuracy(design: Design) -> list[Sheet | str]:
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]
 
 
-def missing_parameters(problem: DesignProblem) -> list[str]:
-    """Names of the parameters of effects that may be missing."""
-    return [p.name for p in problem.model.parameters if p.kind == EFFECT and p.name in problem.deviations]
-
-
 def missing_lines(design: Design) -> list[str]:
     """What a plan is for where effects may be missing; or, where the model has none, that they may be."""
-    problem, missing = design.problem, missing_parameters(design.problem)
+    problem, missing = design.problem, design.problem.missing
     held = len(problem.deviations) - len(missing)
     lines = [f"{held} corrections of the geometry have the prior of its machining"] if held else []
     if missing:
@@ -183,7 +180,7 @@ def missing_lines(design: Design) -> list[str]:
         if equations < problem.parameters:
             few = f"{equations} equations for {problem.parameters} parameters"
             lines.append(f"{few}: so few runs stay far from the bound")
-    elif problem.model.sigma is not None and not any(p.kind == EFFECT for p in problem.model.parameters):
+    elif problem.model.sigma is not None and not any(p.of_effect for p in problem.model.parameters):
         lines.append("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")
     return lines
 
@@ -208,57 +205,79 @@ STEPS = (
 
 
 def plan_section(
-    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan.csv", lead: str = ""
+    arm: Arm, plan: Plan, name: str = "", lead: str = "", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> Section:
     """A part of a page in which the plan is stepped through, reordered and cut; a long one or one of weights is drawn.
 
-    cells : columns of the file of the plan, which the edited plan keeps
+    name : of the plan's file, if it has one;  tests : measurements -> what a calibrated arm in space leaves of them
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    lead = lead if arm.chain.planar else f"{lead} {COLLISIONS}".strip()
-    title = f"The plan {name}" if cells is not None else "The plan"
-    if (steps := plan_steps(arm, plan, cells, Path(name).stem)) is not None:
-        return Section(title, [PlanSteps(steps, f"{lead} {STEPS}".strip())])
-    sentence = f"{lead} {len(plan)} runs, too many or weighted: drawn only."
-    return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.postures)])])
+    problem, postures = DesignProblem.of(Model(arm)), plan.measured.postures
+    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
+    near = [line for clearance in looked for line in clearance.in_words(postures)]
+    near = near if looked or arm.chain.planar else [COLLISIONS]
+    title = f"The plan {name}".rstrip()
+    if (steps := plan_steps(problem, plan, Path(name or "plan.csv").stem, tests)) is not None:
+        short = [
+            line.replace("each other:", "each other; step to a run to see which.") for line in near if line[0] != " "
+        ]
+        return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip(), *short], steps)])
+    sentence = f"{lead} {len(postures)} runs, too many or weighted: drawn only.".strip()
+    return Section(title, [Pictures(lambda: [sentence, *near, plan_figure(arm, postures)])])
 
 
 def plan_steps(
-    arm: Arm, plan: Plan, cells: Mapping[str, Sequence[str]] | None = None, name: str = "plan"
+    problem: DesignProblem, plan: Plan, name: str = "plan", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
-    Jacobians to 12 digits. None for a plan that is too long for it, or one of weights.
+    of which an edited plan keeps all columns, Jacobians to 12 digits, and which bodies are too near to each other. None
+    for a plan too long for it, or of weights.
 
-    name : of the edited file, without its ending
+    problem : of an arm;  name : of the edited file, without its ending
     """
     from doe.report.figures import FORBIDDEN, outlines
+    from doe.report.scene import scene
 
     def rounded(values: Array, digits: int) -> Any:
         array = np.asarray(values, dtype=float)
         return np.array([float(f"{value:.{digits}g}") for value in array.ravel()]).reshape(array.shape).tolist()
 
-    problem = DesignProblem.of(Model(arm))
+    # way-points belong to the move to the run after them, and are kept as long as the run before it stays the same
+    ends = [-1, *np.flatnonzero(np.ones(len(plan), dtype=bool) if plan.via is None else ~plan.via)]
+    ways = [range(start + 1, end) for start, end in pairwise(ends)]
+    via = [plan.postures[list(way)].tolist() for way in ways]
+    texts = [*zip(*plan.cells.values(), strict=True)]
+    plan = plan.measured
     numbers = len(plan) * problem.model.dimension * problem.parameters
     # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
     if plan.weights is not None or len(plan) > 200 or numbers > 150_000:
         return None
-    if cells is None:
+    model: Any = problem.model
+    arm, cells = model.arm, plan.cells
+    near: list[list[dict[str, Any]]] = [[] for _ in range(len(plan))]
+    for clearance in (each for each in problem.constraints if isinstance(each, Clearance)):
+        for run, pair, gap in clearance.too_near(plan.postures):
+            near[run - 1].append({"bodies": pair, "text": distance_in_words(pair, gap)})
+    if not cells:
         columns = zip(plan.units, plan.displayed.T, strict=True)
         cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
-    return {
+    steps = {
         "file": f"{name}-edited.csv",
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
+        "ways": [[texts[row] for row in way] for way in ways],
         "joints": posture_headings(plan),
         "postures": rounded(plan.displayed, 6),
         "jacobians": rounded(problem.scaled_jacobians(plan.postures).reshape(len(plan), -1), 12),
         "parameters": problem.parameters,
         "known": rounded(problem.precisions, 12),
-        "points": rounded(Model(arm).points(plan.postures), 5),
+        "points": rounded(model.points(plan.postures), 5),
+        "near": near,
         "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
     }
+    return steps if arm.chain.planar else steps | {"scene": scene(model, plan.postures, via, tests)}
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------
@@ -362,7 +381,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> 
     answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
     title = "Cross-check: independent answers (Table I: deviation from orthogonality)"
     check = Sheet(("method", "over", "value", "upper bound", "Table I"), answers, title)
-    return Document("Weights", [], [facts_sheet(facts), support, *rest, check])
+    return Document("Weights", [], [Sheet.facts(facts), support, *rest, check])
 
 
 # -- missing effects ---------------------------------------------------------------------------------------------------

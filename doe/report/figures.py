@@ -8,15 +8,19 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from doe.advise import Advice
+from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
-from identification import PRISMATIC, REVOLUTE, Arm, Array, Model
+from doe.report.scene import looks, side, simplified, trackers
+from identification import Arm, Array, Model, design_model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
-SIDES = ((22.0, -60.0), (22.0, 30.0))  # [deg] elevation and azimuth of the two views of a spatial arm
+LINK, CELL, FLOOR, SIGHT = "#a9bccb", "#cdbfa8", "#e9edf1", "#2f8f5b"  # as in page.css
+DRAWN = 6000  # triangles of all bodies
 PLANE = "xy"
 
 
@@ -29,10 +33,12 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     if not arm.chain.planar:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
-        for k, side in enumerate(SIDES, start=1):
-            draw_side(top.add_subplot(1, len(SIDES), k, projection="3d"), arm, shown, side)
-        top.subplots_adjust(left=0.03, right=0.93, bottom=0.06, top=0.94, wspace=0.3)
-        top.suptitle(f"{count}, from two sides; light to dark in order of measurement", fontsize=9)
+        up, around = side(arm)
+        for k, view in enumerate(((up, around), (up, around + 90.0)), start=1):
+            draw_side(top.add_subplot(1, 2, k, projection="3d"), arm, shown, view)
+        first = "" if arm.cell is None else "; bodies as in the first"
+        top.subplots_adjust(left=0.09, right=0.9, bottom=0.06, top=0.94, wspace=0.3)
+        top.suptitle(f"{count}, from two sides; light to dark in order of measurement{first}", fontsize=9)
         bottom.subplots_adjust(left=0.06, right=0.97, bottom=0.2)
         draw_joints(bottom.subplots(), arm, postures)
         return figure
@@ -55,8 +61,8 @@ def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
         colors = run_colors(len(postures))
         joints.scatter(factor * postures[:, j], np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
     joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
-    labels = {REVOLUTE: "angle [deg]", PRISMATIC: "position [mm]"}
-    joints.set_xlabel(" or ".join(sorted({labels[kind] for kind in types})))
+    labels = {"deg": "angle [deg]", "mm": "position [mm]"}
+    joints.set_xlabel(" or ".join(sorted({labels[in_files(kind)[0]] for kind in types})))
     joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
 
@@ -93,12 +99,16 @@ def draw_constraints(axes: Any, arm: Arm) -> None:
         axes.plot(*np.array([tracker]).T, "k^", ms=6, **cut)
 
 
-def draw_side(axes: Any, arm: Arm, postures: Array, side: tuple[float, float] = SIDES[0], zoom: float = 1.1) -> None:
-    """A spatial arm at postures (m, n) and what constrains it, from one side.
+def draw_side(axes: Any, arm: Arm, postures: Array, view: tuple[float, float] | None = None, zoom: float = 1.1) -> None:
+    """A spatial arm at postures (m, n), its bodies at the first of them, and what constrains it, from one side.
 
+    view : [deg] elevation and azimuth, None: as the page has it
     zoom : of the box in its place, whose sides have the same scale
     """
+    view = view or side(arm)
     draw_arm(axes, arm, postures)
+    if arm.cell is not None:
+        draw_bodies(axes, arm, postures[0], view)
     limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])  # of the arm: a tracker may be far from it
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     draw_constraints(axes, arm)
@@ -106,7 +116,46 @@ def draw_side(axes: Any, arm: Arm, postures: Array, side: tuple[float, float] = 
     for one in (axes.xaxis, axes.yaxis, axes.zaxis):
         one.set_major_locator(MaxNLocator(4))
     axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=zoom)
-    axes.view_init(*side)
+    axes.view_init(*view)
+
+
+def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) -> None:
+    """The bodies of a cell, with the arm at a posture (n,): the sides of each that face the viewer, shaded; the floor,
+    and the lines of sight from trackers."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    assert arm.cell is not None
+    frames = np.concatenate([np.eye(4)[None], design_model(Model(arm)).joint_frames(posture[None])[0]])
+    elevation, azimuth = np.radians(view)
+    viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    seen, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
+    for body in (one for one in arm.cell.bodies if len(looks(one))):
+        vertices, faces = simplified(looks(body), DRAWN // len(arm.cell.bodies))
+        corners = (vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals *= np.sign(np.linalg.det(corners - corners.mean(axis=(0, 1))).sum()) or 1.0  # outward
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        front = normals @ viewer > -0.1  # perspective shows a little more than parallel rays
+        lit = np.clip(normals[front] @ (viewer + np.eye(3)[2]), 0.0, 1.5)  # from above the viewer
+        seen.append(corners[front])
+        colors.append(np.clip((0.5 + 0.4 * lit)[:, None] * to_rgb(LINK if body.joint else CELL), 0.0, 1.0))
+    paint = np.concatenate(colors)  # in one collection, of which far ones are drawn first
+    if len(paint):
+        polygons = Poly3DCollection(np.concatenate(seen), facecolors=paint, edgecolors=paint, lw=0.3, zorder=3)
+        axes.add_collection3d(polygons)
+    within = [*(corners.reshape(-1, 3) for corners in seen), frames[:, :3, 3]]
+    floor = arm.cell.floor
+    axes.auto_scale_xyz(*np.concatenate([*within, [[0.0, 0.0, floor or 0.0]]]).T, had_data=True)
+    axes.autoscale(False)
+    axes.computed_zorder = False  # a floor hides nothing that is above it
+    for tracker in trackers(arm):
+        axes.plot(
+            *np.linspace(np.array(tracker), frames[-1, :3, 3], 50).T, color=SIGHT, lw=0.8, axlim_clip=True, zorder=4
+        )
+    if floor is not None:
+        (left, right), (near, far) = axes.get_xlim(), axes.get_ylim()
+        ground = [(left, near, floor), (right, near, floor), (right, far, floor), (left, far, floor)]
+        axes.add_collection3d(Poly3DCollection([ground], facecolors=FLOOR, edgecolors="#b9c2cb", lw=0.5, zorder=0.5))
 
 
 def outlines(arm: Arm) -> list[tuple[Array, str]]:

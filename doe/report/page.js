@@ -4,6 +4,11 @@
 const KEYS = "Tap or click a run to select it; the buttons above act on the selected run. Keys in the table: " +
   "↑ and ↓, Page Up, Page Down, Home and End select; Alt with ↑ or ↓ moves the run; Delete strikes it out or puts it back. " +
   "Without it: the D-efficiency that is left without this run.";
+const KEYS_IN_SPACE = " Click a point in the picture to select its run; drag to turn the view, with two fingers or the right button to move it; pinch, or click and use the wheel, " +
+  "to zoom. Keys in the picture: ← and → step, Space plays, Delete strikes out; Shift with an arrow turns the view, W, A, S and D " +
+  "move it, + and − zoom, 0 goes back to the first view.";
+const [PLAY, PAUSE] = ["▶ Play", "❚❚ Pause"];
+const SPEED = { revolute: Math.PI / 2, prismatic: 300 }; // a second, of the moves that are played
 
 function element(name, parent, text = "", attributes = {}) {
   const found = document.createElement(name);
@@ -62,7 +67,7 @@ class Steps {
     this.turn = 30;
     this.whole = logDet(information(plan, plan.rows.keys()));
     [this.left, this.right] = [element("div", place), element("div", place)];
-    element("p", place, KEYS, { class: "keys", id: `${place.dataset.plan}-keys` });
+    this.keys = element("p", place, KEYS, { class: "keys", id: `${place.dataset.plan}-keys` });
     this.runs = element("div", place, "", { class: "runs scroll" });
     this.reset();
     this.build();
@@ -79,24 +84,114 @@ class Steps {
 
   build() {
     const names = { role: "img", "aria-label": "The arm at the postures of the plan" };
-    this.picture = shape("svg", this.left, { viewBox: "0 0 400 320", ...names });
+    this.picture = shape("svg", this.left, { class: "still", viewBox: "0 0 400 320", ...names });
+    if (this.plan.scene) this.space();
     this.where = element("p", this.left, "", { class: "where", "aria-live": "polite" });
     const buttons = element("div", this.left, "", { class: "buttons" });
     this.button(buttons, "◀ Back", () => this.step(-1));
     this.button(buttons, "Step ▶", () => this.step(1));
+    if (this.cell) this.playing = this.button(buttons, PLAY, () => this.play());
     this.button(buttons, "▲ Earlier", () => this.move(this.at, -1));
     this.button(buttons, "▼ Later", () => this.move(this.at, 1));
     this.striking = this.button(buttons, "", () => this.strike(this.order[this.at]));
     if (this.plan.points[0][0].length === 3) {
-      const label = element("label", buttons, "Turn the view ");
+      const label = element("label", buttons, "Turn the view ", { class: "still" });
       const slider = element("input", label, "", { type: "range", min: 0, max: 360, value: this.turn });
       slider.addEventListener("input", () => { this.turn = Number(slider.value); this.draw(); });
     }
+    if (this.cell && this.plan.scene.errors.length) this.errors(element("fieldset", this.left));
     this.figures = element("dl", this.right, "", { "aria-live": "polite" });
     const more = element("div", this.right, "", { class: "buttons" });
     this.button(more, "Download the edited plan (CSV)", () => this.download());
     this.button(more, "Undo all", () => { this.reset(); this.show(); });
     this.table();
+  }
+
+  // the cell in three dimensions, over the drawing, which stands in for it in print and where there is no WebGL
+  space() {
+    this.turn = (this.plan.scene.view[1] + 450) % 360; // the drawing from the same side
+    if (!document.createElement("canvas").getContext("webgl2")) return;
+    const place = this.left.parentElement;
+    this.cell = new Cell(this.left, this.plan);
+    place.classList.add("live");
+    this.keys.textContent += KEYS_IN_SPACE;
+    const { canvas } = this.cell;
+    canvas.setAttribute("aria-describedby", this.keys.id);
+    canvas.addEventListener("keydown", event => (this.cell.key(event) ? event.preventDefault() : this.key(event)));
+    canvas.addEventListener("webglcontextlost", () => place.classList.remove("live"));
+    let from;
+    canvas.addEventListener("pointerdown", event => { from = [event.offsetX, event.offsetY]; });
+    canvas.addEventListener("click", event => {
+      const run = Math.hypot(event.offsetX - from[0], event.offsetY - from[1]) < 5 ? this.cell.runAt(event) : undefined;
+      if (run !== undefined) { this.at = this.order.indexOf(run); this.show(); }
+    });
+  }
+
+  // which errors are shown as arrows, of which measurements
+  errors(box) {
+    const every = this.plan.scene.errors, wanted = new Set(["before", "after"]);
+    element("legend", box, "Measured errors");
+    const chosen = element("select", box, "", { "aria-label": "Measurements" });
+    every.forEach(({ name, rows, at }, k) => element("option", chosen, `${name}, ${rows} rows${rows > at.length ? `, of which ${at.length}` : ""}`, { value: k }));
+    const kinds = element("div", box), said = element("p", box, "", { "aria-live": "polite" });
+    const show = () => { said.textContent = `Arrows: ${this.cell.errors(every[chosen.value], wanted)} times as long as the errors.`; };
+    const choose = () => {
+      kinds.replaceChildren();
+      for (const { kind, name, rms } of every[chosen.value].models) {
+        const label = element("label", kinds, "", { class: kind }), tick = element("input", label, "", { type: "checkbox" });
+        label.append(` ${kind}: ${name}, RMS ${rms.toPrecision(3)} mm`);
+        tick.checked = wanted.has(kind);
+        tick.addEventListener("change", () => { wanted[tick.checked ? "add" : "delete"](kind); show(); });
+      }
+      show();
+    };
+    chosen.addEventListener("change", choose);
+    choose();
+  }
+
+  // place of the next run that is kept, -1: there is none
+  get next() { return this.order.findIndex((run, place) => place > this.at && !this.struck.has(run)); }
+
+  // whether the move to a place among the runs that are kept is that of the file, which its way-points belong to
+  follows(place) { return (this.kept[place - 1] ?? -1) === this.kept[place] - 1; }
+
+  // joint positions from the current run to the next one
+  get way() {
+    const { postures, via } = this.plan.scene, from = this.order[this.at], to = this.order[this.next];
+    return to === undefined ? [] : [postures[from], ...(to === from + 1 ? via[to] : []), postures[to]];
+  }
+
+  // plays the moves from the current run on, or from the first one; once more: pauses
+  async play() {
+    const playing = this.playing.textContent === PLAY;
+    this.pause();
+    if (!playing) return;
+    if (this.next < 0) { this.at = -1; this.at = Math.max(this.next, 0); this.show(); }
+    const mine = this.played = {}, types = this.plan.scene.chain.map(step => step.type);
+    this.playing.textContent = PAUSE;
+    while (this.next >= 0) {
+      const way = this.way;
+      for (let k = 1; k < way.length; k++) {
+        const [from, to] = [way[k - 1], way[k]], start = performance.now();
+        const seconds = Math.max(...from.map((q, j) => Math.abs(to[j] - q) / SPEED[types[j]]), 0.2);
+        for (let part = 0; part < 1;) {
+          await new Promise(requestAnimationFrame);
+          if (this.played !== mine) return;
+          part = Math.min((performance.now() - start) / (1000 * seconds), 1);
+          this.cell.pose(from.map((q, j) => q + part * (to[j] - q)));
+        }
+      }
+      this.at = this.next;
+      this.show(true);
+      await new Promise(after => setTimeout(after, 400)); // it is measured
+      if (this.played !== mine) return;
+    }
+    this.pause();
+  }
+
+  pause() {
+    this.played = null;
+    if (this.playing) this.playing.textContent = PLAY;
   }
 
   // one tab stop: the current row has the focus (the grid of the ARIA Authoring Practices, with roving tabindex)
@@ -119,10 +214,12 @@ class Steps {
   // keys of the table: they reach it only from its current row
   key(event) {
     if (event.ctrlKey || event.metaKey) return;
-    const by = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
+    const by = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity,
+      ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (event.altKey && Math.abs(by) === 1) this.move(this.at, by);
     else if (event.altKey) return;
     else if (by) this.step(by);
+    else if (event.key === " " && this.cell) this.play();
     else if (event.key === "Delete" || event.key === "Backspace") this.strike(this.order[this.at]);
     else return;
     event.preventDefault();
@@ -150,7 +247,8 @@ class Steps {
   // share of the whole plan's information that is left: (det / det of the whole)^(1/p)
   efficiency(matrix) { return Math.exp((logDet(matrix) - this.whole) / this.plan.parameters); }
 
-  show() {
+  show(playing = false) {
+    if (!playing) this.pause();
     const inside = this.body.contains(document.activeElement);
     this.draw();
     this.list();
@@ -170,6 +268,10 @@ class Steps {
       facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
     } else facts["log det M'"] = "not every parameter can be identified";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
+    const near = kept.filter(run => this.plan.near[run].length).length;
+    if (near) facts["runs with bodies too near"] = near;
+    const moves = kept.filter((run, place) => place && !this.follows(place)).length;
+    if (this.plan.scene && moves) facts["moves that are new, not looked at"] = moves;
     const said = JSON.stringify(facts);
     if (said === this.said) return; // or it would be read aloud again
     this.said = said;
@@ -201,7 +303,7 @@ class Steps {
       const struck = this.struck.has(run), current = place === this.at;
       const states = { role: "row", tabindex: current ? 0 : -1, "aria-selected": current };
       const row = element("tr", this.body, "", states);
-      row.className = (struck ? "struck" : "") + (current ? " current" : "");
+      row.className = (struck ? "struck" : "") + (current ? " current" : "") + (this.plan.near[run].length ? " near" : "");
       row.addEventListener("click", () => { row.focus(); this.at = place; this.show(); });
       const left = struck ? "struck out" : without(run);
       const figures = [place + 1, run + 1, ...this.plan.postures[run].map(angle => angle.toFixed(2)), left];
@@ -243,13 +345,19 @@ class Steps {
     const [x, y] = place(lines[current][0]);
     shape("rect", this.picture, { x: x - 5, y: y - 5, width: 10, height: 10, fill: "var(--ink)" });
     const struck = this.struck.has(current);
+    const near = this.plan.near[current];
     this.where.textContent = `Run ${current + 1}, place ${this.at + 1} of ${this.order.length}${struck ? ", struck out" : ""}`;
+    if (near.length) element("span", this.where, `: ${near.map(one => one.text).join("; ")}`, { class: "near" });
     this.striking.textContent = struck ? "Put back" : "Strike out";
+    if (!this.cell) return;
+    this.cell.pose(this.plan.scene.postures[current], struck, near.flatMap(one => one.bodies));
+    this.cell.show(this.kept, current, this.way);
   }
 
   get csv() {
     const quoted = cell => (/[",\r\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell);
-    const lines = [["run", ...this.plan.columns], ...this.kept.map((run, k) => [String(k + 1), ...this.plan.rows[run]])];
+    const rows = this.kept.flatMap((run, k) => [...(this.follows(k) ? this.plan.ways[run] : []), this.plan.rows[run]]);
+    const lines = [["run", ...this.plan.columns], ...rows.map((row, k) => [String(k + 1), ...row])];
     const comment = this.plan.comment ? this.plan.comment + "\n" : "";
     return comment + lines.map(line => line.map(quoted).join(",") + "\n").join("");
   }
@@ -263,10 +371,10 @@ class Steps {
   }
 }
 
-for (const place of document.querySelectorAll("[data-plan]")) {
+const plans = [...document.querySelectorAll("[data-plan]")].map(place => {
   place.replaceChildren();
-  new Steps(place, JSON.parse(document.getElementById(place.dataset.plan).textContent));
-}
+  return new Steps(place, JSON.parse(document.getElementById(place.dataset.plan).textContent));
+});
 
 // all of a printed page is to be read
 const folded = [...document.querySelectorAll("details")];

@@ -1,7 +1,8 @@
 """A document as one self-contained HTML page: verdict, what to do next, sections, where it comes from (jinja2, SVG).
 
-Everything that a user wrote is escaped; the one script is known to the browser by its hash, so that no other could run;
-the page asks for nothing on the network.
+Everything that a user wrote is escaped; scripts are known to the browser by their hashes, so that no other could run;
+the page asks for nothing on the network. Those that draw in three dimensions (three.js, scene.js) are in it where there
+is something in space to show.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ import io
 import platform
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from identification.document import Document, PlanSteps, Section, Sheet, html
+from identification.document import Document, Pictures, Section, Sheet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +29,13 @@ if TYPE_CHECKING:
 NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; columns of wider ones stand below each other
 # colours of figures -> those of the page, light or dark
 COLORS = {"#000000": "var(--ink)", "#ffffff": "none", "#c44e52": "var(--before)", "#2a6f97": "var(--after)"}
+
+
+@dataclass(frozen=True)
+class PlanSteps(Pictures):
+    """A plan to be stepped through (page.js): its data as the script reads them, and in its place a caption."""
+
+    data: Mapping[str, Any] = field(default_factory=dict)
 
 
 def origin(command: str, seed: int, read: Sequence[Path]) -> Section:
@@ -59,16 +68,20 @@ def page(document: Document, *more: Section) -> str:
     loose = [part for part in document.parts if not isinstance(part, Section)]
     sections = [Section("In short", loose)] if loose else []
     sections += [*(part for part in document.parts if isinstance(part, Section)), *more]
-    style, script = (files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
+    steps = {k: part for k, s in enumerate(sections, 1) for part in s.parts if isinstance(part, PlanSteps)}
+    names = ["three.min.js", "scene.js"] if any("scene" in part.data for part in steps.values()) else []
+    style, *scripts = (
+        files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", *names, "page.js")
+    )
+    environment.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return environment.get_template("page.html.j2").render(
         document=document,
         verdict=[sentence for sentence in document.verdict if sentence],
         sections=sections,
-        steps={k: part for k, s in enumerate(sections, 1) for part in s.parts if isinstance(part, PlanSteps)},
-        html=lambda section: html(section, page_picture),
+        steps=steps,
+        html=lambda section: section.html(page_picture),
         style=style,
-        script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        scripts=scripts,
     )
 
 

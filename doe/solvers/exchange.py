@@ -20,6 +20,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from doe.criteria import information_matrix
 from doe.plan.ascent import PlanAscent
 from doe.plan.plan import apportion
 from doe.plan.spacing import distance_to_keep
@@ -27,7 +28,7 @@ from doe.problem.postures import fill, listed_candidates, random_postures
 from doe.problem.problem import MANY, DesignProblem, information_of_each
 from doe.solvers.ipopt import Climber, Ipopt, variables
 from doe.solvers.solver import Budget, Offer
-from identification import Array, InputError, information_matrix
+from identification import Array, InputError
 
 IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 

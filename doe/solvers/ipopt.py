@@ -26,10 +26,11 @@ import casadi as ca
 import numpy as np
 from numpy.random import Generator
 
+from doe.criteria import information_matrix
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer
-from identification import Array, InputError, information_matrix
+from identification import Array, InputError
 
 
 @dataclass(frozen=True)

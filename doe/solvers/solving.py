@@ -15,6 +15,7 @@ from time import perf_counter
 
 import numpy as np
 from numpy.random import Generator
+from threadpoolctl import threadpool_limits
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.certificate import Bound
@@ -22,7 +23,6 @@ from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
-from doe.plan.plan import Plan
 from doe.plan.spacing import allowed_value, replicates_allowed, separated, spread_free_joints
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
@@ -34,13 +34,13 @@ from identification import (
     Array,
     InputError,
     JobError,
+    Plan,
     Progress,
     Status,
     additions,
-    identifiability,
     nearest,
     silent,
-    single_thread,
+    spectrum,
 )
 
 AGREEMENT = 10  # independent local searches that end at the best value
@@ -149,7 +149,7 @@ def solve(
     best, best_value, best_name, done, agreeing = None, -np.inf, chosen.name, 0, 0
     reached = 1.0 - 1e-9  # efficiency from which searching on cannot matter
     status, p, same = Status.starts_finished, problem.parameters, 1e-7  # of criterion values
-    with single_thread():
+    with threadpool_limits(limits=1, user_api="blas"):  # matrices are small: more threads only wait for each other
         limit = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
         deadline = None if limit is None else began + limit
         whole = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None, began=began)
@@ -266,7 +266,8 @@ def _reason(design: Design) -> str:
         many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
     else:
         many = listed_candidates(problem, problem.choices)
-    aliases = identifiability(plan_jacobians(problem, many), problem.model.parameters.names, np.ones(p)).combinations
+    seen, names = spectrum(plan_jacobians(problem, many), np.ones(p)), problem.model.parameters.names
+    aliases = seen.identifiability(names, np.ones(p)).combinations
     if aliases and problem.choices is not None:
         return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"

@@ -18,7 +18,7 @@ from doe.criteria import criterion
 from doe.jobs import Key, Row, RowTable, Workers, call, run_tasks, short_hash, with_columns
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
-from identification import Arm, InputError, Model, Progress, dump_arm, nearest, refuse_contacts, silent
+from identification import Arm, InputError, Model, Progress, dump_arm, nearest, silent
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -48,7 +48,7 @@ class Comparison:
 
     def __post_init__(self) -> None:
         for arm in self.arms:
-            refuse_contacts(arm.chain)
+            arm.chain.refuse_contacts()
         for solver in self.solvers:
             if isinstance(solver, str) and solver not in available_solvers():
                 raise InputError(f"solvers: unknown name {solver!r}, {nearest(solver, available_solvers())}")

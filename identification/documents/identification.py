@@ -17,7 +17,6 @@ from identification.document import (
     Section,
     Sheet,
     estimate_text,
-    facts_sheet,
     in_a_sentence,
     number,
     unit_or_dash,
@@ -132,7 +131,7 @@ def parameters_document(fit: Identification) -> Document:
     ]
     table = Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), rows)
     open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
-    return Document("Identification", [], [table, facts_sheet([*open_ones, *fit_facts(fit)])], (), fit.warnings)
+    return Document("Identification", [], [table, Sheet.facts([*open_ones, *fit_facts(fit)])], (), fit.warnings)
 
 
 def identification_document(
@@ -158,7 +157,7 @@ def identification_document(
         ("cross-validated", None if left is None else f"{number(left)} {others}"),
         ("drawing", None if drawn is None else f"{number(drawn)} mm RMS, {DRAWN['base']}"),
     ]
-    parts: list[Part] = [facts_sheet(figures), *sections]
+    parts: list[Part] = [Sheet.facts(figures), *sections]
     if result.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         parts += [f"  {combination}" for combination in result.not_identifiable]
@@ -491,4 +490,4 @@ def entry_document(entry: Entry) -> Document:
     intro = "In an arm file, with its parameters left out so that identify estimates them:"
     example = entry.example if entry.kind == "table" else f"{intro}\n\n{entry.example}\n"
     values = Sheet(("key", "unit", "typical size"), rows, title)
-    return Document(entry.name, [entry.name], [facts_sheet(about), values, settings, example])
+    return Document(entry.name, [entry.name], [Sheet.facts(about), values, settings, example])

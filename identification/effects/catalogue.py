@@ -6,14 +6,13 @@ Everything is read off the classes, so that a user's own effects stand in the li
 from __future__ import annotations
 
 import inspect
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from identification.effects import library, unknown_effect
 from identification.effects.base import OWN, Setting
-from identification.kinematics.chain import IN_SPACE, planar_chain
+from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.parameters import Parameter
 
 # what the arm or the data must have -> how to give it
@@ -87,7 +86,7 @@ def entry(name: str) -> Entry:
     joint = max(cls.first_joint, 1) if cls.per_joint == "required" else None
     chain = planar_chain(np.ones(3))  # one parameter per joint is listed as the first
     if chain.dimension not in cls.dimensions:
-        chain = replace(chain, axes=IN_SPACE)
+        chain = KinematicChain(chain.joints, chain.end)
     each = "each joint" if cls.first_joint <= 1 else f"each joint from {cls.first_joint}"
     kinds = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None}
     kinds |= {"sessions": "session" in cls.needs, "on request": cls.nuisance, "commands": cls.of_commands}

@@ -40,15 +40,12 @@ def condition_slices(links: int, extra: Collection[str] = ()) -> dict[str, slice
     the model has besides.
 
     extra : `past` of the joints, if an effect has a memory; `marker`, where there are several; `reference`, measured
-        orientations column by column, and 1 where there is none; `errors` of the joints by their curves, and the share
-        of the curves' geometry that is off
+        orientations column by column, with `missing`, 1 where there is none; `errors` of the joints by their curves,
+        with `off`, the share of the curves' geometry that does not hold
     """
     sizes = {"payload": 1, "temperature": 1, "time": 1, "session": 1, "directions": links}
-    sizes |= {"past": links * REMEMBERED} if "past" in extra else {}
-    sizes |= {"marker": 1} if "marker" in extra else {}
-    sizes |= {"reference": 9, "missing": 1} if "reference" in extra else {}
-    sizes |= {"errors": links, "off": 1} if "errors" in extra else {}
-    return _slices(sizes)
+    further = {"past": links * REMEMBERED, "marker": 1, "reference": 9, "missing": 1, "errors": links, "off": 1}
+    return _slices(sizes | {name: size for name, size in further.items() if name in extra})
 
 
 @dataclass(frozen=True)
@@ -64,20 +61,21 @@ class Chain:
     session: ca.SX  # number of the session, from 0
     directions: ca.SX  # (n,) +1 or -1
     past: ca.SX | None = None  # (n, 12) turning points before (`past_from_order`) [rad], None: the posture itself
-    errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
-    turn: ca.SX | None = None  # rotation of gravity [rad] about the axes of the base that a frame may turn about
-    shift: ca.SX | None = None  # of the payload from where the file says [mm], in the tip's frame; in space
     marker: ca.SX | None = None  # number of the measured point, from 0
     reference: ca.SX | None = None  # (9,) orientation to compare with, by columns, None: none is measured
+    missing: ca.SX | None = None  # 1 where the row has none
+    errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
+    off: ca.SX | None = None  # the share of their geometry that does not hold
+    turn: ca.SX | None = None  # rotation of gravity [rad] about the axes of the base that a frame may turn about
+    shift: ca.SX | None = None  # of the payload from where the file says [mm], in the tip's frame; in space
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX, extra: Collection[str] = ()) -> Chain:
         """An arm at a posture q (n) under conditions c, whose columns are those of `condition_slices`."""
         at = {name: c[place] for name, place in condition_slices(arm.links, extra).items()}
-        past = ca.reshape(at["past"], REMEMBERED, arm.links).T if "past" in at else None
-        plain = [at[name] for name in ("payload", "temperature", "time", "session", "directions")]
-        further = replace(cls(arm.chain, arm.gravity, q, *plain), past=past, errors=at.get("errors"))
-        return replace(further, marker=at.get("marker"), reference=at.get("reference"))
+        if "past" in at:
+            at["past"] = ca.reshape(at["past"], REMEMBERED, arm.links).T
+        return cls(arm.chain, arm.gravity, q, **at)
 
     @property
     def previous(self) -> ca.SX:
@@ -88,11 +86,6 @@ class Chain:
     def links(self) -> int:
         """n, the number of links."""
         return len(self.geometry)
-
-    @property
-    def dimension(self) -> int:
-        """d, number of coordinates of a point."""
-        return self.geometry.dimension
 
     @property
     def lengths(self) -> Array:
@@ -108,9 +101,8 @@ class Chain:
     def required_gravity(self) -> Gravity:
         """The arm's gravity data. Raises `InputError` if there are none."""
         if self.gravity is None:
-            raise InputError(
-                "gravity: this effect needs gravity torques, add a [gravity] table to the arm file, allowed: with one"
-            )
+            needs = "this effect needs gravity torques, add a [gravity] table to the arm file, allowed: with one"
+            raise InputError(f"gravity: {needs}")
         return self.gravity
 
     @cached_property
@@ -137,11 +129,9 @@ class Chain:
     def torques(self) -> ca.SX:
         """(n,) gravity torques about revolute joints [N m], forces along prismatic ones [N] (identification/README.md,
         "Effects")."""
-        by_joint = []
-        for j, joint in enumerate(self.geometry.joints):
-            load = self.moment(j) if joint.type == REVOLUTE else self.weight(j, j)
-            by_joint.append(ca.dot(ca.DM(joint.axis), load))
-        return ca.vertcat(*by_joint)
+        joints = enumerate(self.geometry.joints)
+        loads = ((joint, self.moment(j) if joint.type == REVOLUTE else self.weight(j, j)) for j, joint in joints)
+        return ca.vertcat(*(ca.dot(ca.DM(joint.axis), load) for joint, load in loads))
 
     def loaded(self, payload: ca.SX, turn: ca.SX, shift: ca.SX) -> Chain:
         """The chain with these loads, as at the places `OF_LOAD`."""
@@ -189,19 +179,15 @@ def position_and_state(
     values : those of the geometry, then the parameters of the effects in order
     added : further contributions at all places, in the order of `widths`
     """
-    start = values.numel() - sum(len(effect.parameters) for effect in effects)
-    geometry, parts = values[:start], []  # each effect with the values of its own parameters
-    for effect in effects:
-        parts.append((effect, values[start : start + len(effect.parameters)]))
-        start += len(effect.parameters)
     drawn, sizes = chain.geometry, widths(chain.geometry)
+    counts = [len(effect.parameters) for effect in effects]
+    geometry, *parts = ca.vertsplit(values, [*accumulate([0, values.numel() - sum(counts), *counts])])
     additions = by_place(ca.SX.zeros(sum(sizes.values())) if added is None else added, drawn)
 
     def add(places: Collection[str], chain: Chain, lengths: ca.SX | None = None, tip: ca.SX | None = None) -> None:
-        for effect, own in parts:
-            for place in places:
-                if hasattr(effect, place):
-                    additions[place] += contribution(effect, place, chain, own, lengths, tip)
+        for effect, own in zip(effects, parts, strict=True):
+            for place in (place for place in places if hasattr(effect, place)):
+                additions[place] += contribution(effect, place, chain, own, lengths, tip)
 
     add(OF_LOAD, chain)
     additions["payload"] += chain.payload
@@ -209,10 +195,9 @@ def position_and_state(
     add([place for place in sizes if place not in (*OF_LOAD, "instrument")], chain.loaded(*loads), lengths)
     tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.reference)
     add(["instrument"], chain, tip=tip)
-    instrument = drawn.instrument
-    own = geometry[geometry.numel() - len(instrument.parameters) :]
+    own = geometry[geometry.numel() - len(drawn.instrument.parameters) :]
     target = ca.SX(0) if chain.marker is None else chain.marker
-    reading = instrument.reading(tip + additions["instrument"], own, target)
+    reading = drawn.instrument.reading(tip + additions["instrument"], own, target)
     return ca.vertcat(reading, turned), ca.vertcat(*loads, lengths, tip)
 
 

@@ -416,8 +416,8 @@ add_effect(
     needs=frozenset({"session"}),
     settings={"sessions": (2, 99)},
     nuisance=True,
-    base_rotation=lambda self, chain, values: _of_session(self, chain, values)[chain.dimension :],
-    base_translation=lambda self, chain, values: _of_session(self, chain, values)[: chain.dimension],
+    base_rotation=lambda self, chain, values: _of_session(self, chain, values)[chain.geometry.dimension :],
+    base_translation=lambda self, chain, values: _of_session(self, chain, values)[: chain.geometry.dimension],
 )
 add_effect(
     "axes_skew",

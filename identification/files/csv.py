@@ -9,7 +9,7 @@ import io
 import re
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,12 +26,13 @@ QUOTED = "cells without quotation marks, or in a pair of them"
 WITH_COMMA, WITH_POINT = r"^[+-]?\d+,\d+([eE][+-]?\d+)?$", r"^[+-]?\d*\.\d*([eE][+-]?\d+)?$"
 THOUSANDS = r"^[+-]?[1-9]\d{0,2},\d{3}$"
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-NAMES = ("session", "marker", "surface", "cup")  # columns of texts
+NAMES = ("session", "marker", "surface", "cup", "kind")  # columns of texts
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
-    r"|marker|surface|cup|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
+    r"|marker|surface|cup|kind|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
+MEASURE, VIA = "measure", "via"  # of the column `kind`: rows to measure, and way-points of the moves between them
 FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal identify`
 
 
@@ -109,17 +110,17 @@ class Table:
         if empty is not None:
             blank = (text.fill_null("nan").str.to_lowercase() == "nan").to_numpy()
             values, good = np.where(blank, empty, values), good | blank
-        self._require_good(good, column, allowed)
+        self.require_good(good, column, allowed)
         return values
 
     def texts(self, column: str) -> NDArray[np.str_]:
         """(m,) the column as texts, spaces around them cut off. Raises `InputError` naming the first empty row."""
         self.require([column])
         text = self.frame[column].str.strip_chars().fill_null("")
-        self._require_good((text != "").to_numpy(), column, "a name")
+        self.require_good((text != "").to_numpy(), column, "a name")
         return np.array(text.to_list(), dtype=np.str_)
 
-    def _require_good(self, good: NDArray[np.bool_], column: str, allowed: str) -> None:
+    def require_good(self, good: NDArray[np.bool_], column: str, allowed: str) -> None:
         """Raises `InputError` naming the first row that is not."""
         if not good.all():
             text = self.frame[column][row := int(np.argmin(good))]
@@ -142,8 +143,10 @@ class Table:
             warnings.warn(f"{self.path}: {message}", UserWarning, stacklevel=3)
 
 
-def read_table(path: PathLike) -> Table:
+def read_table(path: PathLike, *, vias: bool = False) -> Table:
     """Reads a Parquet file, or a text file of columns with one header line.
+
+    vias : with the way-points that a plan has between its postures, see `measured_rows`
 
     Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
@@ -159,7 +162,7 @@ def read_table(path: PathLike) -> Table:
             frame = pl.read_parquet(io.BytesIO(content))
         except (pl.exceptions.PolarsError, OSError):
             raise InputError(f"{path}: not a whole Parquet file, allowed: CSV or Parquet") from None
-        return table_of_frame(frame, str(path), sha256)
+        return table_of_frame(frame, str(path), sha256, vias=vias)
     if content.startswith(SPREADSHEETS):
         raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
     content, above, fit = content.removeprefix(codecs.BOM_UTF8), 0, ""
@@ -191,12 +194,37 @@ def read_table(path: PathLike) -> Table:
             raise InputError(f"{path}: column {k + 1} has no name in line {above + 1}, allowed: a name")
         frame = frame.drop(f"\n{k}")
     commas = separator != "," or (b'"' in content and _decimal_commas(path, frame))
-    return Table(str(path), frame, lines, sha256, decimal_commas=commas, fit=fit)
+    table = Table(str(path), frame, lines, sha256, decimal_commas=commas, fit=fit)
+    return measured_rows(table, vias)
 
 
-def table_of_frame(frame: Any, name: str = "frame", sha256: str = "") -> Table:
+def measured_rows(table: Table, vias: bool = False) -> Table:
+    """The rows to measure of a table whose column `kind` says of the others that they are way-points (`via`).
+
+    vias : with the way-points
+
+    Nobody measures there: whoever reads a plan, or measurements that were written beside one, wants the other rows.
+    Raises `InputError` where all are way-points, and beside way-points for a row that is neither.
+    """
+    if "kind" not in table:
+        return table
+    kinds = table.frame["kind"].str.strip_chars().fill_null("")
+    measured, via = (kinds == MEASURE).to_numpy(), (kinds == VIA).to_numpy()
+    if via.any():
+        table.require_good(measured | via, "kind", f"{MEASURE} or {VIA}")
+        if not measured.any():
+            raise InputError(f"{table.path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
+    if not (measured | via).all():  # a column of somebody else
+        return table
+    table.used.add("kind")
+    rows = measured | vias
+    return replace(table, frame=table.frame.filter(rows), lines=table.lines[rows] if len(table.lines) else table.lines)
+
+
+def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: bool = False) -> Table:
     """A data frame of polars or pandas, or a mapping of names to columns, as a table; numbers keep all their digits.
 
+    vias : with its way-points, see `measured_rows`
     Raises `InputError` for what is no such frame, no rows, and columns of different lengths.
     """
     if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
@@ -211,7 +239,8 @@ def table_of_frame(frame: Any, name: str = "frame", sha256: str = "") -> Table:
         raise InputError(f"{name}: found columns of different lengths, allowed: one length")
     if not series or not len(series[0]):
         raise InputError(f"{name}: there are no rows, allowed: at least 1 row")
-    return Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), sha256)
+    table = Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), sha256)
+    return measured_rows(table, vias)
 
 
 def _header(path: PathLike, content: bytes, line: str) -> tuple[str, list[str]]:
@@ -274,14 +303,15 @@ def _decimal_commas(path: PathLike, frame: pl.DataFrame) -> bool:
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def csv_text(columns: dict[str, NDArray[np.generic]], fit: str = "") -> str:
-    """CSV of columns of one length; whole floats that only count (`order`, directions) lose their `.0`.
+    """CSV of columns of one length; whole floats that only count (`order`, `run`, directions) lose their `.0`.
 
     NaN is an empty cell;  fit : `Table.fit`, for the comment above the header
     """
     series = []
     for name, values in columns.items():
         column = pl.Series(name, values.tolist() if values.dtype.kind == "U" else np.ascontiguousarray(values))
-        if (name == "order" and np.all(np.abs(values) < 2.0**53)) or re.fullmatch(r"direction\d+", name):
-            column = column.fill_nan(None).cast(pl.Int64)
+        counts = name == "order" and np.all(np.abs(values) < 2.0**53)
+        if counts or name == "run" or re.fullmatch(r"direction\d+", name):
+            column = column.cast(pl.Float64).fill_nan(None).cast(pl.Int64)
         series.append(column)
     return (f"# fit: {fit}\n" if fit else "") + pl.DataFrame(series).fill_nan(None).write_csv()

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import secrets
 import shutil
 import stat
 import sys
-import tempfile
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
 from identification.errors import InputError
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 PathLike = str | os.PathLike[str]
 AnyPath = TypeVar("AnyPath", bound=PathLike)
+Content: TypeAlias = Union[str, bytes, "Figure", Callable[[], "Figure"]]  # of a file; a picture, or what draws it
 DESCRIPTORS = "/proc/self/fd"
 PARTS = 100  # of a dotted key; the library keeps every prefix of one, so that its memory grows with their square
 # Each part is looked at once from each of the `PARTS` before it; from inside a word or a text no search begins.
@@ -97,13 +101,13 @@ def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
     return path
 
 
-def write_together(contents: Mapping[AnyPath, str | bytes], force: bool = False) -> None:
-    """Writes all files or none: every one is complete beside its target before the first target is touched, and if a
-    later one cannot take its place the earlier ones are put back.
+def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> None:
+    """Writes texts, bytes and pictures, all files or none: every one is complete beside its target before the first
+    target is touched, and if a later one cannot take its place the earlier ones are put back.
 
     Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable.
     """
-    targets = {_checked_target(path, force): content for path, content in contents.items()}
+    targets = {_checked_target(path, force): _in_bytes(path, content) for path, content in contents.items()}
     backup = len(targets) > 1
     try:
         with ExitStack() as temporary, ExitStack() as undo:
@@ -123,10 +127,30 @@ def write_together(contents: Mapping[AnyPath, str | bytes], force: bool = False)
         raise InputError(f"{target}: cannot be written ({error.strerror}), allowed: a writable place") from None
 
 
-def check_writable(path: PathLike | None, force: bool = False) -> None:
+def check_writable(path: PathLike | None, force: bool = False, *, picture: bool = False) -> None:
     """Raises the `InputError` of `write_together` before long work starts, not after it. None: nothing to write."""
     if path is not None:
         _checked_target(path, force)
+        if picture:
+            _picture_format(path)
+
+
+def _picture_format(path: PathLike) -> str:
+    """The format of a picture. Raises `InputError` for a name whose ending is no format."""
+    if (ending := Path(path).suffix).lower() not in (".png", ".svg", ".pdf"):
+        raise InputError(f"{path}: ending {ending!r}, allowed: .png, .svg, .pdf")
+    return ending.lower().removeprefix(".")
+
+
+def _in_bytes(path: PathLike, content: Content) -> bytes:
+    if isinstance(content, str):
+        return content.encode()
+    if isinstance(content, bytes):
+        return content
+    picture, buffer = _picture_format(path), io.BytesIO()
+    figure = content() if callable(content) else content
+    figure.savefig(buffer, format=picture, dpi=150)
+    return buffer.getvalue()
 
 
 def _checked_target(path: PathLike, force: bool) -> Path:
@@ -173,10 +197,10 @@ def _place(new: Path, target: Path, *, fresh: bool) -> None:
     return os.replace(new, target)
 
 
-def _write_new(path: Path, content: str | bytes, mode_of: Path) -> None:
+def _write_new(path: Path, content: bytes, mode_of: Path) -> None:
     descriptor = _unnamed(path.parent)
     with open(path, "xb") if descriptor is None else open(descriptor, "wb") as stream:
-        stream.write(content.encode() if isinstance(content, str) else content)
+        stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())  # so that a crash leaves the old file or the new one, not an empty one
         if descriptor is not None:
@@ -191,17 +215,3 @@ def _unnamed(folder: Path) -> int | None:
         if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
             return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
     return None
-
-
-def provide_temporary_folder(*folders: Path) -> None:
-    """Where the system has no folder for temporary files (a root file system that is read-only), name one of these,
-    the first that can be written to: some libraries want one as soon as they are loaded. Folders may be missing yet;
-    what counts is where they would be made."""
-    try:
-        tempfile.gettempdir()
-    except FileNotFoundError:
-        for folder in folders:
-            existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
-            if os.access(existing, os.W_OK):
-                os.environ["TMPDIR"] = str(existing)  # for processes started from here too
-                return

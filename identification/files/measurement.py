@@ -6,18 +6,20 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
-from identification.arrays import Array
-from identification.conditions import gaps_of
+from identification.arrays import Array, ByValue, frame_of_columns, readonly
+from identification.conditions import directions_from_order, gaps_of
 from identification.errors import InputError
-from identification.files.csv import Table, csv_text, read_table
+from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
@@ -318,37 +320,138 @@ def angle_columns(orientations: Array) -> Columns:
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
-class PlanFile(NamedTuple):
-    """What a plan file says, rows in the order of measurement.
+@dataclass(frozen=True, eq=False)
+class Plan(ByValue):
+    """m postures of an n-link arm, in the order of measurement, or an approximate design with weights.
 
-    postures : (m, n) [rad, mm];  weights : (m,) shares, None: every row is one measurement
-    fit : how the measurements are to be fitted, as options of `armcal identify`
-    cells : column of the file, but for `run` -> its texts, with decimal points
+    postures : (m, n) joint angles [rad], of prismatic joints positions [mm]
+    weights : (m,) shares of the measurements, summing to one, None: an exact plan, every row is one measurement
+    joint_types : (n) `revolute` or `prismatic`, empty: all revolute; `JointKinds` say how files count them
+    fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
+    via : (m,) rows that are way-points, where these were asked for; None: there are none
+    cells : column of its file, but for `run` -> its texts, with decimal points
     conditions : `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n), None where the file has none;
         empty where they were not asked for
     """
 
     postures: Array
-    weights: Array | None
-    fit: str
-    cells: dict[str, list[str]]
-    conditions: dict[str, Array | None]
+    weights: Array | None = None
+    joint_types: tuple[str, ...] = ()
+    fit: str = ""
+    via: NDArray[np.bool_] | None = None
+    cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    conditions: Mapping[str, Array | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "postures", readonly(np.atleast_2d(self.postures)))
+        if self.weights is not None:
+            object.__setattr__(self, "weights", readonly(self.weights))
+
+    def __len__(self) -> int:
+        return len(self.postures)
+
+    @property
+    def links(self) -> int:
+        """n, the number of joints."""
+        return int(self.postures.shape[1])
+
+    @property
+    def measured(self) -> Plan:
+        """The same without way-points."""
+        if self.via is None:
+            return self
+        rows = np.flatnonzero(~self.via).tolist()
+        cells = {name: [texts[row] for row in rows] for name, texts in self.cells.items()}
+        weights = None if self.weights is None else self.weights[rows]
+        return replace(self, postures=self.postures[rows], weights=weights, via=None, cells=cells)
+
+    @property
+    def shares(self) -> Array:
+        """(m,) weight of every posture; 1/m for an exact plan."""
+        return np.full(len(self), 1.0 / len(self)) if self.weights is None else self.weights
+
+    @property
+    def columns(self) -> Columns:
+        """Name, with the unit in which it is shown, -> (m,) positions of each joint, as the controller counts."""
+        return posture_columns(self.postures, self.joint_types or None)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """(n) units in which joints are shown: deg, or mm."""
+        return tuple(name.partition("_")[2] for name in self.columns)
+
+    @property
+    def displayed(self) -> Array:
+        """(m, n) postures in `units`, as the controller counts."""
+        return readonly(np.column_stack([*self.columns.values()]))
+
+    @classmethod
+    def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
+        """The plan whose `displayed` postures (m, n) are these."""
+        units = [UNITS[_kind(joint_types, j)] for j in range(1, len(joint_types) + 1)]
+        scaled = displayed * [next(iter(each.values())) for each in units]
+        return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
+
+    def to_frame(self, kind: str = "polars") -> Any:
+        """A row for each posture, as in a plan file; polars or pandas."""
+        columns: dict[str, Any] = {"run": range(1, len(self) + 1), **self.columns}
+        return frame_of_columns(columns if self.weights is None else columns | {"weight": self.weights}, kind)
+
+    def to_html(self, caption: object) -> str:
+        """A caption and the postures, for notebooks."""
+        return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
+
+    def _repr_html_(self) -> str:
+        from polars import Config
+
+        with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
+            return str(self.to_frame()._repr_html_())
+
+    def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
+        """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad).
+
+        joint_types : None: those of the plan;  further : columns of names, one for each run
+
+        With way-points directions no longer follow from the order of the measurements: they are columns then.
+        """
+        types = joint_types or self.joint_types or None
+        measured = np.ones(len(self), dtype=bool) if self.via is None else ~self.via
+        columns: Columns = {"run": np.where(measured, np.cumsum(measured), np.nan)}
+        columns |= {} if self.via is None else {"kind": np.where(measured, MEASURE, VIA)}
+        columns |= posture_columns(self.postures, types)
+        if not measured.all():
+            signs = directions_from_order(np.round(in_columns(self.postures, types), 9))  # a joint that stays does so
+            signs = np.where((signs == 0.0) | ~measured[:, None], np.nan, signs)
+            columns |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
+        for name, values in (further or {}).items():
+            column = np.asarray(values)
+            columns[name] = np.full(len(self), "" if column.dtype.kind == "U" else np.nan, dtype=column.dtype)
+            columns[name][measured] = column
+        return csv_text(columns if self.weights is None else columns | {"weight": self.weights}, self.fit)
 
 
-def read_plan(
-    path: PathLike, joints: JointTypes = None, *, conditions: bool = False, carried_out: bool = False
-) -> PlanFile:
-    """The CSV file `run,q1_deg,...,qn_deg[,weight]`, `# fit: ...` above, with or without conditions of the rows.
+def load_plan(
+    path: PathLike,
+    joints: JointTypes = None,
+    *,
+    conditions: bool = False,
+    carried_out: bool = False,
+    vias: bool = False,
+) -> Plan:
+    """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with or without conditions of the rows.
 
     joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
     conditions : read them too;  carried_out : the file is one of measurements, and has other columns
+    vias : read the way-points of the moves too, which nobody measures
 
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
-    table = read_table(path)
+    table = read_table(path, vias=vias)
     postures, weights = read_postures(table, joints), None
-    n = postures.shape[1]
+    n, via = postures.shape[1], None
+    if vias and "kind" in table:
+        via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
     if not carried_out:
         if "weight" in table:
             weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
@@ -363,23 +466,7 @@ def read_plan(
             texts[:] = [text.replace(",", ".") if DECIMAL.fullmatch(text) else text for text in texts]
     wanted = ("payload_kg", "temperature_C")
     rows = _conditions(table, n if joints is None else joints, wanted) if conditions else {}
-    return PlanFile(postures, weights, table.fit, cells, rows)
-
-
-def plan_file_text(
-    postures: Array,
-    weights: Array | None = None,
-    fit: str = "",
-    joint_types: JointTypes = None,
-    further: Mapping[str, Sequence[str]] | None = None,
-) -> str:
-    """The text of a plan file; `read_plan` reads the same from it, to rounding (1e-14 rad).
-
-    further : columns of names, (m,) each
-    """
-    columns: Columns = {"run": np.arange(1, len(postures) + 1), **posture_columns(postures, joint_types)}
-    columns |= {name: np.array(texts, dtype=np.str_) for name, texts in (further or {}).items()}
-    return csv_text(columns if weights is None else columns | {"weight": weights}, fit)
+    return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=rows)
 
 
 # -- targets and commands ----------------------------------------------------------------------------------------------

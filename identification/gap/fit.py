@@ -6,7 +6,7 @@ sheet's sigma that is 1.5 times too small would make every test significant (ide
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.estimation.doubts import FAR
 from identification.estimation.levenberg_marquardt import Index
@@ -21,6 +22,7 @@ from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
+from identification.model.minimal import practical
 from identification.running import Status
 
 
@@ -208,6 +210,17 @@ class Fit(At):
         spread = spectrum(self.jacobian[:, free], self.model.scales[free]).covariance
         full[np.ix_(free, free)] = self.sigma**2 * spread
         return full
+
+
+def fitted_arm(
+    arm: Arm, measurements: Measurements, specs: Sequence[EffectSpec] = (), left_out: Collection[int] = ()
+) -> Arm:
+    """The arm with these effects added, none: its geometry only, calibrated by rows that are not `left_out` (from 1),
+    whatever a diagnosis would say of them."""
+    arm = practical(arm, measurements)
+    model = Model(arm.with_effects(*arm.effects, *specs))
+    kept = ~np.isin(np.arange(len(measurements)) + 1, list(left_out))
+    return replace(model.arm, calibration=Calibration(fit(model, Rows.of(measurements).pick(kept)).by_name))
 
 
 def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> Fit:

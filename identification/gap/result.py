@@ -27,7 +27,7 @@ from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
+from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, quantile_95, uncertainty
 from identification.gap.average import Curve, PredictingModel
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
@@ -39,6 +39,7 @@ from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, P
 from identification.information import spectrum
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.counting import joint_range
+from identification.kinematics.parameters import FILE_UNITS
 from identification.measurements import Measurements, repeats_of
 from identification.model import Model
 
@@ -187,6 +188,17 @@ class Candidate:
     def keys(self) -> Names:
         """Names and joints without settings: `transmission_ripple:2`."""
         return tuple(spec.key for spec in self.specs)
+
+    @property
+    def limits_95(self) -> dict[str, tuple[float, float]]:
+        """Parameter name -> its 95 % interval [API units], of base and effects; cut at the physical bounds of effects
+        only."""
+        names, values = self.calibration.parameter_names, self.calibration.values
+        assert self.calibration.covariance is not None  # a diagnosis has one
+        half = quantile_95(self.freedom) * np.sqrt(np.diag(self.calibration.covariance))
+        limits = {n: (values[n] - h, values[n] + h) for n, h in zip(names, half.tolist(), strict=True)}
+        to_api = {file: factor for file, factor, _ in FILE_UNITS.values()}
+        return limits | {p.name: (p.low_95 / to_api[p.unit], p.high_95 / to_api[p.unit]) for p in self.parameters}
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""

@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
-from identification.document import Document, Documented, Sheet, facts_sheet, number, of_joints
+from identification.document import Document, Documented, Sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
 from identification.errors import InputError
@@ -96,7 +96,7 @@ class Inspection(Documented):
         if self.counting:
             parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
             parts += [f"    {line}" for line in self.counting]
-        parts.append(facts_sheet(self.facts))
+        parts.append(Sheet.facts(self.facts))
         if self.ranges:
             headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
             parts += [Sheet(headings, self.ranges, "Joints"), *(f"note: {note}" for note in self.notes)]

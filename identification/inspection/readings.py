@@ -8,7 +8,7 @@ way to read the columns the base (and in space the measured point) is fitted to 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import combinations, product
 from typing import Any
@@ -21,7 +21,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, rows_in_words
 from identification.errors import InputError
 from identification.instruments import Placement, Unplaced
-from identification.kinematics.chain import TOOL, KinematicChain
+from identification.kinematics.chain import TOOL
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
@@ -42,9 +42,7 @@ def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
     tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
-    return replace(
-        arm, chain=KinematicChain(chain.joints, chain.end, settled=tip, instrument=chain.instrument, axes=chain.axes)
-    )
+    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument))
 
 
 def some_of_one_point(measurements: Measurements) -> Measurements:
@@ -76,12 +74,33 @@ def _place(arm: Arm, hopeless: float = np.inf) -> Callable[[Array, Array], Place
 
 
 # -- units -------------------------------------------------------------------------------------------------------------
+def _without_far_rows(arm: Arm, q: Array, x: Array) -> tuple[float, NDArray[np.bool_]]:
+    """What the drawing leaves of postures (m, n) and positions (m, d), RMS [mm], without rows far from all others, and
+    which these are not: least squares of the nearest three quarters, by concentration steps (P. J. Rousseeuw, K. Van
+    Driessen, "Computing LTS regression for large data sets", 2006)."""
+    place, instrument, near = _place(arm), arm.chain.instrument, np.ones(len(q), dtype=bool)
+    if instrument.parameters:  # no placement says what these are
+        return place(q, x).rms, near
+    frames = arm.chain.tip_frames(q)
+    for _ in range(10):  # effort: mostly 3
+        base, tool, _ = place(q[near], x[near])
+        points = (frames[:, :3, :3] @ tool + frames[:, :3, 3]) @ base[:3, :3].T + base[:3, 3]
+        points = points[:, : len(instrument.axes)]
+        read = instrument.linearized(points, np.zeros(0), np.zeros((1, 1)))[0]
+        far = np.linalg.norm(x - read[:, : x.shape[1]], axis=1)
+        before, near = near, far <= np.quantile(far, 0.75)
+        if np.array_equal(before, near):
+            break
+    near = far <= FAR * np.median(far)
+    return place(q[near], x[near]).rms, near
+
+
 @lru_cache(maxsize=2)  # asked for before a fit, and again for its warnings
 def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], str | None]:
     """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
     where that fits the arm clearly better, in sentences; and an arm that reaches farther than any does. The same in a
     clause where there is no doubt: in the other units the rows are those of the drawing, but for what one may be off
-    by, and as read they are far from it for how far apart they are.
+    by, and as read they are far from it for how far apart they are. Rows far from all others do not count.
 
     Angles are suspected only where all are below 7 deg, or one is above 7 rad. How many times the lengths of one file
     are those of the other is measured, and a unit is named where that is a unit's factor, to 2 %. Raises `InputError`
@@ -106,20 +125,20 @@ def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], 
     alike = not spread or drawn[1.0] < 2.0 * spread < 4.0 * drawn[1.0]
     if _few(arm, rows) or max(drawn.values()) < 1e-3 * arm.reach or (len(angle) == 1 and alike):
         return tuple(sentences), None
-    place, left = _place(arm), dict[tuple[float, float], float]()  # (factors) -> RMS, as a share of the spread
-    for turned, q in postures.items():
-
-        def rms(factor: float, q: Array = q, size: float = drawn[turned]) -> float:
-            return place(q, rows.positions * factor).rms / max(size, np.finfo(float).tiny)
-
-        left[turned, 1.0] = rms(1.0)
+    positions, place, left = rows.positions[:, : arm.chain.coordinates], _place(arm), dict[tuple[float, float], float]()
+    for turned, q in postures.items():  # (factors) -> RMS, as a share of the spread
+        size = max(drawn[turned], np.finfo(float).tiny)
+        left[turned, 1.0] = _without_far_rows(arm, q, positions)[0] / size
         if spread and drawn[turned]:  # what positions are to be multiplied by; a point far from the tip adds to spreads
-            near = min(drawn[turned] / spread * 2.0 ** np.arange(-3, 4), key=rms)
-            bounds = np.log([near / 2.0, near * 2.0])
-            best = minimize_scalar(lambda k, of=rms: of(float(np.exp(k))), bounds=bounds, options={"xatol": 1e-4})
-            factor = float(np.exp(best.x))
-            if max(factor, 1.0 / factor) > 2.0 and CLEARLY * rms(factor) < left[turned, 1.0]:
-                left[turned, factor] = rms(factor)
+            factors = drawn[turned] / spread * 2.0 ** np.arange(-3, 4)
+            ends = [_without_far_rows(arm, q, positions * factor) for factor in factors]
+            start, near = min(zip(factors, ends, strict=True), key=lambda pair: pair[1][0])
+            q, x = q[near[1]], positions[near[1]]
+            bounds, options = np.log([start / 2.0, start * 2.0]), {"xatol": 1e-4}
+            best = minimize_scalar(lambda k, q=q, x=x: place(q, x * np.exp(k)).rms, bounds=bounds, options=options)
+            factor, rest = float(np.exp(best.x)), float(best.fun) / size
+            if max(factor, 1.0 / factor) > 2.0 and CLEARLY * rest < left[turned, 1.0]:
+                left[turned, factor] = rest
     turned, factor = least = min(left, key=left.__getitem__)
     if CLEARLY * left[least] >= left[1.0, 1.0]:
         return tuple(sentences), None
@@ -147,10 +166,10 @@ def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], 
 
 
 def _spread(points: Array) -> float:
-    """Root mean square distance of points (m, d) from their mean, of distances (m, 1) that of the points they are of,
-    if these lie on all sides."""
-    square = float(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
-    return float(np.sqrt(square * (3.0 if points.shape[1] == 1 else 1.0)))
+    """Median distance of points (m, d) from their median, of distances (m, 1) that of the points they are of, if these
+    lie on all sides."""
+    off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    return float(np.median(off) * (np.sqrt(3.0) if points.shape[1] == 1 else 1.0))
 
 
 # -- orientations, markers, rows far from all others -------------------------------------------------------------------
@@ -190,8 +209,7 @@ def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
     """Another convention of the orientations, where those that are measured are far from the nominal arm's."""
     if (measured := measurements.orientations) is None:
         return
-    every, first = np.ones(len(measurements), dtype=bool), measurements.session_rows[0]
-    fixed_axes = np.swapaxes(from_angles(-to_angles(measured)), -1, -2)
+    first, fixed_axes = measurements.session_rows[0], np.swapaxes(from_angles(-to_angles(measured)), -1, -2)
     missed = {}
     for name, read in {
         "": measured,
@@ -199,7 +217,7 @@ def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
         "the instrument in the frame of the tool": np.swapaxes(measured, -1, -2),
         "the instrument in the frame of the tool, by angles about fixed axes": np.swapaxes(fixed_axes, -1, -2),
     }.items():
-        left = _left(arm, replace(measurements, orientations=read).rows(first), every[first])
+        left = _left(arm, replace(measurements, orientations=read).rows(first), np.ones(len(first), dtype=bool))
         turned = np.linalg.norm(left[:, POINT.stop :], axis=1)
         missed[name] = float(np.median(turned)) / (arm.chain.angle_scale or 1.0)
         if not name and missed[name] <= FAR * arm.machining.rotation:
@@ -253,8 +271,8 @@ class Reading:
     quarters: tuple[float, ...]
     mirrored: bool = False
     sums: tuple[tuple[int, ...], ...] = ()
-    turn: float | None = None
-    rms: float = np.inf
+    turn: float | None = field(default=None, compare=False)
+    rms: float = field(default=np.inf, compare=False)
 
     @classmethod
     def as_written(cls, joints: int) -> Reading:
@@ -326,16 +344,13 @@ class Reading:
                 how = f"counted from {link}, not from link {j - 1} (its angle: column {angle})"
                 sentences.append(f"joint {j} is {how}")
         if self.mirrored:
-            swapped, flipped = "two of x_mm, y_mm, z_mm are swapped", "an axis of the positions points the other way"
-            which = f"{swapped}, or {flipped}"
-            if self.turn is not None:  # in the plane
-                # with x and y swapped the last axis turned gives back the drawing a quarter turn away, with an axis
-                # turned it stands as drawn or half a turn away; within 20 deg of either the turn tells
-                swapped = "x_mm and y_mm are swapped"
-                upright = abs(np.cos(self.turn)) > np.cos(np.radians(45.0))
-                tells = abs(np.sin(2.0 * self.turn)) <= np.sin(2.0 * np.radians(20.0))
-                which = (flipped if upright else swapped) if tells else f"{swapped}, or {flipped}"
-            sentences.append(which)
+            plane, flipped = self.turn is not None, "an axis of the positions points the other way"
+            swapped = f"{'x_mm and y_mm' if plane else 'two of x_mm, y_mm, z_mm'} are swapped"
+            # in the plane with x and y swapped the last axis turned gives back the drawing a quarter turn away, with an
+            # axis turned it stands as drawn or half a turn away; within 20 deg of either the turn tells
+            double = 2.0 * (self.turn or 0.0)
+            tells = plane and abs(np.sin(double)) <= np.sin(np.radians(40.0))
+            sentences.append((flipped if np.cos(double) > 0.0 else swapped) if tells else f"{swapped}, or {flipped}")
         return tuple(sentences)
 
 
@@ -370,12 +385,12 @@ class Readings:
 
     def to_json(self) -> dict[str, Any] | None:
         """`better_reading` of `check` (identification/files/README.md, "JSON keys")."""
-        if (better := self.better) is None:
+        if self.better is None:
             return None
         return {
-            "changes": better.words,
-            "arm_file": None if self.counting is None else self.counting.toml,
-            "rms_mm": better.rms,
+            "changes": self.better.words,
+            "arm_file": self.counting and self.counting.toml,
+            "rms_mm": self.better.rms,
             "explains": self.explained,
             "equally_good": [reading.words for reading in self.alike],
         }
@@ -405,47 +420,43 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
     if not search or _few(arm, rows):
         return Readings(written, None)
     place = _place(arm, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
+    tried = {written: written.rms}
 
     def left(reading: Reading) -> float:
         return reading.placed(rows, place).rms
 
-    plain = replace(written, rms=0.0, turn=None)
-    tried = {plain: replace(written, turn=None)}
-    zero = partial(_moved_zero, left=left)
+    def moved_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
+        """The zero of one turning joint where it explains the positions best; near whole quarter turns these."""
+        for j in (j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC):
+
+            def left_with(k: float, j: int = j) -> float:
+                return left(best.with_quarters(j, k))
+
+            near = min(ZEROS, key=left_with)
+            bounds = (near - ZEROS[1], near + ZEROS[1])
+            k = float(minimize_scalar(left_with, bounds=bounds, options={"xatol": 1e-3}).x)  # to 0.1 deg
+            yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # whole within 2 deg
+
+    zero = moved_zero
     for stage in (zero, zero, _absolute, _mirrored, _signs, _swaps, _zeros, _flips, _zeros, _pairs_and_zero):
-        ranked = sorted(tried.values(), key=lambda reading: reading.rms)
-        if ranked[0].rms < DRAWN * arm.reach:
+        ranked = sorted(tried, key=tried.__getitem__)
+        if tried[ranked[0]] < DRAWN * arm.reach:
             break
-        whole = [reading for reading in ranked if not reading.moved_zeros][:4]  # effort
-        starts = ranked[:1] if stage is zero else [tried[plain], *([] if stage is _pairs_and_zero else whole)]
-        for reading in (other for start in dict.fromkeys(starts) for other in stage(replace(start, rms=0.0), arm)):
-            if reading not in tried:
-                tried[reading] = replace(reading, rms=left(reading))
+        whole = [] if stage is _pairs_and_zero else [r for r in ranked if not r.moved_zeros][:4]  # effort
+        for start in ranked[:1] if stage is zero else dict.fromkeys((written, *whole)):
+            tried |= {reading: left(reading) for reading in stage(start, arm) if reading not in tried}
     # the fewest changes of those that leave about as little as the best
-    least = min(reading.rms for reading in tried.values())
-    best = min((r for r in tried.values() if r.rms <= ALIKE * least), key=lambda r: (r.changes, r.rms))
-    if CLEARLY * best.rms >= written.rms:
+    least = min(tried.values())
+    best = min((r for r, rms in tried.items() if rms <= ALIKE * least), key=lambda r: (r.changes, tried[r]))
+    if CLEARLY * tried[best] >= written.rms:
         return Readings(written, None)
-    explained = best.rms < DRAWN * arm.reach
+    explained = tried[best] < DRAWN * arm.reach
     if explained and not best.moved_zeros:  # the search ends early: at a zero, say, that a sign is as good as
-        tried |= {r: replace(r, rms=left(r)) for r in _signs(plain, arm) if r not in tried}
-    as_simple = (r for r in tried.values() if explained and r.changes == best.changes and not r.moved_zeros)
-    alike = sorted((r for r in as_simple if r != best and r.rms <= ALIKE * best.rms), key=lambda reading: reading.rms)
-    best, *alike = map(placed, (best, *alike[:2]))  # two are named beside the simplest
-    return Readings(written, best, tuple(alike), explained, best.counting(arm.counting) if explained else None)
-
-
-def _moved_zero(best: Reading, arm: Arm, left: Callable[[Reading], float]) -> Iterator[Reading]:
-    """The zero of one turning joint where it explains the positions best; a whole quarter turn where it is near one."""
-    for j in (j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC):
-
-        def left_with(k: float, j: int = j) -> float:
-            return left(best.with_quarters(j, k))
-
-        near = min(ZEROS, key=left_with)
-        bounds = (near - ZEROS[1], near + ZEROS[1])
-        k = float(minimize_scalar(left_with, bounds=bounds, options={"xatol": 1e-3}).x)  # to 0.1 deg
-        yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # within 2 deg it is a whole one
+        tried |= {reading: left(reading) for reading in _signs(written, arm) if reading not in tried}
+    as_simple = (r for r in tried if explained and r.changes == best.changes and not r.moved_zeros)
+    alike = sorted((r for r in as_simple if r != best and tried[r] <= ALIKE * tried[best]), key=tried.__getitem__)
+    best, *others = map(placed, (best, *alike[:2]))  # two are named beside the simplest
+    return Readings(written, best, tuple(others), explained, best.counting(arm.counting) if explained else None)
 
 
 def _absolute(best: Reading, arm: Arm) -> Iterator[Reading]:
@@ -488,8 +499,7 @@ def _signs(best: Reading, arm: Arm) -> Iterator[Reading]:
     """All combinations of signs, of more than six joints with up to two changes, with and without a mirrored frame."""
     for signs in product((1, -1), repeat=arm.links):
         if arm.links <= 6 or sum(sign < 0 for sign in signs) <= 2:
-            changed = replace(best, signs=signs)
-            yield changed
+            yield (changed := replace(best, signs=signs))
             yield from _mirrored(changed, arm)
 
 
@@ -499,8 +509,7 @@ def _swaps(best: Reading, arm: Arm) -> Iterator[Reading]:
         if arm.joint_types[a] == arm.joint_types[b]:
             order = list(best.order)
             order[a], order[b] = order[b], order[a]
-            swapped = replace(best, order=tuple(order))
-            yield swapped
+            yield (swapped := replace(best, order=tuple(order)))
             yield from _flips(swapped, arm)
 
 
@@ -512,9 +521,8 @@ def _flips(best: Reading, arm: Arm) -> Iterator[Reading]:
 
 def _zeros(best: Reading, arm: Arm) -> Iterator[Reading]:
     """The zero of one turning joint off by quarter turns."""
-    for j, k in product(range(arm.links), (1, 2, 3)):
-        if arm.joint_types[j] != PRISMATIC:
-            yield best.with_quarters(j, k)
+    turning = (j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC)
+    yield from (best.with_quarters(j, k) for j in turning for k in (1, 2, 3))
 
 
 def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
@@ -532,7 +540,7 @@ def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ..
     arm, plain = anywhere(arm), Reading.as_written(arm.links)
     place, numbers = _place(arm), measurements.marker_numbers
     points = [np.ones(len(measurements), dtype=bool)] if numbers is None else (numbers == k for k in np.unique(numbers))
-    unseen = {j for j, kind in enumerate(arm.joint_types, start=1) if kind != PRISMATIC}
+    unseen = {j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC}
     for point in points:
         rows = some_of_one_point(measurements.rows(np.flatnonzero(point)))
         written = plain.placed(rows, place).rms
@@ -541,10 +549,8 @@ def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ..
         most = ALIKE * max(written, float(np.sqrt(np.finfo(float).eps)) * arm.reach)  # rounded, of data without noise
         for other in (*_flips(plain, arm), *_zeros(plain, arm)):
             if other.placed(rows, place).rms > most:
-                unseen -= {
-                    j for j, (sign, k) in enumerate(zip(other.signs, other.quarters, strict=True), 1) if sign < 0 or k
-                }
-    return tuple(sorted(unseen))
+                unseen -= {j for j in range(arm.links) if other.signs[j] < 0 or other.quarters[j]}
+    return tuple(j + 1 for j in sorted(unseen))
 
 
 def out_of_step(arm: Arm, measurements: Measurements) -> list[str]:

@@ -21,7 +21,7 @@ from identification.errors import InputError
 from identification.instruments.search import Placement, Unplaced, random_starts, searched
 from identification.kinematics.frames import own_axes_angles
 from identification.kinematics.parameters import AXES, Parameter
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 PLACE = "base"  # kind of a parameter that says where something stands, as that of the base
 OWN = "identification.instruments"

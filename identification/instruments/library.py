@@ -9,10 +9,10 @@ For a given measured point t the sphere about c is linear in c and |c|^2 (algebr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
-from typing import Any, ClassVar
+from itertools import combinations, product
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -31,7 +31,6 @@ RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say 
 PATIENCE = 3
 TOUCHES = 1e-6  # [mm] by which these are kept
 DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
-TURNS = frozenset(error_names(PLACE)[3:])
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Distance(Instrument):
     keys = frozenset({"center_mm"})
     coordinates: ClassVar[tuple[Coordinate, ...]] = (Coordinate("distance", positive=True),)
     offers = frozenset({"distance"})
-    hides = TURNS
+    hides = frozenset(error_names(PLACE)[3:])
     guide = Guide(
         about="a ball bar, a draw wire, a laser distance: how far the measured point is from a fixed center",
         table='kind = "distance"\n'
@@ -81,8 +80,7 @@ class Distance(Instrument):
 
     def place(self, rows: Unplaced) -> Placement:
         """What the lengths leave open of the base is along the arm's own axes."""
-        starts = _about_centers(rows, rows.readings[:, 0])
-        return searched(self, rows, starts, slice(0, 3), PATIENCE)
+        return searched(self, rows, _about_centers(rows, rows.readings[:, 0]), slice(0, 3), PATIENCE)
 
 
 def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
@@ -209,22 +207,17 @@ class Plane(Instrument):
 
     def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
         """A plane does not show how the base is turned about the normal: of such turns that is taken which lets two of
-        the three rotations tilt the normal best."""
-
-        def tilting(choice: tuple[dict[str, float], str]) -> float:
-            """How far two of the rotations, without that about the axis held, tilt a normal in the direction they tilt
-            it least [1]."""
-            rotation, held = choice
-            turn, steps = np.array([rotation[f"w{axis}"] for axis in AXES]), 1e-5 * np.eye(3)  # [rad]
-            free = [k for k in range(3) if AXES[k] != held]
-            ends = [[first[2, :3] @ from_own_axes(*(turn + sign * steps[k])) for sign in (1.0, -1.0)] for k in free]
-            return float(np.linalg.svd([(up - down) / 2e-5 for up, down in ends], compute_uv=False)[-1])
-
-        angles = np.arange(0.0, np.pi, np.pi / 6.0)
-        spun = [pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base for angle in angles]
-        moved = (super(Plane, self).between(first, one)[0] for one in spun)
-        movement, about = max(((movement, about) for movement in moved for about in AXES), key=tilting)
-        return movement, frozenset({"x", "y", f"w{about}"})
+        the three rotations, without that about the axis held, tilt the normal best where they tilt it least."""
+        best, choice, steps = -1.0, (dict[str, float](), frozenset[str]()), 1e-5 * np.eye(3)  # [rad]
+        for angle, held in product(np.arange(0.0, np.pi, np.pi / 6.0), range(3)):
+            spun = pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base
+            movement = super().between(first, spun)[0]
+            turn = np.array([movement[f"w{axis}"] for axis in AXES])
+            ends = [[first[2, :3] @ from_own_axes(*(turn + s * steps[k])) for s in (1, -1)] for k in {0, 1, 2} - {held}]
+            tilt = float(np.linalg.svd([(up - down) / 2e-5 for up, down in ends], compute_uv=False)[-1])
+            if tilt > best:
+                best, choice = tilt, (movement, frozenset({"x", "y", f"w{AXES[held]}"}))
+        return choice
 
     def place(self, rows: Unplaced) -> Placement:
         """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
@@ -236,9 +229,8 @@ class Plane(Instrument):
             normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
             bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
         turns, shifts = np.array(bases)[:, :3, :3], np.array(bases)[:, :3, 3]
-        found = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)), slice(2, 5), PATIENCE)
-        points = rows.points(found.tool[None])[0]
-        return found._replace(base=_standing_above(points, found.base[2, :3], -found.base[2, 3]))
+        best = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)), slice(2, 5), PATIENCE)
+        return best._replace(base=_standing_above(rows.points(best.tool[None])[0], best.base[2, :3], -best.base[2, 3]))
 
 
 def _standing_above(points: Array, normal: Array, height: float) -> Array:
@@ -253,16 +245,54 @@ def _standing_above(points: Array, normal: Array, height: float) -> Array:
     return pose([-middle[0], -middle[1], -height], axes)
 
 
+@dataclass(frozen=True)
+class AtTargets(Instrument):
+    """An instrument whose targets stand in the frame of the base, where they are parameters, `cup[A].x`.
+
+    at : names and places (d,) [mm] in the frame of the base, about, where fits start; empty: not known yet
+    numbers : of the targets, by which rows name them, from 0; empty: in order
+    """
+
+    at: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    numbers: tuple[int, ...] = field(default=(), kw_only=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{self.own_targets}[{name}].{axis}", "mm", kind=PLACE, start=start)
+            for name, place in self.at
+            for axis, start in zip(self.axes, place, strict=True)
+        )
+
+    @property
+    def targets(self) -> dict[str, Array]:
+        return {name: np.array(place) for name, place in self.at}
+
+    def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
+        """What belongs to the target of this number, of one for each target."""
+        for number, one in zip(self.numbers or range(len(self.at)), each, strict=True):
+            otherwise = ca.if_else(target == number, one, otherwise)
+        return otherwise
+
+    def with_targets(self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Self:
+        at, measured = [], np.unique(numbers).tolist()
+        for number in measured:
+            rows = numbers == number
+            at.append((names[number], tuple(self.target_of(points[rows], readings[rows]).tolist())))
+        return replace(self, at=tuple(at), numbers=tuple(measured))
+
+    def target_of(self, points: Array, readings: Array) -> Array:
+        """(d,) of one target where these rows find it;  points, readings : as of `with_targets`"""
+        raise NotImplementedError
+
+
 @register_instrument
 @dataclass(frozen=True)
-class PlanarDistance(Instrument):
+class PlanarDistance(AtTargets):
     """A ball bar or a draw wire beside a planar arm: how far the tip is from a fixed center in the plane.
 
     The frame is that of the base, and the centers, one for each session, are parameters in it. A turn of arm and
     centers together no distance shows: the offset of joint 1 is not estimated.
-
-    centers : names and places (2,) [mm] in the frame of the base, about, where fits start; empty: not known yet
-    numbers : of the centers, by which rows name them, from 0; empty: in order
     """
 
     kind = "distance"
@@ -272,63 +302,36 @@ class PlanarDistance(Instrument):
     own_targets = "center"
     hides = frozenset({f"{JOINT_OFFSET}:1"})
 
-    centers: tuple[tuple[str, tuple[float, float]], ...] = ()
-    numbers: tuple[int, ...] = ()
-
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        center = values[:2] if self.centers else ca.SX.zeros(2)
-        for k, number in enumerate(self.numbers):
-            center = ca.if_else(target == number, values[2 * k : 2 * k + 2], center)
-        return distance_to_center(point - center)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(
-            Parameter(f"center[{name}].{axis}", "mm", kind=PLACE, start=start)
-            for name, place in self.centers
-            for axis, start in zip(self.axes, place, strict=True)
-        )
+        centers = [values[2 * k : 2 * k + 2] for k in range(len(self.at))] or [ca.SX.zeros(2)]
+        return distance_to_center(point - self.of_row(centers[: len(self.at)], target, centers[0]))
 
     def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
         for value in super().own_values(values):
             name = f"center {value.name.removeprefix('center[').replace(']', '').replace('.', ' ')}"
             yield value._replace(name=name, convention="of the distances, in the frame of the base")
 
-    @property
-    def targets(self) -> dict[str, Array]:
-        return {name: np.array(place) for name, place in self.centers}
-
     def place(self, rows: Unplaced) -> Placement:
         """The center alone is to be found, and is the origin of the base that is found."""
         return Distance().place(rows._replace(base=None, tool=np.zeros(3)))
 
-    def with_targets(
-        self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
-    ) -> PlanarDistance:
-        """With the center that explains the distances of each best."""
-        reach, measured, centers = float(np.abs(points).max()), np.unique(numbers).tolist(), []
-        for number in measured:
-            chosen = numbers == number
-            frames = np.array([pose((*point, 0.0)) for point in points[chosen]])
-            x, y, _ = (-self.place(Unplaced(frames, readings[chosen], reach)).base[:3, 3]).tolist()
-            centers.append((names[number], (x, y)))
-        return replace(self, centers=tuple(centers), numbers=tuple(measured))
+    def target_of(self, points: Array, readings: Array) -> Array:
+        """The center that explains the distances best."""
+        frames = np.array([pose((*point, 0.0)) for point in points])
+        return -self.place(Unplaced(frames, readings, float(np.abs(points).max()))).base[:2, 3]
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> PlanarDistance:
-        if (center := table.get("center_mm")) is None:
-            return cls()
-        x, y = (float(coordinate) for coordinate in center)
-        return cls((("1", (x, y)),))
+        center = table.get("center_mm")
+        return cls() if center is None else cls((("1", tuple(map(float, center))),))
 
     def table(self) -> dict[str, Any]:
-        places = [list(place) for _, place in self.centers]
-        return super().table() | ({"center_mm": places[0]} if places else {})
+        return super().table() | ({"center_mm": list(self.at[0][1])} if self.at else {})
 
 
 @register_instrument
 @dataclass(frozen=True)
-class Socket(Instrument):
+class Socket(AtTargets):
     """A ball at the tool that is seated in fixed cups, each in several orientations: nothing is read but the joints.
 
         p(q_i) = c_k    for all rows i in cup k
@@ -343,9 +346,7 @@ class Socket(Instrument):
     method with the derivative at the start, which is near: each gains two digits or more where cups are found to some
     mm. Read is where the ball is from the cup of the row, nothing as measured.
 
-    cups : names and places (3,) [mm] in the frame of the base, about, where fits start; empty: not known yet
     distances : pairs of cups and what is known between their centers [mm]
-    numbers : of the cups, by which rows name them, from 0; empty: in order
     """
 
     kind = "socket"
@@ -366,9 +367,7 @@ class Socket(Instrument):
         touches="three cups or more, each in five\norientations or more",
     )
 
-    cups: tuple[tuple[str, tuple[float, float, float]], ...] = ()
     distances: tuple[tuple[str, str, float], ...] = ()
-    numbers: tuple[int, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -376,47 +375,38 @@ class Socket(Instrument):
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         """From the cup of this number; where there is none from the nearest."""
-        if not self.cups:
+        if not self.at:
             return point
-        places = ca.reshape(self._places(values), 3, -1)
-        beside = [point - places[:, k] for k in range(len(self.cups))]
-        chosen, least = beside[0], ca.sumsqr(beside[0])
+        beside = [point - cup for cup in self._cups(values)]
+        nearest, least = beside[0], ca.sumsqr(beside[0])
         for other in beside[1:]:
-            chosen, least = ca.if_else(ca.sumsqr(other) < least, other, chosen), ca.fmin(least, ca.sumsqr(other))
-        for number, one in zip(self._numbers, beside, strict=True):
-            chosen = ca.if_else(target == number, one, chosen)
-        return chosen
+            nearest, least = ca.if_else(ca.sumsqr(other) < least, other, nearest), ca.fmin(least, ca.sumsqr(other))
+        return self.of_row(beside, target, nearest)
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(
-            Parameter(f"cup[{name}].{axis}", "mm", kind=PLACE, start=float(self._starts[3 * k + i]))
-            for k, (name, _) in enumerate(self.cups)
-            for i, axis in enumerate(AXES)
-            if 3 * k + i not in self._following
-        )
+        every = zip(super().parameters, self._starts.tolist(), strict=True)
+        return tuple(replace(p, start=x) for k, (p, x) in enumerate(every) if k not in self._following)
 
     def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
         """Where the cups are, and how far apart."""
-        if not self.cups:
+        if not self.at:
             return
         names = [parameter.name for parameter in self.parameters]
         symbols = ca.SX.sym("v", len(names))
-        places = self._places(symbols)
-        centers = [places[3 * k : 3 * k + 3] for k in range(len(self.cups))]
-        labels = [f"cup {name} {axis}" for name, _ in self.cups for axis in AXES]
-        labels += [f"cups {a} to {b}" for (a, _), (b, _) in combinations(self.cups, 2)]
-        lengths = (ca.norm_2(one - other) for one, other in combinations(centers, 2))
-        table = ca.vertcat(places, *lengths)
+        cups = self._cups(symbols)
+        labels = [f"cup {name} {axis}" for name, _ in self.at for axis in AXES]
+        labels += [f"cups {a} to {b}" for (a, _), (b, _) in combinations(self.at, 2)]
+        table = ca.vertcat(*cups, *(ca.norm_2(one - other) for one, other in combinations(cups, 2)))
         function = ca.Function("cups", [symbols], [table, ca.jacobian(table, symbols)])
-        found, slopes = function([values.get(p.name, p.neutral) for p in self.parameters])
-        for label, value, row in zip(labels, np.array(found).ravel().tolist(), np.array(ca.DM(slopes)), strict=True):
+        figures, slopes = function([values.get(p.name, p.neutral) for p in self.parameters])
+        for label, value, row in zip(labels, np.array(figures).ravel().tolist(), np.array(ca.DM(slopes)), strict=True):
             by_name = {name: float(slope) for name, slope in zip(names, row, strict=True) if slope}
             yield OwnValue(label, None, value, by_name, "mm", "center of the ball in the cup, in the frame of the base")
 
     @property
     def size_is_open(self) -> tuple[str, str]:
-        known = self._pairs[0] if self.cups else self.distances  # between these cups, of all that are given
+        known = self._pairs if self.at else self.distances  # between these cups, of all that are given
         return ("", "") if known else ("cups without a distance that is known", "give distances_mm between them")
 
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
@@ -426,62 +416,53 @@ class Socket(Instrument):
     # -- where a fit starts --------------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:
         """Of rows in one cup: the point of the tip that moves least, in closed form."""
-        frames, tool = rows.frames, rows.tool
-        positions, turns = frames[:, :3, 3] - frames[:, :3, 3].mean(axis=0), frames[:, :3, :3]
-        turns = turns - turns.mean(axis=0)
+        positions, turns = (a - a.mean(axis=0) for a in (rows.frames[:, :3, 3], rows.frames[:, :3, :3]))
+        tool = rows.tool
         if tool is None:
             tool = -np.linalg.lstsq(turns.reshape(-1, 3), positions.ravel(), rcond=1e-6)[0]
         moved = positions + turns @ tool
         return Placement(np.eye(4), tool, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))))
 
-    def with_targets(self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Socket:
-        """With a cup in the middle of the points of each."""
-        touched = np.unique(numbers).tolist()
-        cups = tuple((names[k], _triple(points[numbers == k].mean(axis=0))) for k in touched)
-        return replace(self, cups=cups, numbers=tuple(touched))
+    def target_of(self, points: Array, readings: Array) -> Array:
+        """In the middle of the points."""
+        return np.asarray(points.mean(axis=0))
 
     @property
     def targets(self) -> dict[str, Array]:
-        return {name: self._starts[3 * k : 3 * k + 3] for k, (name, _) in enumerate(self.cups)}
+        return dict(zip((name for name, _ in self.at), self._starts.reshape(-1, 3), strict=True))
 
     # -- cups ----------------------------------------------------------------------------------------------------------
-    @property
-    def _numbers(self) -> tuple[int, ...]:
-        return self.numbers or tuple(range(len(self.cups)))
-
     @cached_property
-    def _pairs(self) -> tuple[list[tuple[int, int]], Array]:
-        """Numbers of cups whose distances are known, and these (k,) [mm]; of `monday/A` and `monday/B`, too."""
-        split = [name.rpartition("/")[::2] for name, _ in self.cups]
-        pairs, lengths = [], []
-        for first, second, length in self.distances:
-            for a, (group, name) in enumerate(split):
-                if name == first and (group, second) in split:
-                    pairs.append((a, split.index((group, second))))
-                    lengths.append(length)
-        return pairs, np.array(lengths)
+    def _pairs(self) -> list[tuple[int, int, float]]:
+        """Numbers of cups whose distances are known, and these [mm]; of `monday/A` and `monday/B`, too."""
+        split = [name.rpartition("/")[::2] for name, _ in self.at]
+        return [
+            (a, split.index((group, second)), length)
+            for first, second, length in self.distances
+            for a, (group, name) in enumerate(split)
+            if name == first and (group, second) in split
+        ]
 
     def _gaps(self, places: Array) -> tuple[Array, Array]:
         """(k,) by which pairs are too far apart, and the derivative (k, 3 C) by all coordinates of the cups."""
-        pairs, lengths = self._pairs
-        apart, slopes = np.empty(len(pairs)), np.zeros((len(pairs), places.size))
-        for row, (a, b) in enumerate(pairs):
-            across = places[3 * b : 3 * b + 3] - places[3 * a : 3 * a + 3]
-            apart[row] = np.linalg.norm(across)
-            slopes[row, 3 * b : 3 * b + 3] = across / max(apart[row], TOUCHES)
-            slopes[row, 3 * a : 3 * a + 3] = -slopes[row, 3 * b : 3 * b + 3]
-        return apart - lengths, slopes
+        cups, gaps, slopes = places.reshape(-1, 3), [], np.zeros((len(self._pairs), len(self.at), 3))
+        for row, (a, b, length) in zip(slopes, self._pairs, strict=True):
+            across = cups[b] - cups[a]
+            gaps.append(float(np.linalg.norm(across)) - length)
+            row[b] = across / max(gaps[-1] + length, TOUCHES)
+            row[a] = -row[b]
+        return np.array(gaps), slopes.reshape(len(gaps), places.size)
 
     @cached_property
     def _starts(self) -> Array:
-        """(3 C,) coordinates of all cups, nearest to `cups` with the distances that are known."""
-        places = np.array([place for _, place in self.cups], dtype=float).ravel()
+        """(3 C,) coordinates of all cups, nearest to `at` with the distances that are known."""
+        places = np.array([place for _, place in self.at], dtype=float).ravel()
         for _ in range(100):  # effort: distances that can be true are reached in a few steps
             gaps, slopes = self._gaps(places)
             if np.abs(gaps).max(initial=0.0) < TOUCHES:
                 return places
             places = places - np.linalg.pinv(slopes, rcond=DISTINCT) @ gaps
-        pairs = ", ".join(f"{self.cups[a][0]} to {self.cups[b][0]}" for a, b in self._pairs[0])
+        pairs = ", ".join(f"{self.at[a][0]} to {self.at[b][0]}" for a, b, _ in self._pairs)
         raise InputError(
             f"instrument.distances_mm: no cups are as far apart as {pairs}, allowed: distances that can all be true"
         )
@@ -497,32 +478,28 @@ class Socket(Instrument):
             left = left - np.outer(direction, direction @ left)
         return dict(zip(chosen, np.linalg.pinv(slopes[:, chosen], rcond=DISTINCT), strict=True))
 
-    def _places(self, values: ca.SX) -> ca.SX:
-        """(3 C,) coordinates of all cups at values of the parameters."""
+    def _cups(self, values: ca.SX) -> list[ca.SX]:
+        """Centers (3,) of all cups at values of the parameters."""
         free, following = iter(range(values.numel())), self._following
         places = [ca.SX(float(x)) if k in following else values[next(free)] for k, x in enumerate(self._starts)]
-        pairs, lengths = self._pairs
-        for _ in range(4 if pairs else 0):  # effort: steps of Newton's method
-            cups = [ca.vertcat(*places[3 * k : 3 * k + 3]) for k in range(len(self.cups))]
-            apart = ca.vertcat(*(ca.norm_2(cups[b] - cups[a]) for a, b in pairs))
+        lengths = ca.DM([length for _, _, length in self._pairs])
+        for step in range(5):  # effort: of Newton's method
+            cups = [ca.vertcat(*places[3 * k : 3 * k + 3]) for k in range(len(self.at))]
+            if step == 4 or not self._pairs:
+                break
+            apart = ca.vertcat(*(ca.norm_2(cups[b] - cups[a]) for a, b, _ in self._pairs))
             for k, closing in following.items():
-                places[k] = places[k] - ca.dot(ca.DM(closing), apart - ca.DM(lengths))
-        return ca.vertcat(*places)
+                places[k] = places[k] - ca.dot(ca.DM(closing), apart - lengths)
+        return cups
 
     # -- files ---------------------------------------------------------------------------------------------------------
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Socket:
-        cups = tuple((name, _triple(place)) for name, place in (table.get("cups") or {}).items())
+        cups = tuple((name, tuple(map(float, place))) for name, place in (table.get("cups") or {}).items())
         distances = tuple((str(a), str(b), float(d)) for a, b, d in table.get("distances_mm") or ())
         return cls(cups, distances)
 
     def table(self) -> dict[str, Any]:
-        cups = {name: [float(x) for x in place] for name, place in self.cups}
-        distances = [list(entry) for entry in self.distances]
+        cups, distances = {name: list(place) for name, place in self.at}, [list(entry) for entry in self.distances]
         more = {"distances_mm": distances, "cups": cups}
         return super().table() | {key: value for key, value in more.items() if value}
-
-
-def _triple(place: Sequence[float] | Array) -> tuple[float, float, float]:
-    x, y, z = (float(coordinate) for coordinate in place)
-    return x, y, z

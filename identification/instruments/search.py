@@ -15,10 +15,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arrays import Array
-from identification.kinematics.frames import pose
+from identification.kinematics.frames import from_quaternions, pose, turned
 
 if TYPE_CHECKING:
     from identification.instruments.base import Instrument
@@ -72,9 +71,8 @@ class Starts(NamedTuple):
     @classmethod
     def of(cls, rotations: Array, shifts: Array, tools: Array, values: Array) -> Starts:
         """Each for all starts, or one for each of s tools (s, 3)."""
-        s = len(tools)
-        widths = (rotations, (s, 3, 3)), (shifts, (s, 3)), (tools, (s, 3)), (values, (s, np.shape(values)[-1]))
-        return cls(*(np.array(np.broadcast_to(part, shape)) for part, shape in widths))
+        parts = (rotations, (3, 3)), (shifts, (3,)), (tools, (3,)), (values, np.shape(values)[-1:])
+        return cls(*(np.array(np.broadcast_to(part, (len(tools), *shape))) for part, shape in parts))
 
     def best(self, squares: Array, count: int) -> Starts:
         """Those of the smallest sums of squares (s,)."""
@@ -83,13 +81,8 @@ class Starts(NamedTuple):
 
     def moved(self, change: Array) -> Starts:
         """After steps (s, 9 + k) of shift, rotation about the axes of the instrument, tool and values."""
-        turned = _rotations(change[:, 3:6]) @ self.rotations
-        return Starts(turned, self.shifts + change[:, :3], self.tools + change[:, 6:9], self.values + change[:, 9:])
-
-    def choose(self, other: Starts, better: NDArray[np.bool_]) -> Starts:
-        """The other ones where better (s,)."""
-        pairs = zip(self, other, strict=True)
-        return Starts(*(np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), b, a) for a, b in pairs))
+        rotations = turned(change[:, 3:6]) @ self.rotations
+        return Starts(rotations, self.shifts + change[:, :3], self.tools + change[:, 6:9], self.values + change[:, 9:])
 
 
 def random_starts(instrument: Instrument, rows: Unplaced) -> Starts:
@@ -98,12 +91,10 @@ def random_starts(instrument: Instrument, rows: Unplaced) -> Starts:
     if rows.base is not None:
         return Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, neutral)
     generator, count = np.random.default_rng(0), 3000  # effort
-    vectors = generator.standard_normal((count, 4))
-    angle = 2.0 * np.arctan2(np.linalg.norm(vectors[:, 1:], axis=1), vectors[:, 0])  # of a quaternion of any length
-    axes = vectors[:, 1:] / np.linalg.norm(vectors[:, 1:], axis=1, keepdims=True)
+    rotations = from_quaternions(generator.standard_normal((count, 4)))
     # bases are looked for within three times the reach
     shifts = 3.0 * rows.reach * generator.uniform(-1.0, 1.0, (count, 3))
-    return Starts.of(_rotations(angle[:, None] * axes), shifts, np.resize(rows.tools, (count, 3)), neutral)
+    return Starts.of(rotations, shifts, np.resize(rows.tools, (count, 3)), neutral)
 
 
 def searched(
@@ -115,7 +106,7 @@ def searched(
     if len(starts.tools) > 100:
         spread = np.unique(np.linspace(0, len(rows.frames) - 1, 30).astype(int))
         few = rows._replace(frames=rows.frames[spread], readings=rows.readings[spread])
-        starts = starts.best(_linear(instrument, starts, few.frames, few.readings)[0], 100)
+        starts = starts.best(_linear(instrument, starts, few)[0], 100)
         starts = Starts.best(*followed(instrument, few, starts, of_base, patience), 5)
     starts, squares = followed(instrument, rows, starts, of_base, patience)
     best = int(np.argmin(squares))
@@ -138,76 +129,57 @@ def followed(
     patience : steps after which what is `Unplaced.hopeless` is given up;  rounds : steps of each start at most
     hold : whether own values of the instrument stay as they are
     """
-    frames, readings, reach, base, tool, hopeless = rows
-    k, wanted = starts.values.shape[1], len(frames) * hopeless**2
-    scales = np.r_[np.full(3, reach), np.ones(3), np.full(3, 0.1 * reach), np.ones(k)]
-    free = np.r_[np.zeros(6, dtype=bool), np.full(3, tool is None), np.full(k, not hold)]
-    free[of_base] = base is None
-    squares, gradient, matrix = _linear(instrument, starts, frames, readings, scales, free)
+    k, m = starts.values.shape[1], len(rows.frames)
+    scales = np.r_[np.full(3, rows.reach), np.ones(3), np.full(3, 0.1 * rows.reach), np.ones(k)]
+    free = np.r_[np.zeros(6, dtype=bool), np.full(3, rows.tool is None), np.full(k, not hold)]
+    free[of_base] = rows.base is None
+    columns = np.diag(scales)[free]  # of the free unknowns, each divided by its scale
+    squares, gradient, matrix = _linear(instrument, starts, rows, columns)
     damping = np.full(len(squares), 1e-3)  # what is added to a normal matrix, of its diagonal
     for done in range(rounds):
         diagonal = np.einsum("sii->si", matrix)
         floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True, initial=0.0) + np.finfo(float).tiny
         added = np.eye(matrix.shape[-1]) * (damping[:, None] * np.maximum(diagonal, floor))[:, None]
-        step, change = (
-            np.linalg.solve(matrix + added, gradient[..., None])[..., 0],
-            np.zeros((len(squares), len(scales))),
-        )
-        change[:, free] = step
+        step = np.linalg.solve(matrix + added, gradient[..., None])[..., 0]
         promised = np.einsum("sf,sf->s", gradient, step)  # fall of the sum of squares, half of it or more
         # of lengths 1e-12 reaches are rounding
-        settled = np.all(promised <= ENOUGH * squares + len(frames) * (1e-12 * scales[0]) ** 2)
-        moved = starts.moved(change * scales)
-        new = _linear(instrument, moved, frames, readings, scales, free)
+        settled = np.all(promised <= ENOUGH * squares + m * (1e-12 * rows.reach) ** 2)
+        moved = starts.moved(step @ columns)
+        new = _linear(instrument, moved, rows, columns)
         better = new[0] < squares
-        starts = starts.choose(moved, better)
-        gradient, matrix = np.where(better[:, None], new[1], gradient), np.where(better[:, None, None], new[2], matrix)
-        squares = np.where(better, new[0], squares)
+        old = *starts, squares, gradient, matrix
+        chosen = (
+            np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), b, a) for a, b in zip(old, (*moved, *new), strict=True)
+        )
+        *parts, squares, gradient, matrix = chosen
+        starts = Starts(*parts)
         # so far that a step stands still, and is that of Gauss and Newton
         damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), 1e-12, 1e12)
         # nothing is to be gained, or some steps have shown that it is hopeless
-        if settled or (done >= patience and np.min(squares) > wanted):
+        if settled or (done >= patience and np.min(squares) > m * rows.hopeless**2):
             break
     return starts, squares
 
 
-def _linear(
-    instrument: Instrument,
-    starts: Starts,
-    frames: Array,
-    readings: Array,
-    scales: Array | None = None,
-    free: Array | None = None,
-) -> tuple[Array, ...]:
-    """(s,) sums of squares, infinite where there is no reading; with scales the gradient (s, f) and the normal matrix
-    (s, f, f), too, of the free unknowns, each divided by its scale."""
+def _linear(instrument: Instrument, starts: Starts, rows: Unplaced, columns: Array | None = None) -> tuple[Array, ...]:
+    """(s,) sums of squares, infinite where there is no reading; with columns (f, 9 + k), directions in the unknowns,
+    the gradient (s, f) and the normal matrix (s, f, f) in these, too."""
     rotations, shifts, tools, values = starts
-    local = frames[:, :3, 3] + np.tensordot(tools, frames[:, :3, :3], (1, 2))  # (s, m, 3) in the frame of the base
-    arms = local @ np.swapaxes(rotations, 1, 2)
+    arms = rows.points(tools) @ np.swapaxes(rotations, 1, 2)  # (s, m, 3) in the frame of the base
     with np.errstate(all="ignore"):
         read, by_point, by_values = instrument.linearized(arms + shifts[:, None], values[:, None], np.zeros((1, 1, 1)))
-        residual = readings - read
-        squares = np.nan_to_num(np.sum(residual**2, axis=(1, 2)), nan=np.inf)
-        if scales is None:
+        left = rows.readings - read
+        squares = np.nan_to_num(np.sum(left**2, axis=(1, 2)), nan=np.inf)
+        if columns is None:
             return (squares,)
         by_turn = np.cross(arms[:, :, None], by_point)  # a row times d(w x a) / dw
-        by_tool = by_point @ rotations[:, None] @ frames[:, :3, :3]
-        columns = np.concatenate([by_point, by_turn, by_tool, by_values], axis=-1)[..., free] * scales[free]
-        columns = np.where(np.isfinite(squares)[:, None, None, None], columns, 0.0)
-        flat = columns.reshape(len(columns), -1, columns.shape[-1])
-        left = np.where(np.isfinite(squares)[:, None, None], residual, 0.0).reshape(len(columns), -1, 1)
-    across = np.swapaxes(flat, 1, 2)
-    return squares, (across @ left)[..., 0], across @ flat
-
-
-def _rotations(vectors: Array) -> Array:
-    """(s, 3, 3) rotations by vectors (s, 3) [rad] (Rodrigues)."""
-    angles = np.linalg.norm(vectors, axis=1)[:, None, None]
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-    half = np.sinc(angles / (2.0 * np.pi))
-    return np.eye(3) + np.sinc(angles / np.pi) * cross + 0.5 * half**2 * cross @ cross
+        by_tool = by_point @ rotations[:, None] @ rows.frames[:, :3, :3]
+        slopes = np.concatenate([by_point, by_turn, by_tool, by_values], axis=-1)
+        seen = np.isfinite(squares)[:, None, None]
+        slopes = np.where(seen, slopes.reshape(len(left), -1, slopes.shape[-1]) @ columns.T, 0.0)
+        left = np.where(seen, left.reshape(len(left), -1, 1), 0.0)
+    across = np.swapaxes(slopes, 1, 2)
+    return squares, (across @ left)[..., 0], across @ slopes
 
 
 # -- positions ---------------------------------------------------------------------------------------------------------
@@ -225,42 +197,39 @@ def registered(points: Array, measured: Array) -> Array:
 
 
 def placed(rows: Unplaced) -> Placement:
-    """Base and tool that explain measured points best, whatever is `hopeless`."""
-    frames, measured, _, base, tool, _ = rows
-    if base is not None and tool is None:  # that explains the measured points best, each in the frame of its tip
-        local = (measured - base[:3, 3]) @ base[:3, :3]  # in the base's frame
-        tool = np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames)
-    tool = _tool(rows) if tool is None else tool
-    points = frames[:, :3, 3] + frames[:, :3, :3] @ tool
-    base = registered(points, measured) if base is None else base
-    left = measured - (points @ base[:3, :3].T + base[:3, 3])[:, : measured.shape[1]]
-    return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
-
-
-def _tool(rows: Unplaced) -> Array:
-    """(3,) by turns from each start.
+    """Base and tool that explain measured points best, whatever is `hopeless`; both by turns from each start.
 
     All that a turn needs of the rows are means, of positions p and rotations R of the tip and measured points y, each
     less its mean: so a turn costs the same for any number of them.
     """
-    p, turn, y = (a - a.mean(axis=0) for a in (rows.frames[:, :3, 3], rows.frames[:, :3, :3], rows.readings))
-    m, tools = len(p), rows.tools
-    points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m  # of y p^T (3, 3), of y_k R (3, 3, 3)
-    along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m  # of R^T p, of R^T R
-    values, axes = np.linalg.eigh(gram)
-    # what moves a point 1 mm from the flange's center by less than 0.01 mm (RMS) is lost in a drawing's errors
-    inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > 0.01**2)) @ axes.T
-    squared, before = float(np.sum(p**2 + y**2)) / m, np.full(len(tools), np.inf)
-    for _ in range(200):  # effort: turns of each start
-        left, _, right = np.linalg.svd(points + np.einsum("kij,sj->ski", turns, tools))
-        left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]  # no mirror
-        rotations = left @ right  # (s, 3, 3) best ones of the base for the tools (Kabsch)
-        crossed = np.einsum("ski,kij->sj", rotations, turns)
-        tools = (crossed - along) @ inverse
-        # (s,) mean squared distances left [mm^2]
-        squares = 2.0 * tools @ along + np.einsum("si,ij,sj->s", tools, gram, tools)
-        squares += squared - 2.0 * (np.einsum("ski,ki->s", rotations, points) + np.sum(crossed * tools, axis=1))
-        if np.all(squares > before * (1.0 - ENOUGH)):
-            break
-        before = squares
-    return np.asarray(tools[np.argmin(squares)])
+    frames, measured, _, base, tool, _ = rows
+    if tool is None and base is not None:  # that explains the measured points best, each in the frame of its tip
+        local = (measured - base[:3, 3]) @ base[:3, :3]  # in the base's frame
+        tool = np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames)
+    elif tool is None:
+        p, turn, y = (a - a.mean(axis=0) for a in (frames[:, :3, 3], frames[:, :3, :3], measured))
+        m, tools = len(p), rows.tools
+        points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m  # of y p^T (3, 3), of y_k R (3, 3, 3)
+        # of R^T p, of R^T R
+        along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m
+        values, axes = np.linalg.eigh(gram)
+        # what moves a point 1 mm from the flange's center by less than 0.01 mm (RMS) is lost in a drawing's errors
+        inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > 0.01**2)) @ axes.T
+        squared, before = float(np.sum(p**2 + y**2)) / m, np.full(len(tools), np.inf)
+        for _ in range(200):  # effort: turns of each start
+            left, _, right = np.linalg.svd(points + np.einsum("kij,sj->ski", turns, tools))
+            left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]  # no mirror
+            rotations = left @ right  # (s, 3, 3) best ones of the base for the tools (Kabsch)
+            crossed = np.einsum("ski,kij->sj", rotations, turns)
+            tools = (crossed - along) @ inverse
+            # (s,) mean squared distances left [mm^2]
+            squares = 2.0 * tools @ along + np.einsum("si,ij,sj->s", tools, gram, tools)
+            squares += squared - 2.0 * (np.einsum("ski,ki->s", rotations, points) + np.sum(crossed * tools, axis=1))
+            if np.all(squares > before * (1.0 - ENOUGH)):
+                break
+            before = squares
+        tool = tools[np.argmin(squares)]
+    points = frames[:, :3, 3] + frames[:, :3, :3] @ tool
+    base = registered(points, measured) if base is None else base
+    left = measured - (points @ base[:3, :3].T + base[:3, 3])[:, : measured.shape[1]]
+    return Placement(base, tool, float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))

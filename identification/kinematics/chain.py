@@ -26,7 +26,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -46,10 +46,9 @@ from identification.kinematics.parameters import (
     chain_parameters,
     error_names,
 )
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 DIMENSION = 3  # of space
-IN_SPACE, IN_PLANE = "xyz", "xy"
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 Values = Mapping[str, ca.SX | float]  # parameter name -> value
 NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -108,7 +107,12 @@ class KinematicChain(ByValue):
     angle_scale: float | None = None  # [mm/rad] a radian of a measured orientation counts as; None: only points are
     tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
-    axes: str = IN_SPACE  # of the frames, along which positions are measured: `xyz`, or `xy` of a planar arm
+
+    axes: ClassVar[str] = "xyz"  # of the frames, along which positions are measured
+    turning: ClassVar[tuple[int, ...]] = (0, 1, 2)  # numbers of the axes that a frame may turn about
+    turn_names: ClassVar[tuple[str, ...]] = ("wx", "wy", "wz")  # of the parts of a rotation
+    base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
+    planar: ClassVar[bool] = False  # a `PlanarChain`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
@@ -118,15 +122,15 @@ class KinematicChain(ByValue):
         return len(self.joints)
 
     @property
-    def planar(self) -> bool:
-        """Whether it moves in a plane: then its free errors are link lengths and joint zeros, and its base and tip are
-        where the drawing has them (effects may move them)."""
-        return self.axes == IN_PLANE
-
-    @property
     def positions_in_plane(self) -> bool:
         """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
-        return self.planar and self.instrument.reads_positions
+        return False
+
+    def refuse_contacts(self) -> None:
+        """Raises `InputError` where a probe touches a surface and postures have to be free."""
+        if self.instrument.contact:
+            reason = f"kind {self.instrument.kind}: where it is touched follows from the arm"
+            raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
     @property
     def dimension(self) -> int:
@@ -134,31 +138,20 @@ class KinematicChain(ByValue):
         return len(self.axes)
 
     @property
-    def turning(self) -> tuple[int, ...]:
-        """Numbers of the axes that a frame may turn about: all three in space, z in the plane."""
-        return (2,) if self.planar else (0, 1, 2)
-
-    @property
-    def turn_names(self) -> tuple[str, ...]:
-        """Names of the parts of a rotation: `w` in the plane, `wx`, `wy`, `wz` in space."""
-        return ("w",) if self.planar else ("wx", "wy", "wz")
-
-    @property
     def bends(self) -> dict[str, int]:
-        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In the plane each
-        link's end to its left; in space each joint's frame after it moved, by three turns and three shifts."""
-        n = len(self)
-        return {"deflections": n, "slopes": n} if self.planar else {"joint_turns": 3 * n, "joint_shifts": 3 * n}
+        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In space each joint's
+        frame after it moved, by three turns and three shifts; in the plane each link's end to its left."""
+        return {"joint_turns": 3 * len(self), "joint_shifts": 3 * len(self)}
 
     @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
-        return not (self.planar or self.fixed)
+        return not self.fixed
 
     @property
     def held(self) -> frozenset[str]:
         """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
-        return self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset())
+        return self.fixed
 
     @property
     def coordinates(self) -> int:
@@ -168,33 +161,31 @@ class KinematicChain(ByValue):
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
-    def _steps(self) -> list[float]:
-        return [float(np.linalg.norm(matrix[:3, 3])) for matrix in (*(j.origin for j in self.joints), self.end)]
+    def _links(self) -> tuple[Array, ...]:
+        """(n + 1) poses (4, 4) of each joint's frame in the one before, and of the tip's."""
+        return *(joint.origin for joint in self.joints), self.end
+
+    @cached_property
+    def link_vectors(self) -> tuple[Array, ...]:
+        """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
+        return tuple(matrix[:3, 3] for matrix in self._links[1:])
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(n,) nominal lengths [mm] of the straight lines from each joint's frame to the next, the last to the tip."""
+        return readonly([np.linalg.norm(vector) for vector in self.link_vectors])
 
     @cached_property
     def reach(self) -> float:
         """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
         sliding = (max(abs(j.lower), abs(j.upper)) for j in self.joints if j.type == PRISMATIC)
-        return float(sum(self._steps) + sum(sliding))
-
-    @cached_property
-    def lengths(self) -> Array:
-        """(n,) nominal lengths [mm] of the straight lines from each joint's frame to the next, the last to the tip."""
-        return readonly(self._steps[1:])
+        return float(np.linalg.norm(self._links[0][:3, 3]) + sum(self.lengths.tolist()) + sum(sliding))
 
     @cached_property
     def levers(self) -> Array:
-        """(n,) distances [mm] over which each joint acts, in order of magnitude: in the plane the length of its link
-        (paper), in space from joint to tip as the parts could add up, not below a tenth of the reach."""
-        if self.planar:
-            return self.lengths
-        beyond = np.cumsum(self._steps[::-1])[::-1][1:]
-        return np.maximum(beyond, self.reach / 10.0)
-
-    @cached_property
-    def link_vectors(self) -> list[Array]:
-        """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
-        return [matrix[:3, 3] for matrix in (*(joint.origin for joint in self.joints[1:]), self.end)]
+        """(n,) distances [mm] over which each joint acts, in order of magnitude: from joint to tip as parts could add
+        up, not below a tenth of the reach; in the plane the length of its link (paper)."""
+        return np.maximum(np.cumsum(self.lengths[::-1])[::-1], self.reach / 10.0)
 
     @property
     def joint_types(self) -> tuple[str, ...]:
@@ -206,8 +197,6 @@ class KinematicChain(ByValue):
     def every_parameter(self) -> ParameterSet:
         """All of the geometry: base (6), tools (3 each, 6 where orientations are measured), for each joint its offset
         and six errors, in the plane lengths of links and offsets of joints, and last those of the instrument itself."""
-        if self.planar:
-            return ParameterSet([*chain_parameters(self.lengths), *self.instrument.parameters])
         parameters = _six(BASE, self.reach, (BASE, BASE))
         for name, place in self.tools.items():
             # no measured point is farther from where it is drawn or found first
@@ -223,14 +212,8 @@ class KinematicChain(ByValue):
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
-        which move all that lies beyond as the base does; nor what no reading of the instrument shows.
-
-        best : best known values, by which the offsets of a planar arm are scaled as far as anything is left of a link
-        """
-        if self.planar:
-            errors = [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
-            scales = np.where(self.lengths + errors == 0.0, self.lengths, np.abs(self.lengths + errors))
-            return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
+        which move all that lies beyond as the base does; nor what no reading of the instrument shows;  best : best
+        known values, which matter in the plane"""
         stands = BASE in self.settled
         hidden = {
             error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
@@ -260,8 +243,9 @@ class KinematicChain(ByValue):
         return error_names(2)[int(np.argmax(np.roll(moved, 3))) - 3]  # of equal ones a turn
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
-        """Least squares in closed form for lengths and offsets of a planar arm; None for others, see there."""
-        return PlanarClosedForm.of(self.lengths, parameters, others) if self.positions_in_plane else None
+        """Least squares in closed form for lengths and offsets of a planar arm; None for others, and where one of a
+        length or an offset is not among the parameters;  others : the model has parameters or curves beside these"""
+        return None
 
     def along_base(self, shift: Mapping[str, float], values: Values, back: bool = False) -> dict[str, Any]:
         """A shift of the base along its own axes as one along those of the instrument, both by the names of its
@@ -269,20 +253,20 @@ class KinematicChain(ByValue):
 
         values : of parameters, where the base is turned by them;  back : the reverse
         """
-        names = ("base_offset.x0", "base_offset.y0") if self.planar else error_names(BASE)[:3]
-        if not set(names) & set(shift):
+        if set(self.base_shift).isdisjoint(shift):
             return {}
-        axes: Any = ca.DM(self.base[:3, :3])
-        if self.planar:  # where the base stands is an effect, and how it is turned the offset of joint 1
-            axes = Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
-        turned = ca.mtimes(axes.T if back else axes, in_space(ca.DM([shift.get(name, 0.0) for name in names])))
-        return {name: turned[k] for k, name in enumerate(names)}
+        axes, along = self._base_axes(values), in_space(ca.DM([shift.get(name, 0.0) for name in self.base_shift]))
+        turned = ca.mtimes(axes.T if back else axes, along)
+        return {name: turned[k] for k, name in enumerate(self.base_shift)}
+
+    def _base_axes(self, values: Values) -> Any:
+        """(3, 3) axes of the base in the frame of the instrument."""
+        return ca.DM(self.base[:3, :3])
 
     # -- symbols -------------------------------------------------------------------------------------------------------
     def link_lengths(self, values: ca.SX) -> ca.SX:
         """(n,) `lengths` with their errors, where values of the parameters have some."""
-        lengths = ca.SX(ca.DM(self.lengths))
-        return lengths + values[: len(self)] if self.planar else lengths
+        return ca.SX(ca.DM(self.lengths))
 
     def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = NOTHING) -> list[Frame]:
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
@@ -298,43 +282,41 @@ class KinematicChain(ByValue):
             frame = frame.turned_about(self.turning, added["base_rotation"])
         placed = [frame]
         for j, joint in enumerate(self.joints, start=1):
-            frame = self._behind_link(frame, j - 1, joint.origin, values, added).displaced(values, error_names(j))
+            frame = self._behind_link(frame, j - 1, values, added).displaced(values, error_names(j))
             frame = joint.moved(frame, q[j - 1] + values.get(f"{JOINT_OFFSET}:{j}", 0.0))
-            for k in range(DIMENSION if "joint_shifts" in added else 0):
-                frame = frame.moved(k, added["joint_shifts"][3 * (j - 1) + k])
-            if "joint_turns" in added:
-                frame = frame.turned_about(range(3), added["joint_turns"][3 * (j - 1) : 3 * j])
+            own = slice(3 * (j - 1), 3 * j)
+            frame = frame.shifted(added["joint_shifts"][own]) if "joint_shifts" in added else frame
+            frame = frame.turned_about(range(3), added["joint_turns"][own]) if "joint_turns" in added else frame
             placed.append(frame)
-        return [*placed, self._behind_link(frame, len(self), self.end, values, added)]
+        return [*placed, self._behind_link(frame, len(self), values, added)]
 
-    def _behind_link(self, frame: Frame, link: int, matrix: Array, values: Values, added: Mapping[str, ca.SX]) -> Frame:
-        """The frame at the end of a link, counted from 1, with nominal pose `matrix` in that of its joint: the link may
-        be longer and may be bent to its left; 0: from the base to joint 1."""
+    def _behind_link(self, frame: Frame, link: int, values: Values, added: Mapping[str, ca.SX]) -> Frame:
+        """The frame at the end of a link, counted from 1, which may be longer and bent to its left; 0: from the base to
+        joint 1."""
         if link == 0:
-            return frame.placed(matrix)
-        shift = ca.SX(ca.DM(matrix[:3, 3]))
+            return frame.placed(self._links[0])
+        vector, length = self.link_vectors[link - 1], self.lengths[link - 1]
         longer = ca.SX(values.get(f"{LENGTH_ERROR}:{link}", 0.0))
-        if "extensions" in added and self._steps[link]:
-            longer += added["extensions"][link - 1]
-        if not longer.is_zero():
-            shift += ca.DM(self.link_vectors[link - 1] / self._steps[link]) * longer
+        longer += added["extensions"][link - 1] if "extensions" in added and length else 0.0
+        shift = ca.SX(ca.DM(vector)) + (0.0 if longer.is_zero() else ca.DM(vector / length) * longer)
         if "deflections" not in added:
-            return frame.shifted(shift).placed(pose(rotation=matrix[:3, :3]))
+            return frame.shifted(shift).placed(pose(rotation=self._links[link][:3, :3]))
         shift[1] += added["deflections"][link - 1]
         return frame.shifted(shift).turned(2, added["slopes"][link - 1])
 
-    def tool(self, frame: Frame, name: str, values: Values, added: ca.SX | None = None) -> ca.SX:
-        """(3,) position of a measured point of the tip's frame."""
-        errors = ca.vertcat(*(values.get(error, 0.0) for error in error_names(f"tool[{name}]")[:3]))
-        return frame.point(ca.DM(self.tools[name]) + errors + (0.0 if added is None else in_space(added)))
+    def measured(self, tip: Frame, values: Values, added: ca.SX | float = 0.0) -> list[Frame]:
+        """The frame of each measured point, where the tip's frame is there: its origin is the point.
 
-    def _orientation(self, frame: Frame, values: Values, marker: ca.SX | None) -> ca.SX:
-        """(9,) axes of the measured frame, by columns, where the tip's frame is there."""
-        turned = []
-        for name in self.tools:
-            drawn = frame.placed(pose(rotation=self.tool_axes.get(name, np.eye(3))))
-            turned.append(ca.vec(drawn.displaced(values, error_names(f"tool[{name}]")[3:]).axes))
-        return _of_marker(turned, marker)
+        added : (3,) to the place of each
+        """
+        frames = []
+        for name, place in self.tools.items():
+            names = error_names(f"tool[{name}]")
+            errors = ca.vertcat(*(values.get(error, 0.0) for error in names[:3]))
+            frame = tip.shifted(ca.DM(place) + errors + added)
+            drawn = frame.placed(pose(rotation=self.tool_axes[name])) if name in self.tool_axes else frame
+            frames.append(drawn.displaced(values, names[3:]))
+        return frames
 
     def tip(
         self,
@@ -351,30 +333,31 @@ class KinematicChain(ByValue):
         reference : (9,) orientation to compare with, by columns
         """
         named = {name: values[k] for k, name in enumerate(self.parameters().names)}
-        frame = self.frames(q, named, added)[-1]
-        point = _of_marker([self.tool(frame, name, named, added["tool"]) for name in self.tools], marker)
-        point = point[: self.dimension]
+        measured = self.measured(self.frames(q, named, added)[-1], named, in_space(added["tool"]))
+        point = _of_marker([frame.point(ca.SX(3, 1)) for frame in measured], marker)[: self.dimension]
         if self.angle_scale is None or reference is None:
             return point, ca.SX(0, 1)
-        axes = ca.reshape(self._orientation(frame, named, marker), 3, 3)
+        axes = ca.reshape(_of_marker([ca.vec(frame.axes) for frame in measured], marker), 3, 3)
         return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3).T))
 
     def orientation(self, q: ca.SX, values: Values, marker: ca.SX | None = None) -> ca.SX:
         """(9,) axes of the measured frame, by columns, for the instrument; arguments as of `frames` and `tip`."""
-        return self._orientation(self.frames(q, values)[-1], values, marker)
+        measured = self.measured(self.frames(q, values)[-1], values)
+        return _of_marker([ca.vec(frame.axes) for frame in measured], marker)
 
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
-        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base; in the plane,
-        where joint 1 is the base, n + 1 points (2,)."""
-        named = dict(zip(self.parameters().names, np.asarray(values, dtype=float).tolist(), strict=True))
-        frames = self._in_base(q, named)
-        points = [*(frame.origin for frame in frames[:-1]), self.tool(frames[-1], next(iter(self.tools)), named)]
-        return [point[: self.dimension] for point in points[int(self.planar) :]]
+        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
+        *frames, _, measured = self._in_base(q, self._named(values))
+        return [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
+
+    def _named(self, values: ArrayLike) -> dict[str, float]:
+        return self.parameters().mapping(values)
 
     def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
-        """Frames in that of the base, as if nothing were wrong with its place."""
+        """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
         at_home = replace(self, base=np.eye(4))
-        return at_home.frames(q, {name: value for name, value in values.items() if not name.startswith("base.")})
+        frames = at_home.frames(q, {name: value for name, value in values.items() if not name.startswith("base.")})
+        return [*frames, self.measured(frames[-1], values)[0]]
 
     # -- numbers -------------------------------------------------------------------------------------------------------
     def points(self, postures: Array, values: Array) -> Array:
@@ -382,24 +365,37 @@ class KinematicChain(ByValue):
         points = _points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
         return np.swapaxes(points, -1, -2)
 
-    def joint_frames(self, postures: Array, values: Array) -> Array:
-        """(..., n + 1, 4, 4) [mm] at postures (..., n), in the frame of the base: each joint's frame after it moved,
-        and the tip's with the first measured point as its origin.
+    def joint_frames(self, values: Array) -> Callable[[Array], Array]:
+        """What gives the frames (..., n + 1, 4, 4) [mm] at postures (..., n), in that of the base: each of a joint
+        after it moved, and the tip's with the first measured point as its origin.
 
         values : of the parameters, in their order
         """
-        placed = _joint_frames(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
-        frames = np.zeros((*placed.shape[:-2], len(self) + 1, 4, 4))
-        frames[..., 3, 3] = 1.0
-        frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], len(self) + 1, 4), -3, -2)
-        return frames
+        poses = self._poses(self._named(values))
+
+        def at(postures: Array) -> Array:
+            frames = poses(postures)
+            frames[..., -2, :3, 3] = frames[..., -1, :3, 3]
+            return frames[..., 1:-1, :, :]
+
+        return at
 
     def tip_frames(self, postures: Array, values: Mapping[str, float] = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
-        origin, axes = _tip(self, tuple(values.items()))(postures)
-        frames = np.tile(np.eye(4), (len(postures), 1, 1))
-        frames[:, :3, 3], frames[:, :3, :3] = origin[..., 0], axes
-        return frames
+        return self._poses(values)(postures)[..., -2, :, :]
+
+    def _poses(self, values: Mapping[str, float]) -> Callable[[Array], Array]:
+        """What gives `_in_base` (..., n + 3, 4, 4) at postures (..., n)."""
+        compiled = _frames(self, tuple(values.items()))
+
+        def at(postures: Array) -> Array:
+            placed = compiled(postures)[0]
+            frames = np.zeros((*placed.shape[:-2], len(self) + 3, 4, 4))
+            frames[..., 3, 3] = 1.0
+            frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], -1, 4), -3, -2)
+            return frames
+
+        return at
 
 
 # of a chain and values of its parameters; compiled once, used in every search
@@ -411,19 +407,10 @@ def _points(chain: KinematicChain, values: tuple[float, ...]) -> Evaluate:
 
 
 @lru_cache(maxsize=8)
-def _joint_frames(chain: KinematicChain, values: tuple[float, ...]) -> Evaluate:
-    q, named = ca.SX.sym("q", len(chain)), dict(zip(chain.parameters().names, values, strict=True))
-    frames = chain._in_base(q, named)[1:]
-    origins = [*(frame.origin for frame in frames[:-1]), chain.tool(frames[-1], next(iter(chain.tools)), named)]
-    placed = [ca.horzcat(frame.axes, origin) for frame, origin in zip(frames, origins, strict=True)]
-    return vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.horzcat(*placed)))]))
-
-
-@lru_cache(maxsize=8)
-def _tip(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
+def _frames(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
     q = ca.SX.sym("q", len(chain))
-    tip = chain._in_base(q, dict(values))[-1]
-    return vectorize(ca.Function("tip", [q], [ca.densify(tip.origin), ca.densify(tip.axes)]))
+    placed = [ca.horzcat(frame.axes, frame.origin) for frame in chain._in_base(q, dict(values))]
+    return vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.horzcat(*placed)))]))
 
 
 def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
@@ -440,12 +427,75 @@ def _six(frame: str | int, lever: float, kinds: tuple[str, str], farthest: float
     return translations + [Parameter(name, "rad", scale=lever, kind=kinds[1], joint=joint) for name in names[3:]]
 
 
+@dataclass(frozen=True, eq=False)
+class PlanarChain(KinematicChain):
+    """A chain that moves in a plane: its free errors are link lengths and joint zeros, and its base and tip are where
+    the drawing has them; where the base stands is an effect, and how it is turned the offset of joint 1."""
+
+    axes = "xy"
+    turning = (2,)
+    turn_names = ("w",)
+    base_shift = ("base_offset.x0", "base_offset.y0")
+    planar = True
+
+    @property
+    def positions_in_plane(self) -> bool:
+        return self.instrument.reads_positions
+
+    @property
+    def bends(self) -> dict[str, int]:
+        return {"deflections": len(self), "slopes": len(self)}
+
+    @property
+    def redundant(self) -> bool:
+        return False
+
+    @property
+    def held(self) -> frozenset[str]:
+        return self.fixed | self.instrument.hidden(self.base)
+
+    @property
+    def levers(self) -> Array:
+        return self.lengths
+
+    @property
+    def every_parameter(self) -> ParameterSet:
+        return self.parameters()
+
+    def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
+        """Length errors, joint offsets and those of the instrument.
+
+        best : best known values, by which the offsets are scaled as far as anything is left of a link
+        """
+        lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
+        scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths))
+        return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
+
+    def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
+        chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
+        if not self.positions_in_plane or len(chain) < 2 * len(self):
+            return None
+        base = [k for k, name in enumerate(parameters.names) if name in self.base_shift]
+        indices = np.array(chain + base if len(base) == 2 else chain)
+        return PlanarClosedForm(self.lengths, len(base) == 2, indices, not others and len(indices) == len(parameters))
+
+    def _base_axes(self, values: Values) -> Any:
+        return Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
+
+    def link_lengths(self, values: ca.SX) -> ca.SX:
+        return super().link_lengths(values) + values[: len(self)]
+
+    def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
+        """n + 1 points (2,), since joint 1 is the base."""
+        return [point[:2] for point in super().symbolic_points(q, values)[1:]]
+
+
 def planar_chain(lengths: ArrayLike) -> KinematicChain:
     """The planar arm of links (n,) [mm] behind revolute joints."""
     links = np.ravel(np.asarray(lengths, dtype=float))
     before = (pose((length, 0.0, 0.0)) for length in (0.0, *links[:-1]))
     joints = (Joint(f"joint_{j}", origin, Z) for j, origin in enumerate(before, start=1))
-    return KinematicChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}), axes=IN_PLANE)
+    return PlanarChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}))
 
 
 def in_space(vector: Any) -> Any:
@@ -509,20 +559,6 @@ class PlanarClosedForm:
     indices: NDArray[np.intp]
     exact: bool
 
-    @classmethod
-    def of(cls, lengths: Array, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
-        """For the parameters of a model, None where one of a length or an offset is missing.
-
-        others : the model has parameters or curves beside these
-        """
-        chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
-        base = [k for k, name in enumerate(parameters.names) if name in ("base_offset.x0", "base_offset.y0")]
-        if len(chain) < 2 * len(lengths):
-            return None
-        offset = len(base) == 2
-        indices = np.array(chain + base if offset else chain)
-        return cls(lengths, offset, indices, not others and len(indices) == len(parameters))
-
     def solver(self, postures: Array, weights: Array, tolerance: float) -> Solver:
         """Function of positions (K, m, 2) [mm] -> (K, q) parameters and (K,) weighted sums of squares.
 
@@ -530,7 +566,7 @@ class PlanarClosedForm:
         tolerance : singular values below this share of the largest are zero; the columns have equal lengths
         """
         columns, root = np.exp(1j * np.cumsum(postures, axis=-1)), np.sqrt(weights)  # exp(i theta_j)
-        nominal = np.r_[self.lengths, np.zeros(int(self.offset))].astype(complex)  # l_j, and 0 for the base
+        n, nominal = len(self.lengths), np.r_[self.lengths, np.zeros(int(self.offset))].astype(complex)
         if self.offset:
             columns = np.concatenate([columns, np.ones((*columns.shape[:-1], 1))], axis=-1)
         back = _pseudo_inverse(root[:, None] * columns, tolerance) * root
@@ -544,21 +580,14 @@ class PlanarClosedForm:
             change = _times(rest, back)
             residuals = (rest - _times(change, forth)) * root
             squares = residuals.view(np.float64)
-            return self._parameters(nominal + change), np.einsum("ki,ki->k", squares, squares)
+            unknowns = nominal + change
+            u, shift = unknowns[..., :n], unknowns[..., n:]
+            # dq_j = arg u_j - arg u_(j-1) as one argument, so that it needs no wrapping
+            turned = np.concatenate([u[..., :1], u[..., 1:] * np.conj(u[..., :-1])], axis=-1)
+            parts = [np.abs(u) - self.lengths, np.angle(turned), shift.real, shift.imag]
+            return np.concatenate(parts, axis=-1), np.einsum("ki,ki->k", squares, squares)
 
         return solve
-
-    def _parameters(self, unknowns: Complex) -> Array:
-        """(..., q) parameters dl_j, dq_j and base offset of the unknowns (..., u); dq_j in (-pi, pi]."""
-        n = len(self.lengths)
-        u = unknowns[..., :n]
-        # dq_j = arg u_j - arg u_(j-1) as one argument, so that it needs no wrapping
-        turned = u.copy()
-        turned[..., 1:] *= np.conj(u[..., :-1])
-        parts = [np.abs(u) - self.lengths, np.angle(turned)]
-        if self.offset:
-            parts += [unknowns[..., n:].real, unknowns[..., n:].imag]
-        return np.concatenate(parts, axis=-1)
 
 
 def _times(rows: Complex, matrix: Complex) -> Complex:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,9 +21,6 @@ from numpy.typing import ArrayLike
 
 from identification.arrays import Array
 from identification.kinematics.parameters import AXES
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 X, Y, Z = np.eye(3)
 
@@ -36,11 +33,19 @@ def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = 
     return matrix
 
 
+def turned(vectors: ArrayLike) -> Array:
+    """(..., 3, 3) rotations by rotation vectors (..., 3) [rad] (Rodrigues)."""
+    vectors = np.asarray(vectors, dtype=float)
+    angles = np.linalg.norm(vectors, axis=-1)
+    x, y, z = np.moveaxis(vectors / np.maximum(angles, np.finfo(float).tiny)[..., None], -1, 0)
+    zero, (sine, cosine) = np.zeros_like(x), (f(angles)[..., None, None] for f in (np.sin, np.cos))
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * cross @ cross)
+
+
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
-    """(3, 3) rotation by an angle [rad] about a unit vector (3,) (Rodrigues)."""
-    x, y, z = np.asarray(axis, dtype=float)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    """(3, 3) rotation by an angle [rad] about a unit vector (3,)."""
+    return turned(np.asarray(axis, dtype=float) * angle)
 
 
 def rotation_to_z(axis: Array) -> Array:
@@ -82,14 +87,33 @@ def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
     return min(nearest, key=lambda angles: float(np.linalg.norm(angles - near)))
 
 
+def from_angles(angles: ArrayLike) -> Array:
+    """(..., 3, 3) Rx(x) Ry(y) Rz(z) of angles (..., 3) [rad]: turned about its own x, then its own y, then its own z
+    axis (intrinsic X-Y-Z)."""
+    x, y, z = (turned(np.asarray(angles, dtype=float) * axis) for axis in np.eye(3))
+    return np.asarray(x @ y @ z)
+
+
 def from_own_axes(x: float, y: float, z: float) -> Array:
-    """(3, 3) Rx(x) Ry(y) Rz(z): turned about its own x, then its own y, then its own z axis (intrinsic X-Y-Z)."""
-    return from_roll_pitch_yaw(-x, -y, -z).T
+    """(3, 3) `from_angles` of one rotation."""
+    return from_angles((x, y, z))
 
 
 def own_axes_angles(rotation: Array) -> Array:
     """(3,) angles [rad] with `from_own_axes` of them the rotation (3, 3)."""
     return -roll_pitch_yaw(rotation.T)
+
+
+def to_angles(rotations: Array) -> Array:
+    """(m, 3) angles [rad] of which `from_angles` makes these rotations (m, 3, 3)."""
+    return np.array([own_axes_angles(rotation) for rotation in rotations])
+
+
+def from_quaternions(quaternions: Array) -> Array:
+    """(m, 3, 3) rotation matrices of quaternions (m, 4), the real part first, of any length."""
+    real, vectors = quaternions[:, :1], quaternions[:, 1:]
+    sizes = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return turned(vectors * (2.0 * np.arctan2(sizes, real) / np.maximum(sizes, np.finfo(float).tiny)))
 
 
 def displacement(values: Mapping[str, float], names: Sequence[str]) -> tuple[Array, Array]:
@@ -118,33 +142,6 @@ def pose_table(matrix: Array) -> dict[str, float]:
 def tool_tables(tools: Mapping[str, Array], axes: Mapping[str, Array]) -> dict[str, dict[str, float]]:
     """Measured points (3,) [mm] by name, with axes (3, 3) where those are measured, as files and JSON have them."""
     return {n: pose_table(pose(place, axes[n])) if n in axes else point_table(place) for n, place in tools.items()}
-
-
-def _scipy() -> type[Rotation]:
-    """SciPy's rotations: to load them takes as long as to load all that a planar arm needs."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation
-
-
-def from_angles(angles: Array) -> Array:
-    """(m, 3, 3) rotation matrices of angles (m, 3) [rad] about own axes, x, then y, then z."""
-    return np.asarray(_scipy().from_euler("XYZ", angles).as_matrix())
-
-
-def to_angles(rotations: Array) -> Array:
-    """(m, 3) angles [rad] of which `from_angles` makes these rotations (m, 3, 3)."""
-    return np.array([own_axes_angles(rotation) for rotation in rotations])
-
-
-def from_quaternions(quaternions: Array) -> Array:
-    """(m, 3, 3) rotation matrices of quaternions (m, 4), the real part first, of any length."""
-    return np.asarray(_scipy().from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix())
-
-
-def turned(vectors: Array) -> Array:
-    """(m, 3, 3) rotation matrices of rotation vectors (m, 3) [rad]."""
-    return np.asarray(_scipy().from_rotvec(vectors).as_matrix())
 
 
 def mean_rotation(rotations: Array) -> Array:

@@ -67,6 +67,11 @@ class Parameter:
     start: float | None = None  # where fits begin and an effect that may be missing is derived, None: see `neutral`
 
     @property
+    def of_effect(self) -> bool:
+        """Whether it is of an effect, not of the geometry."""
+        return self.kind == EFFECT
+
+    @property
     def neutral(self) -> float:
         """The value where nothing is known: `start`, else 0, else inside the bounds, far from both."""
         if self.start is not None or self.lower <= 0.0 <= self.upper:
@@ -147,6 +152,21 @@ class ParameterSet(tuple[Parameter, ...]):
         """Places of all parameters of a kind, in order."""
         return np.array([k for k, p in enumerate(self) if p.kind == kind], dtype=np.int64)
 
+    @property
+    def length_errors(self) -> NDArray[np.int64]:
+        """Places of the errors of lengths, of a planar chain."""
+        return self.indices(LENGTH_ERROR)
+
+    @property
+    def joint_offsets(self) -> NDArray[np.int64]:
+        """Places of the joint offsets."""
+        return self.indices(JOINT_OFFSET)
+
+    @property
+    def planar(self) -> bool:
+        """Whether length errors, joint offsets and effects are all there is: the parameters of a planar chain."""
+        return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(self.kinds)
+
     def vector(self, values: Mapping[str, float], default: float | None = None) -> Array:
         """(p,) the values in order; where the mapping has none `default`, None: `Parameter.neutral`, mostly 0.
 
@@ -165,7 +185,7 @@ class ParameterSet(tuple[Parameter, ...]):
 
         The paper's sigma_q (eq. 25) is the standard deviation of dtheta_j, not of the joint offset dq_j.
         """
-        offsets = self.indices(JOINT_OFFSET)
+        offsets = self.joint_offsets
         transform = np.zeros((len(offsets), len(self)))
         transform[:, offsets] = np.tri(len(offsets))
         return transform

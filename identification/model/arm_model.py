@@ -33,7 +33,7 @@ from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.vectorize import Evaluate, vectorize
+from identification.vectorized import Evaluate, vectorize
 
 Given = ArrayLike | None
 When = Conditions | None
@@ -201,10 +201,11 @@ class Model:
     @cached_property
     def _columns(self) -> dict[str, slice]:
         """Where each condition stands among the columns of the table."""
-        chain, extra = self.arm.chain, {"past": self.remembers, "errors": bool(self._curves)}
-        extra["marker"] = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
-        extra["reference"] = chain.angle_scale is not None
-        return condition_slices(self.arm.links, [name for name, there_is in extra.items() if there_is])
+        chain = self.arm.chain
+        several = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
+        extra = ("past",) * self.remembers + ("marker",) * several
+        extra += ("reference", "missing") * (chain.angle_scale is not None) + ("errors", "off") * bool(self._curves)
+        return condition_slices(self.arm.links, extra)
 
     @cached_property
     def _curves(self) -> list[tuple[int, ErrorCurve]]:
@@ -232,88 +233,74 @@ class Model:
 
     def chain_at(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
-        chain = Chain.of(self.arm, q, c, self._columns)
-        if chain.reference is None:
+        chain = Chain.of(self.arm, q, c, tuple(self._columns))
+        if chain.reference is None or chain.missing is None:
             return chain
         best = self.arm.chain.orientation(q, self.best_known, chain.marker)
-        return replace(chain, reference=chain.reference + c[self._columns["missing"]] * best)
+        return replace(chain, reference=chain.reference + chain.missing * best)
 
     def values_at(self, c: ca.SX, p: ca.SX) -> ca.SX:
         """Values of every parameter, where p has those of the estimated ones; where error curves do not hold, without
         the geometry of these."""
         slot = {name: p[k] for k, name in enumerate(self.names)}
         values = {name: slot.get(name, self.fixed.get(name, 0.0)) for name in self.all_parameters.names}
-        if not self._tied:
-            return ca.vertcat(*values.values())
-        off = {**self._tied, **self.arm.chain.along_base(self._tied, values)}
-        return ca.vertcat(*(value - c[-1] * off.get(name, 0.0) for name, value in values.items()))
+        off = {**self._tied, **self.arm.chain.along_base(self._tied, values)} if self._tied else {}
+        return ca.vertcat(*(value - c[-1] * off[name] if name in off else value for name, value in values.items()))
 
-    def _function(self, name: str, outputs: list[ca.SX], more: tuple[ca.SX, ...] = ()) -> ca.Function:
-        return ca.Function(name, [*self.symbols[:3], *more], ca.cse(outputs))
+    def _function(self, outputs: list[ca.SX], *more: ca.SX) -> ca.Function:
+        """CasADi (q, c, p, more) -> outputs."""
+        return ca.Function("model", [*self.symbols[:3], *more], ca.cse(outputs))
 
     @cached_property
     def position_function(self) -> ca.Function:
         """CasADi (q, c, p) -> position (d) [mm]."""
-        return self._function("position", [self.symbols[3]])
+        return self._function([self.symbols[3]])
 
     @cached_property
     def _position(self) -> Evaluate:
         return vectorize(self.position_function)
 
     @cached_property
-    def jacobian_function(self) -> ca.Function:
-        """CasADi (q, c, p) -> position (d) [mm] and its exact derivative with respect to the parameters (d, p)."""
-        if self.expressions is not self:
-            return self.expressions.jacobian_function
-        _, _, p, position = self.symbols
-        return self._function("jacobian", [position, ca.jacobian(position, p)])
-
-    @cached_property
     def _jacobian(self) -> Evaluate:
-        return vectorize(self.jacobian_function)
+        _, _, p, position = self.symbols
+        return vectorize(self._function([position, ca.jacobian(position, p)]))
 
     @cached_property
     def residual_gradient(self) -> Evaluate:
         """Of arrays (q, c, p, measured y): J^T (y - position) (p) by reverse mode, and |y - position|^2."""
         _, _, p, position = self.symbols
         y = ca.SX.sym("y", position.numel())
-        outputs = [ca.jtimes(position, p, y - position, True), ca.sumsqr(y - position)]
-        return vectorize(self._function("gradient", outputs, (y,)))
+        left = y - position
+        return vectorize(self._function([ca.jtimes(position, p, left, True), ca.sumsqr(left)], y))
 
     @cached_property
     def posture_jacobian(self) -> Evaluate:
         """Of arrays (q, c, p): position and its derivative with respect to the posture, (d, n)."""
         q, _, _, position = self.symbols
-        return vectorize(self._function("kinematics", [position, ca.jacobian(position, q)]))
+        return vectorize(self._function([position, ca.jacobian(position, q)]))
 
-    @cached_property
-    def _with_added(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """What is added at all places, the position with it, and the state."""
+    def _by_added(self, place: str | None = None) -> Evaluate:
+        """Derivative of the position by what is added at a place of the chain, None: at all, where nothing is; and the
+        state."""
         q, c, p, _ = self.symbols
         added = ca.SX.sym("added", sum(widths(self.arm.chain).values()))
-        return added, *position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p), added)
-
-    def _at_zero(self, *expressions: ca.SX) -> Evaluate:
-        """The expressions where nothing is added."""
-        added = self._with_added[0]
-        return vectorize(self._function("levers", ca.substitute([*expressions], [added], [ca.SX.zeros(added.numel())])))
+        position, state = position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p), added)
+        slopes = ca.jacobian(position, added if place is None else by_place(added, self.arm.chain)[place])
+        return vectorize(self._function(ca.substitute([slopes, state], [added], [ca.SX.zeros(added.numel())])))
 
     @cached_property
     def _joint_levers(self) -> Evaluate:
-        added, position, _ = self._with_added
-        return self._at_zero(ca.jacobian(position, by_place(added, self.arm.chain)["joint_angles"]))
+        return self._by_added("joint_angles")
 
     @cached_property
     def _place_levers(self) -> Evaluate:
-        added, position, state = self._with_added
-        return self._at_zero(ca.jacobian(position, added), state)
+        return self._by_added()
 
     @cached_property
     def _best_orientation(self) -> Evaluate:
         """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
         q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
-        several = "marker" in self._columns
-        orientation = self.arm.chain.orientation(q, self.best_known, marker if several else None)
+        orientation = self.arm.chain.orientation(q, self.best_known, marker if "marker" in self._columns else None)
         return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(orientation))]))
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
@@ -387,15 +374,6 @@ class Model:
         evaluate = vectorize(ca.Function("expression", [q, c], [value]))
         return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
-    @property
-    def neutral_conditions(self) -> Array:
-        """(4+n,) conditions where nothing is said: the arm's payload, mean temperature, the middle of session 1,
-        approach +1; with a memory, of zero angles; of several markers the first; no orientation measured."""
-        row = self.condition_table(np.zeros((1, self.joints)), Conditions())[0]
-        for name in {"reference", "missing", "errors", "off"} & set(self._columns):
-            row[self._columns[name]] = float(name == "missing")
-        return row
-
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
         if q.ndim not in (2, 3) or q.shape[-1] != self.joints:
@@ -412,30 +390,29 @@ class Model:
         return q, self.condition_table(q, conditions or Conditions()), p[..., None, :]
 
     def condition_table(self, postures: Array, conditions: Conditions) -> Array:
-        """(..., m, C) values of the symbols for conditions, in the columns of `condition_slices`."""
-        arm, has = self.arm, self._columns
+        """(..., m, C) values of the symbols for conditions, in the columns of `condition_slices`. Of which nothing is
+        said is neutral: the arm's payload, mean temperature, the middle of session 1, approach +1, of joints that
+        remember the posture itself, of several markers the first."""
+        arm, at, shape = self.arm, self._columns, postures.shape[:-1]
         payload = 0.0 if arm.gravity is None else arm.gravity.payload
-        shape, past = postures.shape[:-1], postures if "past" in has else None
-        columns = [conditions.table(shape, arm.links, payload, past)]
+        plain = conditions.table(shape, arm.links, payload, postures if "past" in at else None)
+        if {"marker", "reference", "errors"}.isdisjoint(at):
+            return plain
+        table = np.zeros((*shape, max(place.stop for place in at.values())))
+        table[..., : plain.shape[-1]] = plain
         unsaid = arm.chain.instrument.unsaid if conditions.marker is None else conditions.marker
         marker = np.broadcast_to(unsaid, shape)[..., None]
-        if "marker" in has:
-            columns.append(marker)
-        if "reference" in has:  # orientations by columns, None: those of the arm as best known
+        if "marker" in at:
+            table[..., at["marker"]] = marker
+        if "reference" in at:  # orientations by columns, None: those of the arm as best known
             if (orientation := conditions.orientation) is not None:
                 reference = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
             else:
                 reference = self.expressions._best_orientation(postures, marker)[0][..., 0]
-            columns += [np.broadcast_to(reference, (*shape, 9)), np.zeros((*shape, 1))]
-        if "errors" in has:  # tables are looked up here: as formulas they would be thousands of terms
-            errors = np.zeros(
-                (*shape, arm.links + 1)
-            )  # of the joints [rad], and the share of their geometry that is off
+            table[..., at["reference"]] = reference
+        if "errors" in at:  # tables are looked up here: as formulas they would be thousands of terms
+            errors, hold = table[..., at["errors"]], all_hold(self._curves, postures) if self._tied else np.ones(shape)
             for joint, curve in self._curves:
-                errors[..., joint] = curve.at(postures[..., joint])
-            if self._tied:  # they hold together
-                hold = all_hold(self._curves, postures)
-                errors *= hold[..., None]
-                errors[..., -1] = 1.0 - hold
-            columns.append(errors)
-        return np.concatenate(columns, axis=-1)
+                errors[..., joint] = hold * curve.at(postures[..., joint])  # they hold together
+            table[..., at["off"]] = 1.0 - hold[..., None]  # the share of their geometry that is off
+        return table

@@ -9,6 +9,7 @@ Which of several equivalent ones is kept is a choice: those that an engineer loo
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -37,65 +38,59 @@ def minimal(
     conditions : of these postures, where they tell which target each touches; None: every measured point at each
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
-    chain = model.arm.chain
-    if chain.planar:
+    arm, parameters = model.arm, model.parameters
+    if arm.chain.planar:
         raise InputError("minimal: a planar arm, allowed: a spatial one; the parameters of a planar arm are minimal")
-    parameters = model.parameters
     first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
     order = [k for kind in first for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
-    if postures is None:
-        arm = model.arm
-        # three equations each for some forty parameters
+    if postures is None:  # three equations each for some forty parameters
         postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (100, arm.links))
-    several, given = len(chain.tools) > 1, [conditions or Conditions()]
-    points = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(chain.tools))]
-    rows = [model.jacobian(postures, None, at) for at in (points if several and conditions is None else given)]
-    columns = np.concatenate(rows).reshape(-1, len(parameters))[:, order]
-    kept = set(independent(columns * sizes, least))
-    fixed = frozenset(parameters[k].name for place, k in enumerate(order) if place not in kept)
-    return replace(model, arm=replace(model.arm, chain=replace(chain, fixed=chain.fixed | fixed)))
+    each = [conditions or Conditions()]
+    if conditions is None and len(arm.chain.tools) > 1:
+        each = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(arm.chain.tools))]
+    columns = np.concatenate([model.jacobian(postures, None, at) for at in each]).reshape(-1, len(parameters))
+    kept = {order[k] for k in independent(columns[:, order] * sizes, least)}
+    return _fixing(model, (parameters[k].name for k in order if k not in kept))
+
+
+def _fixing(model: Model, names: Iterable[str]) -> Model:
+    """The model with these parameters as drawn, too."""
+    chain = replace(model.arm.chain, fixed=model.arm.chain.fixed | frozenset(names))
+    return replace(model, arm=replace(model.arm, chain=chain))
 
 
 def practical(arm: Arm, measurements: Measurements) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
     measurements hardly determine as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
-    if not arm.chain.redundant:
-        return arm
-    return minimal_of(Model(arm), measurements, PRACTICAL).arm
+    return minimal_of(Model(arm), measurements, PRACTICAL).arm if arm.chain.redundant else arm
 
 
 def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT) -> Model:
     """`minimal` where the closed form finds base and measured points; of contacts what the surface that is touched most
     often shows, at the postures measured."""
-    placed, chain = placed_model(model, measurements), model.arm.chain
-    if not chain.instrument.contact:
+    placed, instrument = placed_model(model, measurements), model.arm.chain.instrument
+    if not instrument.contact:
         return minimal(placed, least)
-    if chain.instrument.own_targets:
-        shown = minimal(placed, least, measurements.postures, measurements.conditions)
-        if not chain.instrument.size_is_open[0]:
-            return shown
-        # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better
-        # that is next to nothing: the longest step that is a parameter stays as drawn
-        steps: dict[str, float] = {}
-        for j, joint in enumerate(shown.arm.chain.joints, start=1):
-            along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
-            steps |= dict(zip(error_names(j)[:3], along.tolist(), strict=True))
-        longest = max((name for name in shown.names if name in steps), key=steps.__getitem__, default="")
-        fixed = shown.arm.chain.fixed | ({longest} if longest else set())
-        return replace(shown, arm=replace(shown.arm, chain=replace(shown.arm.chain, fixed=fixed)))
-    longest_session = measurements.rows(max(measurements.session_rows, key=len))
-    shown = minimal(placed_model(model, longest_session), least, longest_session.postures)
-    return replace(placed, arm=replace(placed.arm, chain=replace(placed.arm.chain, fixed=shown.arm.chain.fixed)))
+    if not instrument.own_targets:
+        longest = measurements.rows(max(measurements.session_rows, key=len))
+        shown = minimal(placed_model(model, longest), least, longest.postures)
+        return _fixing(placed, shown.arm.chain.fixed - placed.arm.chain.fixed)
+    shown = minimal(placed, least, measurements.postures, measurements.conditions)
+    # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
+    # next to nothing: the longest step that is a parameter stays as drawn
+    steps: dict[str, float] = {}
+    for j, joint in enumerate(shown.arm.chain.joints if instrument.size_is_open[0] else (), start=1):
+        along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
+        steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in shown.names}
+    return _fixing(shown, [max(steps, key=steps.__getitem__)] if steps else ())
 
 
 def independent(columns: Array, least: float = DISTINCT) -> list[int]:
     """Numbers of the columns (N, p) of which those kept before leave an RMS above `least` (Gram and Schmidt, twice for
     rounding)."""
-    basis = np.zeros((len(columns), 0))
-    kept = []
-    for k, column in enumerate(columns.T):
-        left = column
+    basis, kept = np.zeros((len(columns), 0)), []
+    for k, left in enumerate(columns.T):
         for _ in range(2):
             left = left - basis @ (basis.T @ left)
         if (size := float(np.linalg.norm(left))) > least * np.sqrt(len(columns)):

@@ -4,7 +4,7 @@ an arm that is measured by no positions says of these, and postures at which it 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -44,10 +44,9 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
         return model if chain is arm.chain else replace(model, arm=replace(arm, chain=chain))
     values: dict[str, float] = {}
     if (calibration := arm.calibration) is not None:
-        values = {name: v for name, v in calibration.values.items() if _place(name) not in {BASE, TOOL} - settled}
+        values = _without(calibration.values, {BASE, TOOL} - settled)
         calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
-    drawn = replace(standing_in(chain, values), settled=settled)
-    geometry = {name: value for name, value in values.items() if _place(name) not in (BASE, TOOL)}
+    drawn, geometry = replace(standing_in(chain, values), settled=settled), _without(values)
     standing = _standing_chain(drawn, some(measurements, measurements.session_rows[0]), geometry)
     if BASE not in settled:
         chain = replace(chain, base=standing.base)
@@ -56,16 +55,15 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     if own_targets:
         frames = standing.tip_frames(measurements.postures, geometry)
         points = frames[:, :3, 3] + frames[:, :3, :3] @ next(iter(standing.tools.values()))
-        points, names = points[:, : chain.dimension], measurements.marker_names or ("1",)
-        readings = measurements.positions[:, : chain.instrument.dimension]
-        instrument = chain.instrument.with_targets(points, readings, _markers(measurements), names)
-        chain = replace(chain, instrument=instrument)
+        readings, names = measurements.positions[:, : chain.instrument.dimension], measurements.marker_names or ("1",)
+        targets = points[:, : chain.dimension], readings, _markers(measurements), names
+        chain = replace(chain, instrument=chain.instrument.with_targets(*targets))
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
 
-def _place(name: str) -> str:
-    """`base` of `base.x`, `tool` of `tool[1].x`."""
-    return re.split(r"[.\[]", name)[0]
+def _without(values: Mapping[str, float], places: Collection[str] = (BASE, TOOL)) -> dict[str, float]:
+    """Values but for those of base or measured points, `base.x` and `tool[1].x`."""
+    return {name: value for name, value in values.items() if re.split(r"[.\[]", name)[0] not in places}
 
 
 def some(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:
@@ -80,14 +78,12 @@ def _markers(measurements: Measurements) -> NDArray[np.int64]:
 
 
 def _standing_chain(chain: KinematicChain, measurements: Measurements, values: Mapping[str, float]) -> KinematicChain:
-    """The chain where the closed form finds its base and its measured points or frames, as far as they are not known.
-
-    values : best known errors of the geometry
-    """
+    """The chain where the closed form finds its base and its measured points or frames, as far as they are not known;
+    values : best known errors of the geometry."""
     markers = _markers(measurements)
+    most = markers == np.bincount(markers).argmax()
     if chain.instrument.own_targets:  # one measured point, from the rows of the target that is touched most
-        measurements = measurements.rows(np.flatnonzero(markers == np.bincount(markers).argmax()))
-        markers = np.zeros(len(measurements), dtype=np.int64)
+        measurements, markers, most = measurements.rows(most), np.zeros(int(most.sum()), dtype=np.int64), most[most]
     readings = measurements.positions[:, : chain.instrument.dimension]  # of poses the points
     frames, place = chain.tip_frames(measurements.postures, values), chain.instrument.place
     base, tools, axes = chain.base, dict(chain.tools), dict(chain.tool_axes)
@@ -96,7 +92,6 @@ def _standing_chain(chain: KinematicChain, measurements: Measurements, values: M
         at_points[:, :3, 3] += np.einsum("mij,mj->mi", frames[:, :3, :3], np.array([*tools.values()])[markers])
         base = place(Unplaced(at_points, readings, chain.reach, tool=np.zeros(3))).base
     elif BASE not in chain.settled:
-        most = markers == np.bincount(markers).argmax()
         base = place(Unplaced(frames[most], readings[most], chain.reach)).base
     for number, name in enumerate(tools if TOOL not in chain.settled else ()):
         if (rows := markers == number).any():
@@ -111,9 +106,8 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
     """The chain of an arm that stands where the first session finds it, with the points that only later sessions
     measure, and the pose (4, 4) of the base in each session."""
     every = {} if arm.calibration is None else arm.calibration.values
-    values = {name: value for name, value in every.items() if _place(name) not in (BASE, TOOL)}
+    values, standing, bases = _without(every), standing_in(arm.chain, every), list[Array]()
     parts = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
-    standing, bases = standing_in(arm.chain, every), list[Array]()
     first = seen = np.full(len(standing.tools), TOOL in standing.settled)
     for name in measurements.session_names:
         if name in parts:
@@ -169,18 +163,22 @@ def one_unnamed(chain: KinematicChain, measurements: Measurements) -> KinematicC
 
 
 # -- positions where something else is read ----------------------------------------------------------------------------
+def _as_tracker(arm: Arm) -> Arm:
+    """The arm as if positions were read in the frame of its instrument, without effects of that."""
+    offers = arm.chain.instrument.offers
+    effects = [spec for spec in arm.effects if not library()[spec.name].needs & offers]
+    return replace(arm, chain=replace(arm.chain, instrument=TRACKER)).with_effects(*effects)
+
+
 def of_positions(model: Model) -> Model:
     """The model of the measured point's position with the same parameters, without those of the reading; of an
     instrument that reads positions as it is."""
-    chain = model.arm.chain
-    if chain.instrument.reads_positions:
+    if (chain := model.arm.chain).instrument.reads_positions:
         return model
-    arm = replace(model.arm, chain=replace(chain, instrument=TRACKER))
-    own = {parameter.name for parameter in chain.instrument.parameters}
-    held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
-    held |= {p.name for effect in model.effects if effect.needs & chain.instrument.offers for p in effect.parameters}
-    kept = {name: value for name, value in (model.held or {}).items() if name not in own}
-    return Model(arm, {**kept, **dict.fromkeys(held, 0.0)})
+    shown = Model(_as_tracker(model.arm))
+    unseen = {*shown.geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
+    held = {name: value for name, value in (model.held or {}).items() if name in shown.all_parameters.names}
+    return replace(shown, held={**held, **dict.fromkeys(unseen, 0.0)})
 
 
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
@@ -213,16 +211,15 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
 def in_own_frame(arm: Arm) -> Arm:
     """An arm whose readings do not say where it stands as if its positions were measured in the frame of its base, of
     another instrument as if positions were read; one that reads them as it is."""
-    chain, calibration = replace(arm.chain, instrument=TRACKER), arm.calibration
     if (instrument := arm.chain.instrument).reads_positions:
         return arm
-    if not instrument.places:
-        chain = replace(chain, base=np.eye(4), settled=chain.settled | {BASE})
-        if calibration is not None:
-            values = {name: value for name, value in calibration.values.items() if _place(name) != BASE}
-            calibration = replace(calibration, values=values, base=None)
-    effects = [spec for spec in arm.effects if not library()[spec.name].needs & instrument.offers]
-    return replace(arm, chain=chain, calibration=calibration).with_effects(*effects)
+    shown = _as_tracker(arm)
+    if instrument.places:
+        return shown
+    chain, calibration = replace(shown.chain, base=np.eye(4), settled=shown.chain.settled | {BASE}), arm.calibration
+    if calibration is not None:
+        calibration = replace(calibration, values=_without(calibration.values, (BASE,)), base=None)
+    return replace(shown, chain=chain, calibration=calibration)
 
 
 def led_to_contact(

@@ -9,16 +9,14 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from doe.advise import advise
+from doe.advise import advise, with_scatter
 from doe.problem.problem import DesignProblem
 from doe.report.design import advice_document, advice_sentence
 from identification.arm import Arm, Calibration
-from identification.document import Sheet, as_text
+from identification.document import Sheet
 from identification.errors import InputError
-from identification.for_design import with_scatter
-from identification.model import Model
 from identification.reuse import only
-from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
+from tests.doe.arms import FIVE, FOUR, problem
 from tests.doe.plan.test_spacing import whole_information
 
 FREE = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
@@ -87,44 +85,10 @@ def test_more_runs_never_tell_less(arm: Arm) -> None:
         assert (now[n:] / lengths).max() <= (then[n:] / lengths).max() * (1.0 + 1e-8)  # and of an angle
 
 
-def test_numbers_of_runs_need_not_be_in_order() -> None:
-    found = advise(problem(FOUR), [9, 4, 6], seconds=0.6)
-    assert found.runs == (9, 4, 6)
-    accuracies = [found.accuracy(design) for design in found.designs]
-    assert accuracies[0] <= accuracies[2] <= accuracies[1]
-
-
 def test_no_time_at_all_still_tells_more_with_more_runs() -> None:
     found = advise(problem(FOUR), range(5, 8), seconds=1e-6)
     accuracies = [found.accuracy(design) or np.inf for design in found.designs]
     assert accuracies == sorted(accuracies, reverse=True)
-
-
-def test_a_table_of_many_runs_has_a_few_rows_and_the_smallest_for_the_target() -> None:
-    """22 numbers of runs: the first, the last, the smallest for the target, no more than 13, in 80 columns."""
-    found = advise(FREE, range(4, 26), target=0.1 / np.sqrt(19.5))
-    text = as_text(advice_document(found).parts[0], 80)
-    lines = [line.split() for line in text.splitlines()]
-    assert max(map(len, text.splitlines())) <= 80
-    rows = {int(line[0]): line[1:] for line in lines if line and line[0].isdigit()}
-    assert (min(rows), max(rows), 20 in rows) == (4, 25, True)
-    assert len(rows) <= 13
-    assert {row[1] for row in rows.values()} == {"*"}  # every plan reaches the bound
-    error = found.tip_errors[20 - 4]
-    wanted = [error.right, error.worst, error.missing, error.with_prior]
-    assert rows[20][-4:] == [f"{value:.4f}" for value in wanted]  # each figure in its own column
-
-
-def test_a_diagnosed_arm_has_no_columns_of_effects_that_may_be_missing() -> None:
-    values = {"encoder_eccentricity:2.a": 1e-3, "encoder_eccentricity:2.b": 0.0}
-    arm = replace(FOUR.with_effects(ECCENTRICITY), calibration=Calibration(values))
-    for one, columns in ((arm, 6), (replace(arm, calibration=None), 8)):
-        shown = advice_document(advise(DesignProblem.of(Model(one)), [8], target=1.0, seconds=0.3))
-        table = shown.parts[0]
-        assert isinstance(table, Sheet)
-        assert len(table.headings) == columns
-        assert any("may be missing" in str(part) for part in shown.parts) is (columns == 8)
-        assert ("effects of typical size" in shown.verdict[0]) is (columns == 8)
 
 
 def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:

@@ -13,9 +13,9 @@ from doe.bounds.certificate import Bound
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A
 from doe.design import score, score_plan
-from doe.plan.plan import Plan
 from doe.report.design import remarks
 from doe.solvers import solve
+from identification import Plan
 from identification.arm import Arm, EffectSpec
 from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, problem

@@ -9,25 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from itertools import permutations
 
 import numpy as np
 import pytest
 
-from doe.advise import advise
 from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.column_generation import continuous_design, relax
 from doe.bounds.planar_theorem import closed_form_bound
-from doe.design import score_plan
-from doe.plan.plan import ordered, travel
 from doe.plan.spacing import too_near
 from doe.problem.problem import DesignProblem
-from doe.report.design import accuracy, design_document
 from doe.solvers import solve
-from doe.studies.comparison import evaluated
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.document import Sheet
 from identification.kinematics.chain import BASE, Joint, KinematicChain
 from identification.kinematics.frames import pose
 from identification.model import Model
@@ -226,67 +219,6 @@ def test_continuous_optimum_and_bound() -> None:
 
 
 # -- what to measure, and how often ------------------------------------------------------------------------------------
-def test_expected_deviations_and_advice() -> None:
-    """Of plans from a list, whose search ends by itself: what a second finds depends on the machine."""
-    advice = advise(spatial(choices=candidates()), [6, 9], target=1.0)
-    assert advice.of_tip  # as most errors are held
-    names, scales = models()["small"][1].names, models()["small"][1].scales
-    listed = difference_jacobian(candidates()) * scales  # where the arm will work
-    for design in advice.designs:
-        jacobian = difference_jacobian(design.plan.postures).reshape(-1, 12) * scales
-        covariance = 0.1**2 * np.linalg.inv(jacobian.T @ jacobian)
-        expected = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(design.deviations.values, expected, rtol=1e-4)
-        of_tip = np.sqrt(np.einsum("mdp,pq,mdq->m", listed, covariance, listed).mean())
-        assert advice.accuracy(design) == pytest.approx(of_tip, rel=1e-4)
-        shown = design.to_json()["std"]["parameters"]
-        assert list(shown) == list(names)
-        for name, unit, factor in (("rotation_x:2", "deg", 180.0 / np.pi), ("tool[1].z", "mm", 1.0)):
-            assert shown[name] == [pytest.approx(factor * expected[names.index(name)], rel=1e-4), unit]
-        assert design.efficiency <= 1.0
-    assert advice.accuracy(advice.designs[1]) < advice.accuracy(advice.designs[0])
-
-
-def test_a_plan_is_scored_compared_and_shown_in_the_units_of_its_joints() -> None:
-    problem, plan = spatial(choices=candidates()), candidates()[[1, 4, 9, 16, 25, 36]]
-    design = score_plan(problem, plan)
-    assert design.value == pytest.approx(log_det(difference_information(plan)), abs=1e-5)
-    assert 0.0 < design.efficiency < 1.0
-    row = evaluated(problem, 6, design)
-    assert (row["correct"], row["violation"], row["efficiency"]) == (True, 0.0, design.efficiency)
-    data, units = design.to_json(), [180.0 / np.pi, 180.0 / np.pi, 1.0, 180.0 / np.pi]
-    np.testing.assert_allclose(data["postures"], plan * units)
-    assert data["joint_units"] == ["deg", "deg", "mm", "deg"]
-    assert "postures_deg" not in data
-    assert "q3_mm" in design._repr_html_()
-    shown = accuracy(design)[0]
-    assert isinstance(shown, Sheet)
-    names = [row[0] for row in shown.rows]
-    assert {"translation_x:2 [mm]", "rotation_x:2 [deg]"} < set(names)
-    assert names[0] in str(design_document(design))
-    weighted = relax(spatial(), candidates()[:8])
-    np.testing.assert_allclose(weighted.to_json()["support"][0]["posture"], weighted.plan.postures[0] * units)
-
-
-def test_the_shortest_travel() -> None:
-    """All 720 orders of six postures; a prismatic joint's stroke counts as a turn of a joint."""
-    problem = spatial(choices=candidates())
-    plan = score_plan(problem, candidates()[:6]).plan
-    order = ordered(plan, "travel", speeds=problem.joint_units)
-    best = min(travel(plan.postures[list(path)], problem.joint_units) for path in permutations(range(6)))
-    assert travel(order.postures, problem.joint_units) == pytest.approx(best)
-    assert sorted(map(tuple, order.postures)) == sorted(map(tuple, plan.postures))
-
-
-def test_kept_postures_count() -> None:
-    kept = candidates()[:3]
-    problem = spatial(kept=kept)
-    assert problem.fewest_runs == 1
-    design = solve(problem, 5, "exchange", starts=3, bound=continuous().bound)
-    together = np.vstack([design.plan.postures, kept])
-    assert design.value == pytest.approx(log_det(difference_information(together)), abs=1e-5)
-    beside = [np.vstack([random_postures(5, seed), kept]) for seed in range(50)]
-    assert design.value > max(log_det(difference_information(plan)) for plan in beside)
 
 
 def test_many_parameters() -> None:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from doe.plan.plan import load_plan
 from doe.studies.monte_carlo import load_study
+from identification import load_plan
 from identification.errors import InputError
 from identification.files.arm import dump_arm, load_arm
 from identification.files.csv import read_table
@@ -73,7 +73,7 @@ def test_other_files(tmp_path_factory: pytest.TempPathFactory, kind: str, data: 
     refused_or_read(read, path, len(arm.kinds))
 
 
-@few(20)
+@few(15)
 @given(case=cases(QUICK))
 def test_quick_commands(tmp_path_factory: pytest.TempPathFactory, case: Case) -> None:
     """Each keeps every promise: see `judge`."""

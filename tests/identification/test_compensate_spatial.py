@@ -6,13 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import TOLERANCE, compensate
 from identification.documents.identification import compensation_document
-from identification.errors import InputError
 from identification.files.measurement import commands_text, load_targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
@@ -105,22 +103,6 @@ def test_poses() -> None:
         assert np.median(np.abs(found.commands - nominal)[:, turning].max(axis=1)) < np.radians(1.0)
     again = compensate(given, points[:2] + np.array([[0.0, 0.0, 0.0], [4000.0, 0.0, 0.0]]), orientations=turned[:2])
     assert again.reached.tolist() == [True, False]
-
-
-def test_an_arm_that_measures_poses_keeps_those_of_its_nominal_postures() -> None:
-    given = arm(slide=False)
-    chain = given.chain
-    nominal = np.random.default_rng(6).uniform(-1.5, 1.5, (4, 6))
-    measures = replace(given, chain=replace(chain, tool_axes={"1": TURN}, angle_scale=300.0))
-    found = compensate(measures, postures=nominal)
-    for q, start in zip(found.commands, nominal, strict=True):
-        np.testing.assert_allclose(axes(chain, q, VALUES), axes(chain, start, {}), atol=1e-8)
-    assert compensate(given, postures=nominal).angles is None
-    planar = replace(Arm([300.0, 200.0]), calibration=Calibration.of([0.1, 0.1], [0.0, 0.0]))
-    with pytest.raises(InputError, match="orientations: found for a planar arm, allowed: for a spatial one"):
-        compensate(planar, np.ones((1, 2)), orientations=np.eye(3)[None])
-    with pytest.raises(InputError, match="orientations: 1 rows for 4 targets, allowed: as many"):
-        compensate(given, found.targets, orientations=np.eye(3)[None])
 
 
 def test_target_files(tmp_path: Path) -> None:

@@ -12,13 +12,11 @@ from identification.document import (
     Action,
     Document,
     Pictures,
-    PlanSteps,
     Section,
     Sheet,
     as_sentence,
     as_text,
     estimate_text,
-    facts_sheet,
     html,
     html_lines,
     html_table,
@@ -43,11 +41,11 @@ DOCUMENT = Document(
     ["The verdict.", "", f"Then {NASTY}."],
     [
         f"A paragraph {NASTY}, chi2 1 +- 2.",
-        facts_sheet([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
+        Sheet.facts([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
         Section("Open", [Sheet(["effect", "value [mm]"], [["ripple[k=4]", "1.5"], [NASTY, "-22.75"]]), "After it."]),
         Section("Closed", ["Hidden at first.", Sheet(["a"], [["b"]], "In a fold")], folded=True),
         Section("Seen", [Pictures(figures)]),
-        Section("Stepped through", [PlanSteps({"file": "plan.csv"}, "Step.")]),
+        Section("Stepped through", [Pictures(lambda: ["Step."])]),
         Sheet(["never"], []),
     ],
     [Action("Go on:", "armcal check <b>"), Action("Or stop.")],
@@ -109,27 +107,6 @@ def test_text_has_no_colors_wherever_it_is_made(monkeypatch: pytest.MonkeyPatch)
     assert "\x1b" not in plain
 
 
-def test_figures_end_at_the_right_and_words_begin_at_the_left() -> None:
-    rows = [["one", "1.5", "yes", "< 1e-6"], ["three", "-", "", "-22.750"], ["five", "12", "no", "5 *"]]
-    head, _, *lines = (line for line in as_text(Sheet(["name", "value", "holds", "miss"], rows)).splitlines() if line)
-    assert {line.index(row[0]) for line, row in zip(lines, rows, strict=True)} == {head.index("name")}
-    assert {line.index(row[1]) + len(row[1]) for line, row in zip(lines, rows, strict=True)} == {
-        head.index("value") + 5
-    }
-    assert {line.index(row[3]) + len(row[3]) for line, row in zip(lines, rows, strict=True)} == {head.index("miss") + 4}
-
-
-@pytest.mark.parametrize("width", [30, 80])
-def test_no_figure_is_cut_off_where_there_is_no_room(width: int) -> None:
-    row = [f"-{k}234.5678" for k in range(1, 8)]
-    text = as_text(Sheet([*"abcdefg"], [row]), width)
-    assert max(map(len, text.splitlines())) <= width
-    digits = [character for character in "".join(text.split()) if character.isdigit()]
-    assert sorted(digits) == sorted(character for cell in row for character in cell if character.isdigit())
-    if width == 80:
-        assert all(cell in text for cell in row)
-
-
 def test_long_tables_are_cut_and_say_so() -> None:
     rows = [[str(k)] for k in range(300)]
     cut, whole = Sheet(["run"], rows, most=3), Sheet(["run"], rows)
@@ -151,27 +128,8 @@ def test_cells_come_out_as_they_went_in_and_long_ones_may_be_broken() -> None:
     assert html_table(["h"], [["x" * 25]]).count('class="text"') == 2  # with its heading
     assert 'class="text"' not in html_table(["h"], [["x" * 24]])
     assert html_lines(["1 < 2", "two"], strong=True) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
-    facts = html(facts_sheet([("a<b", "1 & 2 +- sigma")]))
+    facts = html(Sheet.facts([("a<b", "1 & 2 +- sigma")]))
     assert (facts.count("<tr>"), ">a&lt;b</th>" in facts, ">1 &amp; 2 ± σ</td>" in facts) == (1, True, True)
-
-
-@pytest.mark.parametrize(
-    ("headings", "row", "wide"),
-    [
-        (["<i>aaaaa"] * 6, ["a" * 8] * 6, True),  # six columns of 8 characters and their spaces are 60
-        (["<i>aaaaa"] * 3, ["a" * 8] * 3, False),
-        (["<i>", "b"], ["x" * 90, "y" * 20], False),  # two columns always have room
-        (["<i>", "b", "c"], ["x" * 30, "1", "2"], False),
-        (["<i>", "b", "c"], ["x" * 40, "1", "2"], True),
-    ],
-)
-def test_rows_that_are_too_wide_for_a_phone_have_their_headings_in_each_cell(
-    headings: list[str], row: list[str], wide: bool
-) -> None:
-    text = html_table(headings, [row])
-    assert text.startswith('<table class="wide">' if wide else "<table>")
-    assert text.count('data-heading="') == wide * len(row)
-    assert ('data-heading="&lt;i&gt;' in text) is wide
 
 
 def test_symbols_are_those_of_books_and_keys_stay_as_they_are() -> None:

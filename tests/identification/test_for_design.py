@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 
 from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import EnsembleModel, workspace
+from doe.problem.uncertain import workspace
 from doe.solvers import solve
 from identification import for_design
 from identification.arm import Arm, Calibration
-from identification.conditions import Conditions
 from identification.errors import InputError
-from identification.for_design import ArmModel, design_model
+from identification.for_design import ArmModel
 from identification.instruments import Plane, Sphere
 from identification.instruments.library import RADIUS
-from identification.kinematics.chain import BASE, TOOL, DHRow, chain_of
+from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.frames import pose, rotation_to_z
 from identification.model import Model
 from tests.doe.six_axis import CHAIN, REFLECTOR
@@ -112,32 +111,3 @@ def test_a_calibration_says_the_radius() -> None:
     problem = DesignProblem.of(found)
     expected = DesignProblem.of(Model(arm)).choices
     np.testing.assert_allclose(problem.choices, expected, atol=1e-6)
-
-
-SHORT = chain_of([DHRow(0.0, np.pi / 2, 200.0), DHRow(-300.0, 0.0, 0.0), DHRow(-250.0, 0.1, 40.0)])
-TOOLS = {"a": np.array([50.0, 0.0, 20.0]), "b": np.array([-40.0, 30.0, 10.0])}
-MODEL = Model(Arm(replace(SHORT, tools=TOOLS), sigma=0.05))
-POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 3))
-
-
-def test_the_points_are_stacked_in_numbers_and_in_symbols() -> None:
-    offer = design_model(MODEL)
-    assert (offer.joint_types, offer.sigma, offer.dimension) == (MODEL.joint_types, MODEL.sigma, 6)
-    each = [MODEL.jacobian(POSTURES, None, Conditions(marker=np.full(4, float(k)))) for k in range(2)]
-    expected = np.concatenate(each, axis=1)
-    np.testing.assert_allclose(offer.tip_jacobian(POSTURES).reshape(4, 6, -1), expected, atol=1e-9)
-    problem = DesignProblem(MODEL, np.full(3, -2.0), np.full(3, 2.0))
-    np.testing.assert_allclose(problem.scaled_jacobians(POSTURES), expected / MODEL.scales, atol=1e-9)
-
-
-def test_an_ensemble_has_a_block_for_each_draw() -> None:
-    draws = 1e-3 * np.random.default_rng(1).standard_normal((2, len(MODEL.names)))
-    one = Model(Arm(replace(SHORT, tools={"a": TOOLS["a"]}), sigma=0.05))
-    draws = draws[:, : len(one.names)]
-    problem = DesignProblem(EnsembleModel(one, draws), np.full(3, -2.0), np.full(3, 2.0))
-    jacobian, p = problem.scaled_jacobians(POSTURES), len(one.names)
-    for k, draw in enumerate(draws):
-        own = jacobian[:, 3 * k : 3 * k + 3, p * k : p * (k + 1)]
-        np.testing.assert_allclose(own, one.jacobian(POSTURES, draw) / one.scales, atol=1e-9)
-    assert not jacobian[:, :3, p:].any()
-    assert not jacobian[:, 3:, :p].any()

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from doe.plan.plan import Plan
+from identification import Plan
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import frame_of_columns, frame_of_rows
 from identification.compensate import compensate

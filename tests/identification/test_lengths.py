@@ -174,21 +174,6 @@ def test_contacts_with_a_sphere() -> None:
     assert rank(found.model, q) == 24
 
 
-def test_what_contacts_with_a_sphere_of_unknown_radius_show() -> None:
-    """An arm twice as large touches a sphere twice as large at the same postures: no contact shows both, and 24
-    numbers are left of 25, the radius among them."""
-    generator = np.random.default_rng(5)
-    truth = Exponentials(generator, np.eye(4))
-    q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 120, generator)
-    arm = Arm(replace(drawing(), instrument=BALL), sigma=0.01)
-    found = estimate(Model(arm), Measurements(q, np.zeros((120, 1))))
-    # the postures touch to 1e-8 mm of 1e3 mm, and so does the fit
-    jacobian, scales = found.model.jacobian(q, found.parameters), found.model.scales
-    assert spectrum(jacobian, scales, 1e-7).rank == 24
-    others = [k for k, name in enumerate(found.names) if name != RADIUS]
-    assert spectrum(jacobian[..., others], scales[others], 1e-7).rank == 24  # the size in its place
-
-
 @pytest.mark.parametrize(("radius", "noise"), [(12.7, 0.01), (150.0, 0.01), (30.0, 1e-4)])
 def test_a_sphere_of_unknown_radius(radius: float, noise: float) -> None:
     """The radius comes out as well as the drawing knows the size of the arm, from nothing, and with next to no noise:
@@ -260,14 +245,3 @@ def test_an_effect_is_named_by_contacts_alone() -> None:
     arm = Arm(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
     found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((90, 1))))
     assert found.named.effects == ("encoder_eccentricity:3",)
-
-
-def test_lengths_are_no_positions() -> None:
-    """Of an arm that is measured by positions, and the reverse."""
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6))
-    with pytest.raises(InputError, match="positions of 1 coordinates, allowed: 3 as the model has"):
-        estimate(Model(Arm(CHAIN)), Measurements(q, np.ones((60, 1))))
-    with pytest.raises(InputError, match="positions of 3 coordinates, allowed: 1 as the model has"):
-        estimate(Model(bar()), Measurements(q, np.ones((60, 3))))
-    with pytest.raises(InputError, match="positions of 1 coordinates, allowed: 2 as the model has"):
-        estimate(Model(Arm([300.0, 200.0])), Measurements(q[:, :2], np.ones((60, 1))))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.conditions import REMEMBERED, Conditions, past_from_order
+from identification.conditions import REMEMBERED, past_from_order
 from identification.errors import InputError
 from identification.measurements import Measurements, directions_from_order, session_time
 
@@ -54,18 +54,14 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
     ("given", "sentence"),
     [
         ({"positions": X[:1]}, "measurements.positions: shape (1, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
-        ({"positions": X[:19]}, "measurements.positions: shape (19, 2) for 20 postures of 4 joints, allowed: (20, 2)"),
-        ({"positions": X[:, 0]}, "measurements.positions: shape (20,) for 20 postures"),
         (
             {"positions": np.ones((20, 4))},
             "positions: shape (20, 4) for 20 postures of 4 joints, allowed: (20, 2) or (20,",
         ),
-        ({"positions": None}, "measurements.positions: shape () for"),
         ({"positions": "data.csv"}, "measurements.positions: not an array of numbers, allowed: real numbers"),
         ({"positions": changed(X, 6, np.nan)}, "measurements.positions: row 7 has [nan, nan], allowed: finite"),
         ({"postures": changed(Q, 2, np.inf)}, "measurements.postures: row 3 has [inf, inf, inf, inf], allowed: finite"),
         ({"postures": Q[:0], "positions": X[:0]}, "measurements.postures: shape (0, 4), allowed: (m, n) with m >= 1"),
-        ({"postures": Q[0]}, "measurements.postures: shape (4,), allowed: (m, n)"),
         ({"postures": np.zeros((20, 13))}, "measurements.postures: shape (20, 13), allowed: (m, n)"),
         ({"postures": [[1.0, 2.0], [1.0]]}, "measurements.postures: not an array of numbers"),
         ({"order": np.arange(19)}, "measurements.order: shape (19,) for 20 postures of 4 joints, allowed: (20,)"),
@@ -172,15 +168,6 @@ def test_the_past_is_worked_out_only_where_an_effect_asks_for_it(monkeypatch: py
     assert pickle.loads(pickle.dumps(conditions)) == conditions
 
 
-def test_the_table_has_the_past_on_demand() -> None:
-    q = np.array([[0.1, 0.2], [0.3, 0.4]])
-    assert Conditions().table(2, 2, 1.0).shape == (2, Conditions.columns(2))
-    wide = Conditions(past=past_from_order(q)).table(2, 2, 1.0, q)
-    assert wide.shape == (2, Conditions.columns(2, past=True))
-    np.testing.assert_array_equal(wide[1, 6:], np.repeat(q[0], REMEMBERED))
-    np.testing.assert_array_equal(Conditions().table(2, 2, 1.0, q)[:, 6:], np.repeat(q, REMEMBERED, axis=1))
-
-
 # -- postures and repeats ----------------------------------------------------------------------------------------------
 def test_reflectors_of_one_posture_share_it_and_are_no_repeats() -> None:
     """Three reflectors at each of 982 random postures, read one after the other or in three rounds: no repeats. Read
@@ -207,7 +194,7 @@ def same(numbers: np.ndarray) -> np.ndarray:
     return np.unique(numbers, return_index=True)[1][np.unique(numbers, return_inverse=True)[1]]
 
 
-@pytest.mark.parametrize("step", [0.002, 0.01, 0.02, 0.028])
+@pytest.mark.parametrize("step", [0.002, 0.028])
 def test_a_slow_scan_repeats_nothing(step: float) -> None:
     """A joint that is read every few thousandths of a degree; every row is another posture, unless its angles are equal
     to another's, as of two reflectors."""

@@ -50,13 +50,6 @@ def test_fits_do_not_care() -> None:
     np.testing.assert_array_equal(with_them.parameters, estimate(Model(ARM), found).parameters)
 
 
-def test_only_where_commands_are_given() -> None:
-    found = data()
-    for other in (replace(found, commanded=None), replace(found, commanded=found.postures)):
-        assert following_errors(other, ARM.joint_types) == ()
-        assert with_servo_errors(ARM, other) is ARM
-
-
 def test_commands_are_asked_for_so_that_the_joints_are_read_right() -> None:
     """The true arm, asked for them, is at the targets; else up to 3.5e-4 rad x 250 mm beside them."""
     nominal = np.random.default_rng(3).uniform(-1.5, 1.5, (30, 2))

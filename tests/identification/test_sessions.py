@@ -15,7 +15,7 @@ from identification.estimation import estimate
 from identification.inspection.readings import data_warnings
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_about
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal
 from identification.model.placed import placed_model
@@ -89,14 +89,6 @@ def test_a_hold_out_has_the_sessions_of_the_data() -> None:
     assert of_these_sessions(later, session(0)).session is None
 
 
-def test_some_rows_keep_the_number_of_their_session() -> None:
-    data = pooled_sessions({"a": session(0), "b": session(1)})
-    later = data.rows(data.session == "b")
-    assert later.sessions == ("b",)
-    assert later.session_names == ("a", "b")
-    np.testing.assert_array_equal(later.conditions.session, 1.0)
-
-
 def test_pooled_tables() -> None:
     one = session(0, 3, repeats=[5, 5, 7], order=[1, 2, 3], sigma=[0.1, 0.1, 0.2])
     two = session(1, 2, repeats=[0, 5], order=[1, 2])
@@ -113,14 +105,6 @@ def test_pooled_tables() -> None:
     assert pooled_sessions({"a": session(0, 1), "c": named}).session.tolist() == ["a", "c/x", "c/y"]
     with pytest.raises(InputError, match=r"^b: found 2 joints and 2 coordinates, allowed: 3 and 2"):
         pooled_sessions({"a": session(0), "b": Measurements(np.zeros((2, 2)), np.ones((2, 2)))})
-
-
-def test_what_is_not_said_is_session_one() -> None:
-    arm = Arm(LENGTHS, effects=(EffectSpec("session_base", values={"sessions": 2}),))
-    q, values = session(0).postures, np.r_[ERRORS, OFFSETS, 5.0, -7.0, 0.3]
-    np.testing.assert_allclose(Model(arm).position(q, values), tip(q, 0.0, 0.0), atol=1e-9)
-    second = Model(arm).position(q, values, Conditions(session=np.ones(len(q))))
-    np.testing.assert_allclose(second, tip(q, 0.3, 5.0 - 7.0j), atol=1e-9)
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from math import sqrt
@@ -30,22 +30,18 @@ from doe.studies.blind.cells import CELLS, TABLE, DataSet, data_set, to_be_plann
 from identification import (
     Arm,
     Array,
-    Calibration,
-    EffectSpec,
     InputError,
     Model,
     Progress,
     diagnose,
-    freedom_of,
+    fitted_arm,
     library,
     nearest,
-    practical,
-    quantile_95,
+    predicted_95,
     rms_distance,
     silent,
 )
 from identification.files.io import write_together
-from identification.gap.fit import Rows, fit
 
 BATCH = 10  # sets per task
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
@@ -174,7 +170,8 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None
     rows = []
     for number, data in _data_sets(key, planned):
         inside = data.outside is None
-        arm = fitted_arm(data, data.specs) if inside and data.holdout is not None else data.arm
+        fitted = partial(fitted_arm, data.arm, data.measurements, left_out=data.wrong_rows)
+        arm = fitted(specs=data.specs) if inside and data.holdout is not None else data.arm
         rows.append(
             {
                 "set": number,
@@ -184,7 +181,7 @@ def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None
                 "place": data.place,
                 "gap_true_mm": gap(arm, data, data.holdout.positions) if inside and data.holdout is not None else None,
                 "error_true_mm": gap(arm, data, data.exact) if inside else None,
-                "error_geometry_mm": None if data.exact is None else gap(fitted_arm(data), data, data.exact),
+                "error_geometry_mm": None if data.exact is None else gap(fitted(), data, data.exact),
                 "error_reachable_mm": data.reachable,
                 "parameters": list(data.values),
                 "values": list(data.values.values()),
@@ -201,14 +198,7 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = N
         diagnosis = diagnose(data.arm, data.measurements, data.holdout, seed=number)
         arm, verdict = diagnosis.extended_arm(), diagnosis.verdict
         chances, named = diagnosis.probabilities, diagnosis.named
-        calibration = named.calibration
-        assert calibration.covariance is not None  # a diagnosis has one
-        half = quantile_95(named.freedom) * np.sqrt(np.diag(calibration.covariance))
-        values = [calibration.values[name] for name in calibration.parameter_names]
-        limits = {n: (v - h, v + h) for n, v, h in zip(calibration.parameter_names, values, half, strict=True)}
-        units = {p.name: p.to_file for p in Model(diagnosis.extended_arm(named)).parameters}
-        limits |= {p.name: (p.low_95 / units[p.name], p.high_95 / units[p.name]) for p in named.parameters}
-        low, high = zip(*limits.values(), strict=True)
+        low, high = zip(*named.limits_95.values(), strict=True)
         said = diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys)
         row: Row = {
             "set": number,
@@ -219,7 +209,7 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = N
             "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
             "where": diagnosis.where,
             "outlier_rows": list(diagnosis.outlier_rows),
-            "interval_of": list(limits),  # of base and effects [API units]
+            "interval_of": list(named.limits_95),  # of base and effects [API units]
             "low_95": list(low),
             "high_95": list(high),
             "gap_named_mm": diagnosis.gap.held_out_after,
@@ -238,14 +228,6 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = N
     return rows
 
 
-def fitted_arm(data: DataSet, specs: Sequence[EffectSpec] = ()) -> Arm:
-    """The arm with these effects added, none: its geometry only, fitted to the rows that are not outliers."""
-    arm = practical(data.arm, data.measurements)
-    model = Model(arm.with_effects(*arm.effects, *specs))
-    kept = ~np.isin(np.arange(len(data.measurements)) + 1, data.wrong_rows)
-    return replace(model.arm, calibration=Calibration(fit(model, Rows.of(data.measurements).pick(kept)).by_name))
-
-
 def gap(arm: Arm, data: DataSet, positions: Array | None) -> float | None:
     """RMS distance [mm] of a calibrated arm from positions at the hold-out's postures; None where there are none."""
     if positions is None or data.holdout is None:
@@ -256,15 +238,10 @@ def gap(arm: Arm, data: DataSet, positions: Array | None) -> float | None:
 def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
     """Share of the hold-out's coordinates without noise that are inside the 95 % intervals which the covariance of the
     arm's calibration gives there; None where they are not known."""
-    calibration = arm.calibration
-    if data.exact is None or data.holdout is None or calibration is None or calibration.covariance is None:
+    if data.exact is None or data.holdout is None:
         return None
-    model = Model(arm)
-    place = [model.names.index(name) for name in calibration.parameter_names]
-    computed, jacobian = model.linearize(data.holdout.postures, model.values, data.holdout.conditions)
-    columns = jacobian[..., place] * quantile_95(freedom_of(calibration))
-    half = np.sqrt(np.einsum("mdp,pq,mdq->md", columns, calibration.covariance, columns, optimize=True))
-    return float(np.mean(np.abs(data.exact - computed) <= half))
+    computed, half = predicted_95(arm, data.holdout)
+    return None if half is None else float(np.mean(np.abs(data.exact - computed) <= half))
 
 
 def contradictions(diagnosis: Said) -> list[str]:

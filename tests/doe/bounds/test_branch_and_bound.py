@@ -10,12 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.branch_and_bound import (
-    TrigonometricPolynomial,
-    maximum,
-    sensitivity_polynomial,
-    trigonometric_jacobian,
-)
+from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, sensitivity_polynomial, trigonometric_jacobian
 from identification.arm import Calibration, EffectSpec, Gravity
 from identification.arrays import Array
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
@@ -137,18 +132,6 @@ def test_equals_the_jacobians(case) -> None:  # type: ignore[no-untyped-def]
     polynomial = sensitivity_polynomial(found, gradient, 0.7, 3.0)
     assert polynomial.value(q) == pytest.approx(expected, rel=1e-11)
     assert polynomial.magnitude >= np.abs(expected).max()  # what the margin for rounding is taken of
-
-
-def test_base_model_has_a_wave_per_pair_of_links() -> None:
-    """d depends on q through exp(i (q_(j+1) + .. + q_k)), j < k, only; q_1 plays no part.
-
-    doe/README.md, "Information matrix".
-    """
-    found = trigonometric_jacobian(problem(FOUR))
-    frequencies = {tuple(f) for f in sensitivity_polynomial(found, np.diag(np.arange(1.0, 9.0)) + 1.0).frequencies}
-    pairs = {tuple(int(j < c <= k) for c in range(4)) for j in range(4) for k in range(j + 1, 4)}
-    # sums of two orientations appear too, with coefficients that cancel: the metric need not be a real form here
-    assert pairs <= frequencies
 
 
 @pytest.mark.parametrize(

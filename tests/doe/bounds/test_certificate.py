@@ -8,11 +8,11 @@ import json
 import numpy as np
 import pytest
 
-from doe.bounds.certificate import ApproximateDesign, Bound
+from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.column_generation import CandidateSet
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.plan.plan import Plan
 from doe.problem.problem import DesignProblem
+from identification import Plan
 from identification.arrays import Array
 from identification.running import Status
 from tests.doe.arms import ECCENTRICITY, FOUR, problem
@@ -55,19 +55,6 @@ def test_bound_of_any_design_holds_for_every_other(seed: int) -> None:
                 assert each.objective(candidates, generator.dirichlet(np.full(60, 0.2))) <= bound
 
 
-def test_gap_with_measured_postures_by_the_definition() -> None:
-    """Five new runs beside seven known."""
-    generator = np.random.default_rng(0)
-    kept, candidates = generator.uniform(FOUR.lower, FOUR.upper, (2, 7, 4))
-    case = problem(FOUR, kept=kept)
-    information, jacobians = case.information(candidates[:5]), case.scaled_jacobians(candidates)
-    gradient = np.linalg.inv(information)
-    largest = np.einsum("mdp,pq,mdq->m", jacobians, gradient, jacobians).max()
-    fixed = float(np.sum(gradient * sum(b.T @ b for b in case.scaled_jacobians(kept))))
-    found = judged(case, Plan(candidates[:5]), candidates)
-    assert found.gap == pytest.approx((5.0 * largest + fixed) / 12.0 - case.parameters, rel=1e-9)
-
-
 @pytest.mark.parametrize("smallest", [1.0, 0.0])
 def test_sensitivities_of_candidates_are_traces(smallest: float) -> None:
     """Of a gradient that is definite (by its root) and of one that is singular, with a prior."""
@@ -107,27 +94,3 @@ def test_a_bound_only_where_solved_or_cut_by_time(status: Status) -> None:
     assert found.bound.value == found.upper
     assert json.loads(json.dumps(data)) == data
     assert data["support"][3] == {"posture_deg": pytest.approx([0.0, -90.0, 60.0, 90.0]), "weight": 0.125}
-
-
-@pytest.mark.parametrize(
-    ("bound", "scope", "proof", "words"),
-    [
-        (Bound(-0.25, "closed_form", rigorous=True), "all postures", "proven", "closed form, all postures, proven"),
-        (Bound(-0.25, "continuous"), "all postures", "numerical", "all postures, numerical"),
-        (Bound(-0.25, "grid", rigorous=True), "list", "proven", "the postures of the list, proven"),
-        (
-            Bound(-0.25, "grid", True, True, 2000),
-            "list",
-            "proven",
-            "the list of 2,000 postures, proven, its",
-        ),
-    ],
-)
-def test_a_bound_says_of_what_it_is_and_whether_it_is_a_theorem(
-    bound: Bound, scope: str, proof: str, words: str
-) -> None:
-    data = bound.as_dict()
-    assert (data["value"], data["source"], data["rigorous"]) == (-0.25, bound.source, bound.rigorous)
-    assert (data["scope"], data["proof"]) == (scope, proof)
-    assert (data.get("candidates"), data.get("cut", False)) == (bound.candidates, bound.cut)
-    assert str(bound).startswith(f"-0.25 ({words}")

@@ -45,20 +45,18 @@ def closed_form(lower: Array, upper: Array, offset: bool = False) -> float:
 # -- the continuous box ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("links", range(1, 9))
 def test_continuous_box_equals_the_closed_form(links: int) -> None:
-    generator = np.random.default_rng(links)
-    for _ in range(2):
-        arm = random_box(generator, links)
-        design = continuous_design(problem(arm))
-        expected = closed_form(arm.lower, arm.upper)
-        assert design.log_det == pytest.approx(expected, abs=1e-9)
-        assert design.bound.rigorous
-        assert design.bound.source == "continuous"
-        assert expected - 1e-12 <= design.bound.value <= expected + 1e-8
-        assert len(design.plan) <= 2 * links * (2 * links + 1) // 2 + 1
-        assert design.plan.shares.sum() == pytest.approx(1.0, abs=1e-12)
+    arm = random_box(np.random.default_rng(links), links)
+    design = continuous_design(problem(arm))
+    expected = closed_form(arm.lower, arm.upper)
+    assert design.log_det == pytest.approx(expected, abs=1e-9)
+    assert design.bound.rigorous
+    assert design.bound.source == "continuous"
+    assert expected - 1e-12 <= design.bound.value <= expected + 1e-8
+    assert len(design.plan) <= 2 * links * (2 * links + 1) // 2 + 1
+    assert design.plan.shares.sum() == pytest.approx(1.0, abs=1e-12)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 10_000), links=st.integers(1, 4))
 def test_with_a_base_offset_too(seed: int, links: int) -> None:
     """The base is a link 0 with orientation 0: joint 1 counts as the others do."""
@@ -82,15 +80,6 @@ def test_polynomial_regression(degree: int) -> None:
     assert not design.bound.rigorous  # no trigonometric polynomial: a multistart, and it says so
 
 
-@pytest.mark.parametrize(("criterion", "ends"), [(A(), 1 / 4), (E(), 1 / 5), (Ds((2,)), 1 / 4)], ids=["A", "E", "Ds"])
-def test_quadratic_regression_by_other_criteria(criterion: Criterion, ends: float) -> None:
-    """Pukelsheim (2006), exhibit 9.9: support -1, 0, 1."""
-    design = continuous_design(regression(2, criterion=criterion))
-    x, weights = design.plan.postures[:, 0], design.plan.shares
-    assert weights[np.abs(x + 1.0) < 1e-2].sum() == pytest.approx(ends, abs=2e-3 if criterion.name == "E" else 1e-6)
-    assert weights[np.abs(x) < 1e-2].sum() == pytest.approx(1 - 2 * ends, abs=4e-3 if criterion.name == "E" else 1e-6)
-
-
 EFFECTS = {
     "two harmonics": (OFFSET, ECCENTRICITY, EffectSpec("encoder_second_harmonic", 3)),
     "gear ratio": (OFFSET, EffectSpec("gear_ratio", 2), ECCENTRICITY),
@@ -98,8 +87,7 @@ EFFECTS = {
 
 
 @pytest.mark.parametrize(
-    ("name", "links"),
-    [("gear ratio", 3), *(pytest.param(name, 4, marks=pytest.mark.slow) for name in EFFECTS)],
+    ("name", "links"), [("gear ratio", 3), *(pytest.param(name, 4, marks=pytest.mark.slow) for name in EFFECTS)]
 )
 def test_effects_in_the_model(name: str, links: int) -> None:
     """No random posture violates the equivalence theorem, and a fine grid has nothing better."""
@@ -139,19 +127,8 @@ def test_what_the_multistart_misses_the_proof_finds(monkeypatch: pytest.MonkeyPa
     assert blinder.log_det < expected - 0.1  # the oracle's trap works: without the proof the answer is wrong
 
 
-def test_walls() -> None:
-    """Constrained: every posture allowed, never above the box, never below a grid."""
-    box = WorkspaceBox((250.0, 350.0), (250.0, 350.0))
-    case = problem(Arm(FOUR.lengths[:3], FOUR.lower[:3], FOUR.upper[:3], 0.1, constraints=(box,)))
-    design = continuous_design(case, tolerance=1e-8)
-    assert case.feasible(design.plan.postures).all()
-    assert not design.bound.rigorous
-    assert design.value <= closed_form(FOUR.lower[:3], FOUR.upper[:3])
-    assert column_generation(case, grid(case, 25)).value <= design.bound.value + 1e-9
-
-
 # -- finite sets -------------------------------------------------------------------------------------------------------
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 10_000), links=st.integers(2, 4))
 def test_equivalence_theorem_on_every_candidate(seed: int, links: int) -> None:
     generator = np.random.default_rng(seed)
@@ -205,7 +182,7 @@ def test_other_criteria_have_no_better_neighbor(name: str) -> None:
     best = case.information(design.plan.postures, design.plan.shares)
     assert design.value == pytest.approx(float(criterion.value(best)), rel=1e-12)
     assert design.value <= design.bound.value + 1e-9
-    for _ in range(300):
+    for _ in range(100):
         rows = generator.integers(len(candidates), size=generator.integers(1, 12))
         other = case.information(candidates[rows], generator.dirichlet(np.ones(len(rows))))
         value = float(criterion.value(0.99 * best + 0.01 * other))
@@ -282,15 +259,6 @@ def test_independent_solvers_agree(criterion: Criterion) -> None:
         assert design.efficiency_lower_bound >= 1.0 - 1e-3
         assert design.plan.shares.sum() == pytest.approx(1.0, abs=1e-12)
         assert design.plan.shares.min() > 0.0
-
-
-def test_around_measured_postures() -> None:
-    generator = np.random.default_rng(1)
-    case = problem(FOUR, OFFSET, kept=generator.uniform(FOUR.lower, FOUR.upper, (6, 4)))
-    other, mine = (relax(case, 3, solver, runs=4) for solver in SOLVERS[1:])
-    assert other.value == pytest.approx(mine.value, abs=1e-5)
-    with pytest.raises(InputError, match="runs"):
-        relax(case, 3, "clarabel")
 
 
 @pytest.mark.parametrize("word", ["optimal_inaccurate", "user_limit", "unknown_to_us"])
@@ -385,7 +353,7 @@ def test_climbs_within_the_set(case) -> None:  # type: ignore[no-untyped-def]
     generator = np.random.default_rng(1)
     everything = ContinuousSet(case, PriorInformation())
     gradient = some_gradient(case, generator)
-    starts = random_postures(case, 50, generator)
+    starts = random_postures(case, 20, generator)
     ends = everything.climb(starts, gradient)
     assert np.all((ends >= case.lower) & (ends <= case.upper))
     assert case.feasible(ends).all()

@@ -68,7 +68,6 @@ def test_a_share_of_the_data_is_held_out_by_posture(sessions: Folder) -> None:
     assert found["confirmation"]["rows"] == pytest.approx(36, abs=2)
     assert found["confirmation"]["rows"] % 2 == 0  # both rows of a posture
     assert found["confirmation"]["transfer"] == "other postures"
-    assert sessions.said(f"{DIAGNOSE} --holdout 0.3 --seed 4")["gap"] != found["gap"]
 
 
 def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -> None:
@@ -99,22 +98,6 @@ def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
     assert "(encoder_eccentricity:2)" in done.out.splitlines()[0]
     assert "next:" not in done.out
     assert "armcal: length_errors_mm: found -231.6 for link 3" in done.err
-
-
-def test_a_hold_out_of_another_frame_is_judged_where_it_stands(sessions: Folder) -> None:
-    """The instrument moved by 300 mm: the base is refitted to these rows, and the verdict is as if it had not."""
-    rows = pl.read_csv(sessions.path / "same.csv")
-    rows.with_columns(pl.col("x_mm") + 300.0).write_csv(sessions.path / "moved.csv")
-    rows.with_columns(pl.col("x_mm") * 2.0).write_csv(sessions.path / "scaled.csv")
-    still, there = (sessions.said(f"{DIAGNOSE} --holdout {name}") for name in ("same.csv", "moved.csv"))
-    assert (still["confirmation"]["refitted"], there["confirmation"]["refitted"]) == ([], ["base"])
-    assert there["confirmed"] is True
-    for key in ("held_out_before_mm", "held_out_after_mm"):
-        assert there["gap"][key] == pytest.approx(still["gap"][key], rel=0.05)
-    said = "the hold-out is of another set-up: base refitted to its rows, for both models"
-    assert said in there["warnings"]
-    assert said in sessions.armcal(f"{DIAGNOSE} --holdout moved.csv").flat
-    sessions.refused(f"{DIAGNOSE} --holdout scaled.csv", "another arm or unit?")
 
 
 # -- several sessions --------------------------------------------------------------------------------------------------
@@ -155,12 +138,3 @@ def test_files_are_sessions(days: Folder) -> None:
     done = days.armcal("discriminate arm.toml monday.csv friday.csv --runs 2")
     assert done.code == 0, done.err
     assert "gear ripple, k times per turn (transmission_ripple:2[k=5])" in done.flat
-
-
-def test_a_column_names_sessions(days: Folder) -> None:
-    found = days.said("identify real.toml both.csv --out calibrated.toml")
-    values = {p["name"]: p["value"] for p in found["parameters"]}
-    assert values["session_base.w2"] == pytest.approx(np.degrees(0.4), abs=0.02)
-    assert values["session_base.x2"] == pytest.approx(150.0, abs=0.5)
-    assert "session_base" not in days.read("calibrated.toml")
-    assert days.said("validate calibrated.toml monday.csv --refit none")["rms_mm"] < 0.2

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
-from tests.doe.cli.conftest import ARM, CALIBRATION, Folder, table
+from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 from tests.small_arm import MASSES, OTHERS, as_csv, measured, random_postures, small_arm, urdf
 
-DATA = Path(__file__).parents[2] / "data/ur10"
 ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.2\nb_deg = 0.1\n'
 IDENTIFY = "identify arm.toml data.csv"
 
@@ -71,12 +69,6 @@ def test_a_controller_that_counts_otherwise(folder: Folder, columns: dict[str, p
     assert folder.said("check arm.toml data.csv")["ok"]
     values, usual = ([row["value"] for row in run["parameters"]] for run in (folder.said(IDENTIFY), plain))
     assert values == pytest.approx(usual, abs=1e-6)
-
-
-def test_six_axes(folder: Folder) -> None:
-    found = folder.said(f"check {DATA / 'ur10.toml'} {DATA / 'series_A.csv'}")
-    assert (found["rows"], found["problems"]) == (596, [])
-    assert found["rms_fitted_mm"] < 0.5 < 0.8 < found["rms_drawing_mm"] < 0.9
 
 
 def test_an_arm_that_sags_is_told_what_to_add(folder: Folder) -> None:
@@ -155,21 +147,6 @@ def test_commands_beside_readings(folder: Folder) -> None:
     np.testing.assert_allclose(np.subtract(others, commands), [[0.0, -0.03, 0.0, 0.0]], atol=1e-6)
 
 
-def test_what_is_not_named_stays_and_keeps_its_covariance(folder: Folder) -> None:
-    folder.simulated()
-    folder.said(f"{IDENTIFY} --out calibrated.toml")
-    line = "identify calibrated.toml data.csv --only joint_offset:2,lengths --only joint_offset:3"
-    found = folder.said(f"{line} --out again.toml")
-    assert found["only"] == ["joint_offset:2", "lengths", "joint_offset:3"]
-    names = [f"length_error:{j}" for j in (1, 2, 3, 4)] + ["joint_offset:2", "joint_offset:3"]
-    assert [row["name"] for row in found["parameters"]] == names
-    first, again = (tomllib.loads(folder.read(name))["calibration"] for name in ("calibrated.toml", "again.toml"))
-    assert again["joint_offsets_deg"][::3] == pytest.approx(first["joint_offsets_deg"][::3], abs=1e-12)
-    assert again["parameters"] == [*names, "joint_offset:1", "joint_offset:4"]
-    assert again["covariance"][-1][-1] == pytest.approx(first["covariance"][-1][-1])
-    assert "Estimated: joint_offset:2, lengths, joint_offset:3; the others" in folder.armcal(line).out
-
-
 def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
     """The range of two files is that of all their rows, a joint read a whole turn away included, also where one is the
     prior of the other; with nothing kept it is that of the new rows. `validate` then knows the old rows, and finds none
@@ -190,34 +167,6 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
             assert found["held_from"]["data.csv"]["rows"] == len(old)
             (note,) = folder.said("validate again.toml data.csv")["notes"]
             assert note.startswith("these are the measurements that the model was identified from:")
-
-
-def test_what_is_held_counts_from_the_old_temperature(folder: Folder) -> None:
-    """Links that grow by 1e-4 per K, measured at some 20 deg, and at some 29 after a motor was changed: the lengths and
-    their growth stay right, whether they are held or the prior; anew, everything counts from the new mean."""
-    lengths, zeros = np.array([261.5, 179.4, 119.6, 100.7]), np.radians([0.5, -0.5, 0.7, -0.3])
-    generator = np.random.default_rng(12)
-    for name, rows, middle, moved in (("cold.csv", 40, 20.0, 0.0), ("warm.csv", 12, 29.0, np.radians(0.4))):
-        q = generator.uniform(-1.5, 1.5, (rows, 4))
-        warm = middle + generator.uniform(-3.0, 3.0, rows)
-        turned = np.cumsum(q + zeros + moved * np.eye(4)[1], axis=1)
-        tip = (1.0 + 1e-4 * (warm - 20.0)) * (np.exp(1j * turned) @ lengths)
-        tip += 0.01 * (generator.standard_normal((2, rows)).T @ [1.0, 1.0j])
-        angles = {f"q{j}_deg": column for j, column in enumerate(np.degrees(q).T, start=1)}
-        folder.write(name, table({**angles, "x_mm": tip.real, "y_mm": tip.imag, "temperature_C": warm}))
-    sure = ARM.replace("sigma_mm = 0.1", "sigma_mm = 0.01")
-    folder.write("arm.toml", sure + '\n[[effects]]\nname = "thermal_growth"\n')
-    folder.said("identify arm.toml cold.csv --out calibrated.toml")
-    only = folder.said("identify calibrated.toml warm.csv --only joint_offset:2 --out only.toml")
-    (zero,) = only["parameters"]
-    assert zero["value"] == pytest.approx(-0.1, abs=0.005)
-    assert only["rms_after_mm"] < 0.03  # 0.4 mm where temperatures count from the new mean
-    means = [origin(folder, name)["mean_temperature_C"] for name in ("only.toml", "calibrated.toml")]
-    assert means[0] == means[1]
-    prior = folder.said("identify arm.toml warm.csv --prior calibrated.toml")
-    assert [one["name"] for one in prior["prior_from"]["contradicted"]] == ["joint_offset:2"]
-    folder.said("identify arm.toml warm.csv --out anew.toml")
-    assert origin(folder, "anew.toml")["mean_temperature_C"] == pytest.approx(29.0, abs=1.0)
 
 
 def test_prior_is_the_library_or_a_file(folder: Folder) -> None:

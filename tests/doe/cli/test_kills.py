@@ -14,22 +14,14 @@ from unittest.mock import Mock
 import pytest
 
 from doe.cli.demo import next_free
-from doe.jobs import RowTable
 from tests.doe.cli.conftest import Folder, without_progress
-from tests.doe.faults import COMMANDS, ROOT, STUDY, Command, Reference, content, prepare, start, verdict
+from tests.doe.faults import COMMANDS, Command, Reference, content, prepare, start, verdict
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
 STUDY_COMMAND = COMMANDS[0]
 LONG_DESIGN = COMMANDS[2]._replace(words=COMMANDS[2].words.replace("--starts 12", "--starts 3000"))  # many seconds
 SCORE = "score arm.toml plan.csv"
 SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.results",))
-STOPPED = """
-import signal
-import identification.files.arm as file
-from doe.__main__ import run
-file.load_arm = lambda _: exec("signal.raise_signal(signal.SIGTERM)", {"signal": signal})
-run()
-"""
 
 
 @pytest.fixture(scope="module")
@@ -66,17 +58,6 @@ def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> Non
     assert content(SERIAL, folder) == reference.files
 
 
-def test_two_studies_on_one_folder(folder: Folder) -> None:
-    folder.write("study.toml", STUDY)
-    (folder.path / "study.results").mkdir()
-    with RowTable(folder.path / "study.results" / "blocks.parquet") as table:
-        table.add("1", [{"value": 1}])
-        for more in ("", " --resume", " --force"):
-            folder.refused(f"study study.toml --workers 1{more}", "another run is writing this table")
-        assert len(table.rows) == 1
-    assert [path.name for path in (folder.path / "study.results").iterdir()] == ["blocks.parquet"]
-
-
 def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
     names = [next_free(tmp_path / "demo").name for _ in range(3)]
     assert names == ["demo", "demo-2", "demo-3"]
@@ -109,12 +90,3 @@ def test_a_signal_while_a_library_loads(
     done = folder.armcal(SCORE)
     assert (done.code, done.err) == (1, f"armcal: stopped by {name}, nothing was written\n")
     assert signal.getsignal(number) is before
-
-
-def test_a_signal_while_a_library_runs_source_text(folder: Folder) -> None:
-    """As those of dataclasses and named tuples: `python -m` ends with our exit code too."""
-    folder.write("stopped.py", STOPPED)
-    words = [sys.executable, "-m", "stopped", *SCORE.split()]
-    system = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(words, cwd=folder.path, env=system, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (1, "armcal: stopped by SIGTERM, nothing was written\n")

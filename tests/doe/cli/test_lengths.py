@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tests.doe.cli.conftest import Folder, table
-from tests.identification.exponentials import TABLE, Exponentials
-from tests.identification.touching import sphere, touching
+from tests.identification.exponentials import TABLE
 
 ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha)}\nd_mm = {d}\n" for a, alpha, d in TABLE)
 SIX = f"""\
@@ -38,7 +37,6 @@ VALUES = """
 """
 TRUTH = TOOL + VALUES + '"base.x" = 9.0\n'
 ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 3\na_deg = 0.05\nb_deg = 0.04\n'
-CENTER = np.array([600.0, -200.0, 300.0])
 
 
 def of_postures(postures: np.ndarray, **columns: Any) -> str:
@@ -83,67 +81,7 @@ def test_the_loop_of_a_ball_bar(cell: Folder) -> None:
     cell.said("report arm.toml calibrated.toml fresh_data.csv --out page.html")
 
 
-def test_a_bar_that_is_longer_than_its_file_says(cell: Folder) -> None:
-    """`check` offers the effect, with which nothing speaks against the data, and `identify` gives the length."""
-    cell.write("truth.toml", SIX + BAR + TRUTH + '[[effects]]\nname = "length_offset"\nc_mm = 0.5\n')
-    cell.simulated()
-    (said,) = cell.said("check arm.toml data.csv")["problems"]
-    assert said.startswith("all distances look 0.")
-    assert said.endswith('add [[effects]] name = "length_offset"')
-    cell.write("arm.toml", SIX + BAR + '[[effects]]\nname = "length_offset"\n')
-    assert cell.said("check arm.toml data.csv")["problems"] == []
-    found = cell.said("identify arm.toml data.csv --out calibrated.toml")
-    (row,) = [row for row in found["parameters"] if row["name"] == "length_offset.c"]
-    assert row["low_95"] - row["std"] < 0.5 < row["high_95"] + row["std"]
-    cell.write("targets.csv", "x_mm,y_mm,z_mm\n500,300,300\n")
-    assert cell.said("compensate calibrated.toml targets.csv")["reached"] == 1
-    cell.write("tracker.toml", SIX.replace("[instrument]\n", "") + '[[effects]]\nname = "length_offset"\n')
-    why = "length_offset needs measured distances, found no [instrument] table, allowed: kind distance"
-    cell.refused("check tracker.toml data.csv", why)
-
-
 # -- contacts ----------------------------------------------------------------------------------------------------------
-def test_contacts(cell: Folder) -> None:
-    """With a ball of 30 mm: joints alone say the arm; a plan cannot be made."""
-    generator = np.random.default_rng(5)
-    truth, places = Exponentials(generator), (CENTER, np.array([-300.0, 500.0, 400.0]))
-    q = np.concatenate([touching(truth, sphere(place, 30.0), 80, generator) for place in places])
-    cell.write("ball.toml", SIX + 'kind = "sphere"\nradius_mm = 30.0\n')
-    cell.write("data.csv", of_postures(q, surface=["ball 0"] * 80 + ["ball 1"] * 80))
-    found = cell.said("identify ball.toml data.csv --out calibrated.toml")
-    assert found["rms_after_mm"] < 0.01 < 0.3 < found["rms_before_mm"]
-    assert cell.said("check ball.toml data.csv")["sessions"] == ["ball 0", "ball 1"]
-    assert cell.said("validate calibrated.toml data.csv")["rms_mm"] < 0.01
-    for line in (
-        *("design ball.toml --runs 30", "score ball.toml plan.csv", "advise ball.toml", "relax ball.toml"),
-        "compare ball.toml --runs 30",
-        "simulate ball.toml plan.csv --truth ball.toml --out more.csv",
-    ):
-        cell.refused(line, "instrument: found kind sphere")
-
-
-def test_contacts_with_a_ball_that_nobody_measured(cell: Folder) -> None:
-    """The radius is left out of the file, found, written, used, and found anew for another ball."""
-    generator = np.random.default_rng(5)
-    truth = Exponentials(generator)
-    for name, radius in (("data", 30.0), ("other", 20.0)):
-        cell.write(f"{name}.csv", of_postures(touching(truth, sphere(CENTER, radius), 80, generator)))
-    cell.write("ball.toml", SIX + 'kind = "sphere"\n')
-    assert cell.said("check ball.toml data.csv")["rms_fitted_mm"] < 0.01
-    found = cell.said("identify ball.toml data.csv --out calibrated.toml")
-    (row,) = [row for row in found["parameters"] if row["name"] == "sphere.radius"]
-    assert (row["unit"], row["value"]) == ("mm", pytest.approx(30.0, abs=3.0 * row["std"]))
-    (shown,) = [one for one in found["corrected_values"] if one["name"] == "sphere radius"]
-    assert shown["corrected"] == row["value"]
-    assert "sphere radius [mm]: " in cell.armcal("identify ball.toml data.csv").out
-    assert cell.said("validate calibrated.toml data.csv --refit none")["rms_mm"] < 0.01
-    other = cell.said("validate calibrated.toml other.csv")
-    assert other["rms_mm"] < 0.01 < 0.3 < other["rms_nominal_mm"]
-    (radius,) = [one["value"] for one in other["refitted"] if one["name"] == "sphere.radius"]
-    assert radius == pytest.approx(20.0 * row["value"] / 30.0, abs=1e-3)  # the size of the arm is as it was found
-    why = "minimal for contacts with spheres of unknown radius, which leave the size of the arm open"
-    cell.refused("identify ball.toml data.csv --parameters minimal", why)
-    cell.refused("design ball.toml --runs 30")
 
 
 @pytest.mark.usefixtures("few")
@@ -221,51 +159,9 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
     assert again["rms_mm"] < 0.03 < 0.5 < again["rms_nominal_mm"]
 
 
-LEFT_OUT = "center_mm: found for kind socket, allowed: for distance, plane, sphere"
-
-
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        ('kind = "socket"\ncenter_mm = [1.0, 2.0, 3.0]', f"instrument.{LEFT_OUT}"),
-        ('kind = "plane"\ncups = {A = [1.0, 2.0, 3.0]}', "instrument.cups: found for kind plane, allowed: for socket"),
-        ('kind = "socket"\ncups = {A = [1.0, 2.0]}', "allowed: three numbers"),
-        ('kind = "socket"\ndistances_mm = [["A", 3.0]]', "instrument.distances_mm[1][2]: found 3.0, allowed: a string"),
-        ('kind = "socket"\n[base]\nx_mm = 3.0', "base: found with an [instrument] of kind socket, allowed: left out"),
-    ],
-)
-def test_wrong_sockets(folder: Folder, lines: str, said: str) -> None:
-    folder.write("arm.toml", f"{SIX}{lines}\n")
-    folder.write("plan.csv", of_postures(np.zeros((2, 6)), run=[1, 2]))
-    folder.refused("score arm.toml plan.csv", said)
-
-
 def test_sockets_without_cups_have_no_plan(folder: Folder) -> None:
     folder.write("arm.toml", SIX + 'kind = "socket"\n')
     folder.write("plan.csv", of_postures(np.zeros((2, 6)), run=[1, 2]))
     why = "kind socket without cups: where it is touched is not known, allowed for plans: with cups"
     folder.refused("design arm.toml --runs 60", why)
     folder.refused("simulate arm.toml plan.csv --truth arm.toml --out data.csv", "instrument: found none of cups")
-
-
-def test_the_loop_of_a_bar_beside_a_planar_arm(folder: Folder) -> None:
-    """Plan, simulated distances, fit, diagnosis, commands: where the center is nobody says."""
-    limits = "[joint_limits_deg]\nlower = [-150, -140, -140]\nupper = [150, 140, 140]\n"
-    arm = f"links_mm = [300.0, 250.0, 150.0]\n{limits}[measurement]\nsigma_mm = 0.02\n"
-    arm += '[instrument]\nkind = "distance"\n'
-    known = "[calibration]\nlength_errors_mm = [1.2, -0.7, 0.4]\njoint_offsets_deg = [0.0, 0.2, -0.3]\n"
-    folder.write("arm.toml", f"{arm}center_mm = [400.0, 300.0]\n")
-    folder.write("blank.toml", arm)
-    folder.write("truth.toml", f"{arm}center_mm = [400.0, 300.0]\n{known}{ECCENTRIC.replace('joint = 3', 'joint = 2')}")
-    plan = folder.said("design arm.toml --runs 60 --starts 1 --out seats.csv")
-    assert plan["efficiency"] <= 1.0 + 1e-9
-    folder.simulated(seed=1, plan="seats.csv")
-    assert "distance_mm" in folder.read("data.csv")
-    assert folder.armcal("check blank.toml data.csv").code == 0
-    fit = folder.said("identify blank.toml data.csv --out geometry.toml")
-    names = [entry["name"] for entry in fit["parameters"]]
-    assert {"center[1].x", "center[1].y"} < set(names)
-    assert "joint_offset:1" not in names
-    assert folder.said("diagnose blank.toml data.csv --out extended.toml")["effects"] == ["encoder_eccentricity:2"]
-    folder.write("targets.csv", "x_mm,y_mm\n300,200\n-100,400\n")
-    assert folder.said("compensate extended.toml targets.csv")["reached"] == 2

@@ -8,7 +8,7 @@ import pytest
 
 from doe.cli import main
 from identification.validate import REFITS
-from tests.doe.cli.conftest import ARM, CALIBRATION, LOWER, UPPER, Folder, table
+from tests.doe.cli.conftest import ARM, LOWER, UPPER, Folder, table
 
 KEYS = {
     "design": "criterion runs links log_det bound efficiency certified_optimal postures_deg table_1_max_residual std "
@@ -88,35 +88,6 @@ def test_conditions_in_the_plan_reach_the_measurements(folder: Folder) -> None:
     tip = (LENGTHS * np.exp(1j * theta)).sum(axis=1) * (1.0 + 0.001 * warmer)
     np.testing.assert_allclose(data["x_mm"].to_numpy(), tip.real, atol=1e-6)
     folder.refused("simulate arm.toml plan.csv --truth truth.toml --out cold.csv", "temperature_C")
-
-
-def ripples(*settings: tuple[int, int, float, float]) -> str:
-    """Entries of an arm file: joint, k, a, b."""
-    entry = '\n[[effects]]\nname = "transmission_ripple"\njoint = {}\nk = {}\na_deg = {}\nb_deg = {}\n'
-    return "".join(entry.format(*values) for values in settings)
-
-
-def test_two_ripples_of_one_joint_go_round_the_loop(folder: Folder) -> None:
-    folder.write("truth.toml", ARM + ripples((1, 20, 0.06, 0.0), (1, 29, 0.03, 0.05), (2, 18, 0.0, 0.08)) + CALIBRATION)
-    folder.plan(120, 5)
-    folder.simulated()
-    found = folder.said("diagnose arm.toml data.csv --out extended.toml")
-    one, other = "transmission_ripple:1[k=20]", "transmission_ripple:1[k=29]"
-    assert (found["verdict"], set(found["effects"])) == ("named", {one, other, "transmission_ripple:2[k=18]"})
-    fitted = folder.said("identify extended.toml data.csv --out calibrated.toml")
-    assert f"{one}.a" in folder.armcal("identify extended.toml data.csv").out  # brackets are no markup
-    folder.write("own.toml", folder.read("extended.toml"))
-    assert folder.armcal("identify own.toml data.csv --out own.toml").code == 2
-    assert folder.armcal("identify own.toml data.csv --out own.toml --force").code == 0
-    assert folder.read("own.toml") == folder.read("calibrated.toml")
-    values = {p["name"]: p for p in fitted["parameters"]}
-    truth = {f"{one}.a": 0.06, f"{one}.b": 0.0, f"{other}.a": 0.03, f"{other}.b": 0.05, "transmission_ripple:2.b": 0.08}
-    for name, true in truth.items():
-        assert abs(values[name]["value"] - true) < 5 * values[name]["std"]
-    assert folder.armcal("score calibrated.toml plan.csv --seconds 0.3").code == 0
-    folder.write("targets.csv", "x_mm,y_mm\n350,250\n-200,300\n")
-    reached = folder.said("compensate calibrated.toml targets.csv")
-    assert (reached["targets"], reached["reached"]) == (2, 2)
 
 
 def test_two_ripples_of_one_joint_in_a_design(folder: Folder) -> None:

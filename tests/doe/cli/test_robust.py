@@ -114,14 +114,6 @@ def test_every_reader_takes_the_comment(two: Folder) -> None:
     assert "data.csv --library-prior --out calibrated.toml" in two.read("page.html")
 
 
-def test_advise_says_what_missing_effects_cost_and_of_some_parameters(two: Folder) -> None:
-    row = two.said("advise arm.toml --runs 6:6")["rows"][0]["tip_error_mm"]
-    assert row["model_right"] < row["effects_missing_prior"] < row["effects_missing"]
-    found = two.said("advise arm.toml --only base,joint_offset:2 --runs 2:2")
-    assert (found["only"], found["fewest_runs"]) == (["base", "joint_offset:2"], 2)
-    assert found["rows"][0]["largest_length_std_mm"] == 0.0
-
-
 @pytest.mark.parametrize(
     ("line", "option"),
     [("design arm.toml --runs 5 --robust", "--robust"), ("advise arm.toml --target-mm 0.1", "--target-mm")],

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from doe.design import Design
 from doe.discrimination import design
 from doe.discrimination.design import (
     CLOUD,
@@ -27,7 +26,6 @@ from doe.discrimination.design import (
 )
 from doe.problem.problem import DesignProblem
 from doe.report import design as report
-from doe.solvers import solve
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import CELLS, arm_of, truth_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
@@ -153,16 +151,6 @@ def test_joints_that_play_no_part_do_not_bring_postures_too_near_each_other() ->
     assert found.wrong < found.best_wrong
 
 
-def test_ctrl_c_in_the_first_search_ends_the_second_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(*parts: Any, **options: Any) -> Design:
-        return replace(solve(*parts, **options), status=Status.interrupted)
-
-    monkeypatch.setattr("doe.discrimination.design.solve", stopped)
-    found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 20)
-    assert found.design.status is Status.interrupted
-    assert sorted(map(tuple, found.design.plan.postures)) == sorted(map(tuple, found.best.plan.postures))
-
-
 def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:
     def press(done: float, total: float | None, message: str) -> None:
         if message.startswith("wrong names"):
@@ -224,18 +212,6 @@ def test_no_number_of_periods_hides_behind_another_on_joints_that_turn_all_the_w
                 left = ripple - columns @ np.linalg.lstsq(columns, ripple, rcond=None)[0]
                 assert np.linalg.norm(left) > 0.5 * np.linalg.norm(ripple)
     assert found.relative_efficiency >= 0.95
-
-
-def test_under_joint_limits_no_two_ripples_are_the_same_and_none_is_an_eccentric_encoder() -> None:
-    """Least-squares share of every wave of 1 to 64 periods that every other one explains, joint by joint."""
-    found = designed([-180, -120, -100], [180, 120, 100], 30, starts=2)
-    for q in found.design.plan.postures.T:
-        waves = [np.column_stack([np.cos(k * q), np.sin(k * q)]) for k in range(1, 65)]
-        bases = [np.linalg.qr(wave - wave.mean(axis=0))[0] for wave in waves]
-        for k, one in enumerate(bases[:-1]):
-            assert max(np.linalg.norm(one.T @ other, 2) for other in bases[k + 1 :]) < 1.0 - 1e-3
-            assert max(np.linalg.norm(one.T @ other) / np.sqrt(2.0) for other in bases[k + 1 :]) < 0.9
-    assert found.relative_efficiency >= 0.95 - 1e-9
 
 
 def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -344,20 +320,6 @@ def test_an_effect_that_the_plan_hides_and_two_that_are_the_same() -> None:
     assert np.all(np.isfinite(made(reference).gradient(plan.T @ plan / RUNS)))
 
 
-def test_an_effect_that_the_base_model_explains_plays_no_part() -> None:
-    """As the compliance of one joint where that of all joints is in the model: the same figures with and without."""
-    reference, plan = columns(9, 60), columns(1)
-    for data in (reference, plan):
-        data[:, OWN + 1] = data[:, :OWN] @ [0.5, -2.0, 1.0]
-    information = plan.T @ plan / RUNS
-    mean = reference.T @ reference / (len(reference) / 2)
-    everything = MisidentificationBound(OWN, BASES[:3], WEIGHTS[:3], mean)
-    without = MisidentificationBound(OWN, (BASES[0], BASES[2]), WEIGHTS[[0, 2]], mean)
-    assert len(everything._drawn[0]) == 5
-    assert float(everything.wrong(information)) == pytest.approx(float(without.wrong(information)), rel=1e-12)
-    np.testing.assert_allclose(everything.gradient(information), without.gradient(information), rtol=1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_gradient_by_finite_differences(seed: int) -> None:
     generator = np.random.default_rng(seed)
@@ -423,9 +385,8 @@ def stacked(derivatives: Array) -> Array:
     return derivatives.reshape(-1, derivatives.shape[-1])
 
 
-@pytest.mark.parametrize("points", [1, 2])
-def test_the_best_of_all_plans_of_a_small_list(points: int) -> None:
-    arm = spatial(points)
+def test_the_best_of_all_plans_of_a_small_list() -> None:
+    points, arm = 2, spatial(2)
     choices = np.random.default_rng(points).uniform(arm.lower, arm.upper, (10, 3))
     problem = DesignProblem.of(Model(arm), choices=choices)
     found = discrimination_design(problem, arm, FEW, loss=LOSS)

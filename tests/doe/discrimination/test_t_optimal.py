@@ -31,7 +31,7 @@ ARM = Arm(
 @cache
 def ambiguous() -> tuple[Diagnosis, Measurements]:
     """The first of the seeds whose gear ratio error, on few postures in a narrow range, has several explanations."""
-    for seed in range(50):
+    for seed in range(3, 50):  # none of the first three
         rng = np.random.default_rng(seed)
         q = rng.uniform(-0.9, 0.9, (14, 3))
         bent = q.copy()

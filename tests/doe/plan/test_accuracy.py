@@ -34,7 +34,7 @@ from identification.arrays import Array
 from identification.gap.library_prior import library_prior
 from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
-from tests.doe.six_axis import SIX_AXIS, six_axis
+from tests.doe.six_axis import six_axis
 
 
 def fourier(runs: int, links: int) -> np.ndarray:
@@ -52,12 +52,9 @@ def test_optimal_plan(runs: int) -> None:
     # identification/README.md, "Covariance and intervals"
     offsets = np.r_[1 / lengths[0], np.hypot(1 / lengths[1:], 1 / lengths[:-1])]
     np.testing.assert_allclose(found.joint_offset, sigma / np.sqrt(runs) * offsets)
-
-
-def test_the_papers_table() -> None:
-    found = expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1)), fourier(20, 4))
-    np.testing.assert_allclose(found.length, 0.022, atol=5e-4)  # Table III, 20 points, to its printed digits
-    np.testing.assert_allclose(np.degrees(found.orientation), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
+    if runs == 20:  # Table III of the paper, to its printed digits
+        np.testing.assert_allclose(found.length, 0.022, atol=5e-4)
+        np.testing.assert_allclose(np.degrees(found.orientation), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
 
 
 def test_agrees_with_simulated_least_squares_on_any_plan() -> None:
@@ -94,25 +91,6 @@ def test_value_of_criterion_i_in_mm() -> None:
 def test_none_without_sigma_or_enough_runs() -> None:
     assert expected_deviations(problem(Arm(FOUR.lengths)), fourier(4, 4)) is None
     assert expected_deviations(problem(FOUR), np.zeros((4, 4))) is None
-
-
-def test_zero_for_what_is_known() -> None:
-    model = Model(FOUR, held={"length_error:2": 0.0, "joint_offset:1": 0.0})
-    from doe.problem.problem import DesignProblem
-
-    found = expected_deviations(DesignProblem.of(model), fourier(8, 4))
-    assert found.length[1] == 0.0
-    assert found.joint_offset[0] == 0.0
-    assert np.all(found.length[[0, 2, 3]] > 0.0)
-    assert np.all(found.joint_offset[1:] > 0.0)
-
-
-def test_measured_postures_help() -> None:
-    kept = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (6, 4))
-    plan = fourier(8, 4)
-    together = expected_deviations(problem(FOUR), np.vstack([plan, kept]))
-    apart = expected_deviations(problem(FOUR, kept=kept), plan)
-    np.testing.assert_allclose(apart.length, together.length)
 
 
 def test_weights_share_the_runs_out() -> None:
@@ -273,20 +251,6 @@ def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
 def deviations(case: DesignProblem) -> Array:
     """(p,) of the prior [mm, rad], infinite where nothing is known."""
     return np.array([case.deviations.get(name, np.inf) for name in case.model.parameters.names])
-
-
-def test_several_points_are_a_mean_over_them() -> None:
-    """The posterior of all parameters written out: mean over points and poses of what it leaves of each point."""
-    chain = replace(SIX_AXIS.chain, tools={"a": np.array([60.0, 40.0, 100.0]), "b": np.array([-50.0, 20.0, 80.0])})
-    problem = six_axis(replace(SIX_AXIS, chain=chain))
-    wide = robust_problem(problem)
-    poses, plan = (np.random.default_rng(seed).uniform(-2.0, 2.0, (20, 6)) for seed in (4, 5))
-    rows, known = wide.scaled_jacobians(plan), np.diag(wide.precisions)
-    noise = wide.model.sigma
-    posterior = noise**2 * np.linalg.inv(np.einsum("mda,mdb->ab", rows, rows) + known)
-    points = wide.scaled_jacobians(poses).reshape(40, 3, -1)
-    expected = np.einsum("mda,ab,mdb->", points, posterior, points) / 40 + wide.beyond
-    assert tip_error(problem, wide, plan, poses).with_prior ** 2 == pytest.approx(expected, rel=1e-6)
 
 
 def test_what_no_name_has_is_counted_against_simulated_arms() -> None:

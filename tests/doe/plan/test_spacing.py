@@ -67,16 +67,6 @@ def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> N
     assert np.all((spread >= arm.lower) & (spread <= arm.upper))
 
 
-def test_alike_postures_stay_clear_of_measured_ones_on_the_free_joint() -> None:
-    arm = Arm(FOUR.lengths, np.r_[0.0, FOUR.lower[1:]], np.r_[np.radians(6.0), FOUR.upper[1:]])
-    middle = (arm.lower + arm.upper) / 2
-    case = problem(arm, kept=middle[None])
-    alike = np.tile(middle, (7, 1))
-    assert too_near(case, alike).tolist() == [4, 5, 6]  # of six places the measured posture blocks two
-    spread = spread_free_joints(case, separated(case, alike), np.random.default_rng(0))
-    assert smallest_gap(np.vstack([spread, middle])) >= np.radians(1.0) * (1 - 1e-9)
-
-
 def test_measured_postures_are_not_repeated() -> None:
     kept = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
     design = solve(problem(NARROW, OFFSET, kept=kept), 4, starts=10)

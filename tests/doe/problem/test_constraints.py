@@ -116,17 +116,6 @@ def test_users_own_expression() -> None:
     np.testing.assert_allclose(above.margin(POSTURES[:5])[:, 0], np.sin(POSTURES[:5, 0]))
 
 
-def test_constraints_after_one_that_nothing_satisfies_are_not_asked() -> None:
-    """Whatever they do with no posture at all."""
-    never = Expression(lambda q: -1.0 - q[0] ** 2, 4, "never")
-    above = Expression(lambda q: ca.vertcat(ca.sin(q[0]), ca.cos(q[1])), 4, "elbow")
-    problem = DesignProblem.of(Model(FOUR), constraints=(never, *constraints_of(Model(ARM)), above))
-    assert not problem.feasible(POSTURES).any()
-    alone = DesignProblem.of(Model(FOUR), constraints=(above, *constraints_of(Model(ARM))))
-    each = [np.all(constraint.margin(POSTURES) >= 0.0, axis=1) for constraint in alone.constraints]
-    np.testing.assert_array_equal(alone.feasible(POSTURES), np.all(each, axis=0))
-
-
 def test_calibrated_lengths_count() -> None:
     longer = replace(ARM, calibration=Calibration.of(np.array([10.0, 0, 0, 0]), np.zeros(4)))
     stretched = constraints_of(Model(longer))[0].margin(np.zeros((1, 4)))

@@ -13,7 +13,6 @@ import pytest
 from doe.advise import advise
 from doe.bounds.column_generation import relax
 from doe.design import score_plan
-from doe.discrimination.design import EffectLibrary, MisidentificationBound, discrimination_design
 from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.accuracy import TipErrors
 from doe.problem.model import REQUIRED
@@ -26,7 +25,7 @@ from identification.estimation import estimate
 from identification.gap.diagnose import diagnose
 from identification.kinematics.parameters import Parameter, ParameterSet
 from identification.measurements import Measurements
-from identification.vectorize import vectorize
+from identification.vectorized import vectorize
 
 
 class Sine:
@@ -90,28 +89,16 @@ def test_the_next_posture_tells_a_sine_from_one_with_a_slope() -> None:
         0.25 * np.linalg.inv(rows(first, p).T @ rows(first, p)) / np.outer(s, s)
         for p, s in zip((2, 3), scales, strict=True)
     ]
-    rivals = RivalPredictions.of_problems(
-        [(problem, covariance, 0.0) for problem, covariance in zip(problems, covariances, strict=True)], FINE[:, None]
-    )
+    shown = [problem.scaled_jacobians(FINE[:, None]) * s for problem, s in zip(problems, scales, strict=True)]
+    roots = [np.linalg.cholesky(covariance) for covariance in covariances]
+    places = np.array([np.zeros((len(FINE), 1)), 1.5 * FINE[:, None]]) / 0.5
+    jacobians = [jacobian @ root / 0.5 for jacobian, root in zip(shown, roots, strict=True)]
+    rivals = RivalPredictions(np.full(2, 0.5), np.zeros((2, 2)), places, jacobians)
     chosen = t_optimal(rivals, 1)
     delta = 1.5 * FINE
     spread = 0.25 + np.einsum("kp,pq,kq->k", rows(FINE), covariances[0] * np.outer(scales[0], scales[0]), rows(FINE))
     np.testing.assert_allclose(rivals.noncentrality([])[1][1, 0], delta**2 / spread, rtol=1e-9)
     assert abs(FINE[chosen[0]]) > 0.5
-
-
-def test_a_plan_that_shows_the_slope_of_a_sine() -> None:
-    library = EffectLibrary(2, Sine(3), [np.eye(1)], np.ones(1))
-    problem = DesignProblem.of(Sine())
-    found = discrimination_design(problem, library, 8, loss=0.2, seed=0)
-    assert found.relative_efficiency >= 0.8
-    assert found.wrong < found.best_wrong
-    q = found.design.plan.postures[:, 0]
-    information = rows(q, 3).T @ rows(q, 3) / 8.0
-    cloud = np.random.default_rng(0).uniform(-1.0, 2.0, 512)
-    reference = rows(cloud, 3).T @ rows(cloud, 3) / 512.0
-    by_hand = MisidentificationBound(2, library.bases, library.weights, reference).wrong(information)
-    assert found.wrong == pytest.approx(float(by_hand), rel=1e-6)
 
 
 def test_a_member_that_is_missing_is_named() -> None:

@@ -10,24 +10,33 @@ from typing import Any
 import pytest
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
-QUIET = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync")
+QUIET = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run", "--disable-sync")
 QUIET += ("--disable-background-networking", "--disable-component-update")
 
 
 @contextmanager
 def browser() -> Iterator[Any]:
-    """A headless browser without network."""
+    """A headless browser without network, which draws without a graphics card."""
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright to drive a browser with")
-    path = next(filter(None, map(shutil.which, NAMES)), None)
-    if path is None:
+    if path() is None:
         pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed")
     with playwright.sync_playwright() as started:
         try:
-            opened = started.chromium.launch(executable_path=path, args=list(QUIET))
+            opened = launched(started.chromium)
         except playwright.Error as error:
-            pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")
+            pytest.skip(f"{path()} does not start: {str(error).splitlines()[0]}")
         yield opened
         opened.close()
+
+
+def path() -> str | None:
+    """Of the browser that is installed."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+def launched(kind: Any, *more: str) -> Any:
+    """A browser of Playwright's `kind`, with more flags."""
+    return kind.launch(executable_path=path(), args=[*QUIET, *more])
 
 
 class Watched:

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
+import pytest
+from mpl_toolkits.mplot3d import art3d
 
 from doe.report.figures import outlines, plan_figure
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.documents.pictures import workspace_arrows
+from doe.report.scene import scene, side
+from identification import design_model
+from identification.bodies import Body, Cell
+from identification.model import Model
 from tests.doe.problem.test_spatial_constraints import ARM, PILLAR, POSTURES, SIGHT, SPHERE
 
 
@@ -34,24 +41,38 @@ def test_a_plan_is_seen_from_two_sides() -> None:
     assert len(skeletons) == 5
 
 
-def test_of_very_many_postures_some_are_drawn() -> None:
-    """The first and the last among them, and the title says so; every angle stands beside them."""
-    planar = Arm([300.0, 200.0])
-    postures = np.linspace([-1.0, 0.5], [1.0, 1.5], 4000)
-    plane, joints = plan_figure(planar, postures).axes
-    assert plane.get_title() == "500 of 4000 postures"
-    figures = [line for line in plane.lines if len(line.get_xdata()) == 3]
-    assert len(figures) == 500
-    for line, q in ((figures[0], postures[0]), (figures[-1], postures[-1])):
-        tip = 300.0 * np.exp(1j * q[0]) + 200.0 * np.exp(1j * (q[0] + q[1]))
-        np.testing.assert_allclose([line.get_xdata()[-1], line.get_ydata()[-1]], [tip.real, tip.imag])
-    assert sum(len(shown.get_offsets()) for shown in joints.collections) == 2 * 4000
+def test_the_bodies_of_a_cell_are_drawn_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the arm at the first posture and of the cell, seen from where the page shows them; the floor below."""
+    start, end, radius = np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 400.0]), 50.0
+    link = Body("link", 2, np.array([[*start, *end, radius]]))
+    wall = Body("wall", 0, boxes=np.array([[700.0, 0.0, 300.0, *np.eye(3).ravel(), 20.0, 400.0, 300.0]]))
+    arm = replace(ARM, cell=Cell((link, wall), floor=-100.0))
+    drawn = []
+
+    class Kept(art3d.Poly3DCollection):
+        def __init__(self, polygons: Any, **style: Any) -> None:
+            drawn.append(np.reshape(polygons, (-1, 3)))
+            super().__init__(polygons, **style)
+
+    monkeypatch.setattr(art3d, "Poly3DCollection", Kept)
+    view, _ = (axes for axes in plan_figure(arm, POSTURES[:5]).axes if axes.name == "3d")
+    corners, floor = drawn[:2]
+    frame = design_model(Model(arm)).joint_frames(POSTURES[:1])[0, 1]
+    local = (corners - frame[:3, 3]) @ frame[:3, :3]
+    axial = np.clip(local[:, 2], start[2], end[2])
+    away = np.linalg.norm(local - axial[:, None] * np.eye(3)[2], axis=1)
+    on_link = np.isclose(away, radius, atol=1.0)
+    on_wall = np.isclose(np.abs(corners - [700.0, 0.0, 300.0]), [20.0, 400.0, 300.0], atol=1.0)
+    assert (on_link | on_wall.all(axis=1)).all()
+    assert on_link.sum() > 100
+    assert on_wall.all(axis=1).sum() >= 6
+    np.testing.assert_allclose(floor[:, 2], -100.0)
+    assert view.get_zlim()[0] <= -100.0
+    assert (view.elev, view.azim) == side(arm)
 
 
-def test_the_base_is_drawn_where_the_arm_stands() -> None:
-    place = {"base_offset.x0": 1200.0, "base_offset.y0": -300.0}
-    stands = Arm([300.0, 200.0], effects=(EffectSpec("base_offset"),), calibration=Calibration(place))
-    for arm, expected in ((stands, (1200.0, -300.0)), (Arm([300.0, 200.0]), (0.0, 0.0))):
-        points, residuals = np.random.default_rng(8).normal(size=(2, 5, 2))
-        axes = workspace_arrows(arm, points, ((residuals, "before"), (residuals, "after"))).axes
-        assert [tuple(np.ravel(axis.lines[0].get_xydata())) for axis in axes] == [expected] * 2
+def test_a_floor_without_bodies_is_drawn() -> None:
+    arm = replace(ARM, cell=Cell((Body("nothing"),), floor=-50.0))
+    views = [axes for axes in plan_figure(arm, POSTURES[:2]).axes if axes.name == "3d"]
+    assert all(view.get_zlim()[0] <= -50.0 for view in views)
+    assert scene(design_model(Model(arm)), POSTURES[:2], [[], []], {})["bodies"] == []

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.solvers import Analytic, Random, solve
+from doe.solvers import Analytic, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm, EffectSpec
 from identification.errors import JobError
@@ -20,7 +20,7 @@ from tests.doe.bounds.test_planar_theorem import complex_log_det
 @pytest.mark.parametrize("links", range(2, 9))
 def test_without_limits_any_number_of_runs_is_optimal_without_a_solver(links: int) -> None:
     arm = Arm(np.full(links, 100.0))
-    for runs in range(links, 3 * links + 1):
+    for runs in (links, links + 1, 2 * links + 1, 3 * links):
         design = solve(problem(arm), runs, seed=runs)
         assert design.solver == "analytic"
         assert abs(complex_log_det(design.plan.postures)) < 1e-8  # the issue's bar
@@ -57,14 +57,14 @@ def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:
     assert smallest_gap(postures) >= np.radians(1.0) * (1 - 1e-9)
 
 
-@pytest.mark.parametrize("runs", [4, 20, 28, 100, 360, 364, 500, 3000])
+@pytest.mark.parametrize("runs", [4, 20, 28, 364, 500])
 def test_multiples_of_four_with_the_limits_of_the_issue(runs: int) -> None:
     """doe/README.md, "Planar theorem": m = 4 attains the bound, and so do blocks of four, however many."""
     check(FOUR, runs)
 
 
 @pytest.mark.parametrize("arm", [FOUR, Arm(FOUR.lengths)])
-@pytest.mark.parametrize("runs", [8, 100, 364, 500])
+@pytest.mark.parametrize("runs", [8, 364])
 def test_with_a_base_offset_no_joint_is_free_to_tell_postures_apart(arm: Arm, runs: int) -> None:
     check(arm, runs, OFFSET)
 
@@ -110,12 +110,3 @@ def test_none_where_the_number_of_runs_does_not_allow_it(arm: Arm) -> None:
 def test_none_for_models_without_the_theorem() -> None:
     with pytest.raises(JobError, match="analytic"):
         solve(problem(Arm(FOUR.lengths), ECCENTRICITY), 20, Analytic())
-
-
-def test_random_is_no_rival() -> None:
-    """The same interface, the same certificate: a random plan is worth less, and says by how much."""
-    design = solve(problem(FOUR), 8, Random())
-    best = solve(problem(FOUR), 8, "best_of_random")
-    assert design.status is Status.starts_finished
-    assert best.starts == 1000
-    assert design.value < best.value < closed_form_log_det(problem(FOUR))

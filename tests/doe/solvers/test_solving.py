@@ -14,27 +14,13 @@ from doe.bounds.certificate import Bound
 from doe.design import score_plan
 from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, Random, solve
-from doe.solvers.solver import LONG_PLAN
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
 from doe.studies.comparison import Comparison
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError, JobError
 from identification.running import Status
-from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+from tests.doe.arms import FIVE, FOUR, OFFSET, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
-
-
-@dataclass
-class Crowded:
-    """A solver whose postures are all one."""
-
-    name: str = "crowded"
-
-    def starts_for(self, _: object) -> int:
-        return 1
-
-    def offers(self, case: DesignProblem, runs: int, *_: object) -> Iterator[Offer]:
-        yield Offer(np.tile(case.lower, (runs, 1)), 1)
 
 
 @pytest.mark.parametrize("solver", [None, "exchange", "ipopt", "exchange_ipopt", "random", "analytic"])
@@ -73,19 +59,6 @@ def test_models_and_criteria_are_objects() -> None:
 def test_what_is_no_plan_is_not_scored(plan: Any, expected: str) -> None:
     with pytest.raises(InputError, match=f"plan: .*{expected}"):
         score_plan(problem(FOUR), plan)
-
-
-def test_of_very_many_runs_a_random_plan_is_better_than_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the search offers comes too near each other: the random plan beside it keeps the distance, by the distances
-    of all pairs."""
-    case, runs = problem(FOUR, OFFSET, ECCENTRICITY), LONG_PLAN + 100
-    monkeypatch.setitem(SOLVERS, "exchange_ipopt", Crowded())
-    design = solve(case, runs, seconds=1e-3, bound=Bound(np.inf, "continuous"))
-    assert design.solver == "random"
-    plan = design.plan.postures
-    apart = np.abs(plan[:, None] - plan).max(axis=2)[np.triu_indices(runs, 1)]
-    assert apart.min() >= np.radians(1.0) * (1 - 1e-9)
-    assert np.all((plan >= FOUR.lower) & (plan <= FOUR.upper))
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
@@ -180,10 +153,7 @@ def test_a_bound_may_be_given() -> None:
 
 # -- what cannot be solved ---------------------------------------------------------------------------------------------
 def test_what_no_posture_tells_apart_is_named() -> None:
-    lost = {
-        "base_rotation": r"joint_offset:1 \+ base_rotation.angle",
-        "base_drift": "base_drift.vx; base_drift.vy",
-    }
+    lost = {"base_rotation": r"joint_offset:1 \+ base_rotation.angle", "base_drift": "base_drift.vx; base_drift.vy"}
     for name, combination in lost.items():
         with pytest.raises(JobError, match=f"no posture distinguishes: {combination}"):
             solve(problem(FOUR, EffectSpec(name)), 12, "random")

@@ -14,19 +14,15 @@ from click.testing import CliRunner
 
 from doe.cli.study import command
 from doe.jobs import frame_of, processes, seed_of
-from doe.plan.plan import Plan
 from doe.report.studies import monte_carlo_parts
 from doe.studies.monte_carlo import (
     Study,
     StudyResult,
-    TruthTable,
-    in_api_units,
-    in_file_units,
     load_study,
     pooled_rows,
     run_study,
-    true_values,
 )
+from identification import Plan
 from identification.arm import Arm, Calibration
 from identification.errors import InputError
 from identification.estimation import estimate_each
@@ -35,6 +31,7 @@ from identification.for_design import without_prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions
 from identification.model import Model
+from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox
 
 LENGTHS, ERRORS = np.array([260.0, 180.0, 120.0, 100.0]), np.array([1.5, -0.6, -0.4, 0.7])
@@ -143,7 +140,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
         seen.append(postures)
         return estimate_each(model, postures, measured, conditions)
 
-    monkeypatch.setattr("doe.studies.monte_carlo.estimate_each", spy)
+    monkeypatch.setattr("identification.replications.estimate_each", spy)
     found = run_study(Study.of([boxed], ["random", "dft"], runs=[8], truths=[PAPER], replications=300)).cells
     heights = positions(np.concatenate(seen), LENGTHS, np.zeros(4))[..., 1]
     assert heights.shape == (300, 8)
@@ -155,7 +152,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_parts_of_a_block_are_one_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     """Long plans go through memory in parts: the same draws, and sums that do not tell."""
     whole = paper(runs=[6], replications=50).cells
-    monkeypatch.setattr("doe.studies.monte_carlo.MOST_ROWS", 6 * 7)
+    monkeypatch.setattr("identification.replications.MOST_ROWS", 6 * 7)
     parts = paper(runs=[6], replications=50).cells
     numbers = ["mean_error", "std", "expected_std", "coverage", "rms_mm"]
     np.testing.assert_allclose(parts.select(numbers).to_numpy(), whole.select(numbers).to_numpy(), rtol=1e-9)
@@ -194,15 +191,6 @@ def test_cells_that_cannot_be_done_are_rows() -> None:
 # -- in space ----------------------------------------------------------------------------------------------------------
 def truth_of(arm: Arm) -> Model:
     return Model(TruthTable(**MACHINED).of(arm))
-
-
-def test_true_values_put_the_point_where_the_truth_does() -> None:
-    """Without noise the fitted set, which is smaller than that of the errors, ends at the positions of all of them."""
-    model, truth = Model(without_prior(ELBOW)), truth_of(ELBOW)
-    assert len(model.names) < len(truth.names)
-    postures = np.random.default_rng(5).uniform(-3.0, 3.0, (30, 3))
-    found = model.position(postures, true_values(model, truth))
-    np.testing.assert_allclose(found, truth.position(postures), atol=1e-5)
 
 
 def test_intervals_hold_and_a_missing_effect_is_a_bias() -> None:
@@ -264,12 +252,6 @@ def test_several_points_make_up_for_few_postures() -> None:
     Study.of([Arm(replace(CHAIN, **SEVERAL), sigma=0.1)], ["random"], runs=[5])
     with pytest.raises(InputError, match="runs: found 2, allowed: at least"):
         Study.of([Arm(replace(CHAIN, **SEVERAL), sigma=0.1)], ["random"], runs=[2])
-
-
-def test_units_of_sliding_joints() -> None:
-    types, postures = ("revolute", "prismatic"), np.array([[np.pi, 250.0]])
-    np.testing.assert_array_equal(in_file_units(postures, types), [[180.0, 250.0]])
-    np.testing.assert_array_equal(in_api_units(in_file_units(postures, types), types), postures)
 
 
 # -- the file ----------------------------------------------------------------------------------------------------------

@@ -110,13 +110,17 @@ def test_text() -> None:
     np.testing.assert_allclose(found["theory"].to_numpy()[:4], [0.05, 0.1 / np.sqrt(20), 0.01, 0.001])
 
 
-def test_every_erratum_is_confirmed_and_a_correct_statement_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errata_of_deviations_are_confirmed_and_a_correct_statement_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others, of which nothing is said here, are shown in notebook 2."""
     found = errata(replications=3_000, seed=1)
-    assert found.filter(~pl.col("confirmed"))["place"].to_list() == []
     assert len(found) == 15  # doe/README.md, "Errata", and D*
-    shown = {"eq. 4": (1e-6, 1e-12, 1e-9), "eq. 8": (0.5, 1e-3, 1e-9)}
-    monkeypatch.setattr(paper, "by_algebra", lambda place, _: shown.get(place, (0.5, 1e-12, 1e-9)))
-    assert errata(3_000, seed=1).filter(~pl.col("confirmed"))["place"].to_list() == list(shown)
+    by_simulation = found.drop_nulls("confirmed")
+    assert by_simulation["confirmed"].to_list() == [True] * 5
+    assert by_simulation["printed_error"].min() > 0.01  # type: ignore[operator]
+    true = [4, 20, "length_error:1", 0.1 / np.sqrt(20.0)]
+    stated = [{"place": "x", "printed": "", "correct": "", "std": [true]}]
+    monkeypatch.setattr(paper, "PAPER", paper.PAPER | {"errata": stated})
+    assert errata(3_000, seed=1)["confirmed"].to_list() == [False]
 
 
 def test_figure_1_is_made_of_determinants() -> None:
@@ -134,9 +138,7 @@ def test_figure_1_is_made_of_determinants() -> None:
 
 
 def test_d_star_does_not_see_s_for_an_odd_number_of_links() -> None:
-    """A plan that is best in D*, but not D-optimal: the erratum on eq. 20 to 23."""
     assert figure_1(plans=50, links=3)["det_s"].abs().max() < 1e-15  # type: ignore[operator]
-    assert errata(100).filter(place="eq. 20-23")["printed_error"][0] == pytest.approx(1.0 - 0.75**2)
 
 
 def test_figure_2_curves() -> None:

@@ -21,8 +21,7 @@ from identification.errors import InputError
 from identification.estimation import estimate
 from identification.files.measurement import commands_text
 from identification.kinematics.chain import DHRow, chain_of
-from identification.kinematics.counting import joint_range
-from identification.measurements import Conditions, Measurements, directions_from_order
+from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
@@ -89,33 +88,6 @@ def test_a_pose_is_reached_if_its_angle_is_too() -> None:
     assert posed.to_json()["max_error_deg"] == 0.0
 
 
-def test_joints_beyond_the_angles_of_the_identification_are_counted() -> None:
-    """Two links whose commands have a closed form: the angles needed follow from the law of cosines."""
-    lengths = np.array([300.0, 200.0])
-    measured = joint_range(np.array([[-1.0, 0.3], [1.0, 1.2]]), ("revolute", "revolute"))
-    found = Calibration.of(np.zeros(2), np.zeros(2), {}, provenance=measured)
-    arm = Arm(lengths, calibration=found)
-    bends = np.array([0.5, 1.1, 1.6, 2.0])  # of joint 2; the last two were never measured
-    reach = np.sqrt(300.0**2 + 200.0**2 + 2.0 * 300.0 * 200.0 * np.cos(bends))
-    first = np.array([0.2, -1.5, 0.4, -1.4])  # of joint 1; the second and the last
-    toward = first + np.arctan2(200.0 * np.sin(bends), 300.0 + 200.0 * np.cos(bends))
-    targets = reach[:, None] * np.column_stack([np.cos(toward), np.sin(toward)])
-    done = compensate(arm, targets, np.column_stack([first, bends]))
-    np.testing.assert_allclose(done.commands, np.column_stack([first, bends]), atol=1e-9)
-    data = done.to_json()
-    joints = [{"joint": 1, "targets": 2}, {"joint": 2, "targets": 2}]
-    assert data["outside_identified"] == {"targets": [2, 3, 4], "joints": joints}
-    (said,) = data["warnings"]
-    assert said.startswith(
-        "3 of 4 targets are outside the angles that the model was identified on (joint 1 in 2, joint 2"
-    )
-    whole = compensate(replace(arm, calibration=replace(found, provenance={})), targets)
-    assert whole.to_json()["outside_identified"] is None
-    assert whole.warnings == []
-    near = compensate(arm, targets[:1], np.column_stack([first, bends])[:1])
-    assert near.warnings == []
-
-
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 CALIBRATION = Calibration.of(np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3]))
 GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.full(4, 0.5), 10.0)
@@ -132,23 +104,6 @@ def tip(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
     return np.column_stack([z.real, z.imag])
 
 
-def test_nominal_postures_are_corrected_by_little() -> None:
-    nominal = np.random.default_rng(0).uniform(-0.9, 0.9, (200, 4)) * LIMITS
-    nominal[:5, 1:3] = LIMITS[1:3]  # where the correction presses against them limits hold
-    found = compensate(arm(), postures=nominal)
-    np.testing.assert_allclose(found.targets, tip(nominal, LENGTHS, np.zeros(4)), rtol=0, atol=1e-10)
-    real = tip(found.commands, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
-    assert found.reached.all()
-    np.testing.assert_allclose(real, found.targets, rtol=0, atol=TOLERANCE)
-    assert np.all(np.abs(found.commands) <= LIMITS)
-    # uncompensated the tip is millimetres off; the shortest correction is of the size error / reach
-    assert np.max(np.linalg.norm(tip(nominal, LENGTHS + 1, CALIBRATION.joint_offsets) - found.targets, axis=1)) > 1.0
-    assert np.median(np.linalg.norm(found.commands - nominal, axis=1)) < np.radians(2.0)
-    figures = found.to_json()
-    assert (figures["targets"], figures["reached"], figures["unreachable"]) == (200, 200, [])
-    assert figures["max_error_mm"] <= TOLERANCE
-
-
 def test_shortest_correction_of_a_redundant_arm() -> None:
     """To first order the correction is the minimum-norm solution: no motion along the arm's self-motion."""
     nominal = np.random.default_rng(1).uniform(-0.6, 0.6, (20, 4)) * LIMITS
@@ -159,21 +114,6 @@ def test_shortest_correction_of_a_redundant_arm() -> None:
         correction = command - q
         along = correction - np.linalg.pinv(jacobian) @ (jacobian @ correction)
         assert np.linalg.norm(along) < 0.1 * np.linalg.norm(correction)
-
-
-def test_effects_take_part() -> None:
-    effects = (EffectSpec("joint_compliance"), EffectSpec("backlash", 2), EffectSpec("encoder_eccentricity", 3))
-    values = {f"joint_compliance.c{j}": 1e-5 for j in (1, 2, 3, 4)} | {"backlash:2.b": 2e-3}
-    values |= {"encoder_eccentricity:3.a": 1e-3, "encoder_eccentricity:3.b": -2e-3}
-    real = arm(*effects, values=values)
-    nominal = np.random.default_rng(3).uniform(-0.8, 0.8, (30, 4)) * LIMITS
-    payload = np.linspace(0.0, 20.0, 30)
-    found = compensate(real, postures=nominal, conditions=Conditions(payload=payload))
-    conditions = Conditions(payload=payload, directions=directions_from_order(nominal))
-    position = Model(real).position(found.commands, conditions=conditions)
-    np.testing.assert_allclose(position, found.targets, rtol=0, atol=TOLERANCE)
-    without = compensate(real, postures=nominal)
-    assert np.max(np.abs(without.commands - found.commands)) > 1e-4  # the payload matters
 
 
 def test_bad_input() -> None:
@@ -378,16 +318,3 @@ def test_targets_off_the_surface_are_not() -> None:
     assert not far.reached[far.errors > tolerance].any()
     assert far.reached[far.errors <= tolerance].all()
     assert (far.errors > tolerance).any()
-
-
-def test_an_arm_that_can_reaches_exactly() -> None:
-    """In a plane two joints reach what is in reach, and the tolerance makes nothing worse."""
-    arm = Arm(np.array([300.0, 200.0]), sigma=0.1)
-    generator = np.random.default_rng(4)
-    q = generator.uniform(-2.0, 2.0, (40, 2))
-    tips = Model(arm).position(q) + 0.1 * generator.standard_normal((40, 2))
-    fitted = estimate(Model(arm), Measurements(q, tips))
-    found = compensate(replace(arm, calibration=fitted.calibration()), tips[np.linalg.norm(tips, axis=1) < 480.0])
-    assert found.tolerance > 0.1
-    assert found.errors.max() <= TOLERANCE
-    assert not found.warnings or not any("missed by" in warning for warning in found.warnings)

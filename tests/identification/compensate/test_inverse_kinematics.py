@@ -68,20 +68,6 @@ def test_the_elbow_that_is_free_is_chosen() -> None:
     assert said["unreachable_count"] == len(said["unreachable"]) == np.count_nonzero(~found.reached)
 
 
-def test_a_redundant_arm_bends_around() -> None:
-    """Straight through the circle is nearest; an arm of five links reaches the target on another way."""
-    lengths = np.full(5, 100.0)
-    circle = KeepOutCircle((150.0, 120.0), 50.0)
-    five = Arm(lengths, constraints=(circle,), calibration=Calibration.of(np.ones(5), np.full(5, 0.01)))
-    through = np.array([[np.arctan2(120.0, 150.0) + 0.05, -0.1, 0.0, 0.1, 0.2]])
-    assert clearance(chain(through, lengths, np.zeros(5)), 50.0)[0] < -40.0
-    found = compensate(five, postures=through, constraints=constraints_of(Model(five)))
-    assert found.reached.all()
-    real = chain(found.commands, lengths + 1.0, np.full(5, 0.01))
-    assert clearance(real, 50.0)[0] > -0.01
-    assert abs(real[0, -1] - complex(*found.targets[0])) < TOLERANCE
-
-
 def test_targets_outside_the_workspace_say_so() -> None:
     box = WorkspaceBox((-200.0, 200.0), (-400.0, 400.0))
     two = Arm([300.0, 200.0], constraints=(box,), calibration=Calibration.of(np.zeros(2), np.zeros(2)))
@@ -99,26 +85,12 @@ def test_targets_outside_the_workspace_say_so() -> None:
     assert (nothing["max_error_mm"], nothing["reached"]) == (None, 0)
 
 
-BOX = WorkspaceBox((-250.0, 250.0), (-400.0, 400.0))
 LENGTHS = np.array([200.0, 150.0, 120.0])
 
 
 def three(*constraints: WorkspaceBox | KeepOutCircle) -> Arm:
     """A redundant arm in the plane, as drawn."""
     return Arm(LENGTHS, constraints=constraints, calibration=Calibration.of(np.zeros(3), np.zeros(3)))
-
-
-def test_no_posture_is_searched_for_at_a_target_outside_the_workspace(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every posture misses the box by what the target does: nothing is led away, and the message says by how much."""
-    arm = three(BOX)
-    generator = np.random.default_rng(0)
-    outside = np.column_stack([generator.uniform(260.0, 330.0, 20), generator.uniform(-200.0, 200.0, 20)])
-    monkeypatch.setattr("identification.compensate._turned_away", lambda *_: pytest.fail("searched"))
-    found = compensate(arm, outside, constraints=constraints_of(Model(arm)))
-    assert not found.reached.any()
-    assert np.all(found.errors < TOLERANCE)  # the tip would be there
-    for (x, _), message in zip(outside, found.messages, strict=True):
-        assert message == f"constraint 1 (workspace_box) is missed by {x - 250.0:.4g} mm"
 
 
 def test_a_target_that_a_link_bars_is_searched_for() -> None:
@@ -164,12 +136,6 @@ def test_poses_that_few_starts_lead_to_are_reached() -> None:
     np.testing.assert_allclose(model.position(found.commands)[:, :3], model.position(postures)[:, :3], atol=TOLERANCE)
 
 
-def test_nothing_to_reach() -> None:
-    arm = three(BOX)
-    found = compensate(arm, np.zeros((0, 2)), constraints=constraints_of(Model(arm)))
-    assert (found.commands.shape, found.to_json()["max_error_mm"]) == ((0, 3), None)
-
-
 def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
     limits, exact = np.radians([170.0, 170.0]), Calibration.of(np.zeros(2), np.zeros(2))
     arm = Arm([300.0, 200.0], lower=-limits, upper=limits, calibration=exact)
@@ -178,30 +144,6 @@ def test_a_posture_a_turn_beyond_the_limits_is_the_same_posture() -> None:
     goals = model.position(wanted, np.zeros(4))
     found = compensate(arm, goals, read)
     assert found.commands == pytest.approx(wanted, abs=1e-6)
-
-
-def test_of_the_postures_of_a_redundant_arm_one_near_the_middle_is_taken() -> None:
-    """Three links reach a target in one posture for each direction of the last one and each elbow: all of them."""
-    lengths = np.array([300.0, 200.0, 150.0])
-    arm = Arm(
-        lengths, lower=(-1.0, -2.0, -2.0), upper=(2.0, 1.0, 2.5), calibration=Calibration.of(np.zeros(3), np.zeros(3))
-    )
-    middle = (arm.lower + arm.upper) / 2.0
-    shape = np.random.default_rng(3).uniform(arm.lower, arm.upper, (40, 3))
-    found = compensate(arm, Model(arm).position(shape))
-    assert found.reached.all()
-    last = np.linspace(-np.pi, np.pi, 4001)
-    for target, nominal in zip(found.targets, found.nominal, strict=True):
-        wrist = complex(*target) - lengths[2] * np.exp(1j * last)
-        cosine = (np.abs(wrist) ** 2 - lengths[:2] @ lengths[:2]) / (2.0 * lengths[0] * lengths[1])
-        every = []
-        for elbow in (np.arccos(np.clip(cosine, -1.0, 1.0)), -np.arccos(np.clip(cosine, -1.0, 1.0))):
-            first = np.angle(wrist / (lengths[0] + lengths[1] * np.exp(1j * elbow)))
-            every.append(np.column_stack([first, elbow, np.angle(np.exp(1j * (last - first - elbow)))]))
-        q = np.concatenate(every)[np.tile(np.abs(cosine) <= 1.0, 2)]
-        q = q[np.all((arm.lower <= q) & (q <= arm.upper), axis=1)]
-        nearest = np.linalg.norm(q - middle, axis=1).min()
-        assert np.linalg.norm(nominal - middle) < nearest + 0.25
 
 
 def test_nominal_postures_thousands_of_turns_away() -> None:

@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification.arm import Arm
 from identification.document import Section, Sheet
 from identification.documents.diagnosis import (
     curve_sections,
     diagnosis_actions,
     diagnosis_verdict,
     effects_in_words,
-    estimate_rows,
-    excluded_by_kind,
     gap_in_words,
     gap_section,
-    likely,
 )
 from identification.gap.diagnose import diagnose
-from identification.gap.result import Candidate, Diagnosis, Estimate
+from identification.gap.result import Diagnosis
 from identification.measurements import Measurements
 
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
-NOTHING = Calibration.of(np.zeros(2), np.zeros(2), MappingProxyType({}), (), np.zeros((0, 0)), MappingProxyType({}))
 RIPPLE, PLAY = "transmission_ripple:2", "gear play, by direction of approach (backlash:2)"
 LENGTHS = np.array([300.0, 200.0])
 PLACE = "Something that the library does not have is missing, at joint 3."
@@ -83,38 +77,6 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
         assert not any("compensate" in action.command for action in diagnosis_actions(data))
 
 
-def test_many_effects_are_counted() -> None:
-    kinds = ("axes_skew", "base_drift", "base_step", "gear_ratio:1", "gear_ratio:2", "joint_step:1", "link_step:1")
-    (verdict, which) = diagnosis_verdict(said("named", *kinds))
-    assert verdict == "Missing from the model: 7 effects."
-    assert "gear ratio in the controller is wrong (gear_ratio:1, gear_ratio:2); and 2 more." in which
-
-
-def test_what_curves_describe_has_a_size_and_no_cause() -> None:
-    curves = [{"joint": j, "shape": f"smooth curve {j}"} for j in (3, 1)]
-    data = said("unknown") | {"curves": curves[:1], "shape": "smooth curve 3"}
-    two = said("unknown", "backlash:2") | {"curves": curves, "shape": "smooth curve 3"}
-    elsewhere, nowhere = two | {"curves": curves[1:]}, said("unknown") | {"where": None}
-    look = "Look for a cause at joint 3"
-    meanwhile = f"{look}; the error curves, within the angles measured, may be used meanwhile."
-    for found, second, action in (
-        (data, "An error curve of joint 3 describes it; its cause is open.", meanwhile),
-        (two, "Error curves of joints 1 and 3 describe it; its cause is open.", meanwhile),
-        (elsewhere, f"Beside it: {PLAY}.", f"{look}; the named part may be used meanwhile."),
-        (said("unknown"), "", f"{look}."),
-    ):
-        assert diagnosis_verdict(found)[1:2] == ([second] if second else [])
-        assert diagnosis_actions(found)[0].text == action
-    assert diagnosis_verdict(two)[2] == f"Beside it: {PLAY}."
-    assert diagnosis_verdict(nowhere)[0].endswith("is missing, at a place that is not known.")
-
-
-def test_a_gain_smaller_than_predicted_is_not_called_wrong() -> None:
-    data = said("named", "backlash:2", confirmed=False) | {"confirmation": TEST | {"shrinks": True}}
-    assert diagnosis_verdict(data)[0].startswith("Not confirmed as predicted: rows that no fit has seen gain less.")
-    assert diagnosis_actions(data)[0].text.endswith("gain less than predicted.")
-
-
 @pytest.mark.parametrize(("rms", "word"), [(0.31, "no better than"), (0.27, "no better beyond chance than")])
 def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: str) -> None:
     """It is said before what was named, and the commands of the robot are to come from the geometry."""
@@ -145,53 +107,6 @@ def test_next_steps_name_every_file_that_was_diagnosed_or_written(verdict: str) 
     assert any("armcal compensate mine.toml" in command for command in kept) == (verdict in ("named", "unknown"))
 
 
-def candidate(named: dict[str, EffectSpec], *parameters: str) -> Candidate:
-    estimates = tuple(Estimate(name, "deg", 0.03, 0.01, 0.01, 0.05) for name in parameters)
-    return Candidate(tuple(named), (), tuple(named.values()), NOTHING, estimates)
-
-
-def test_the_number_of_periods_is_part_of_the_name_of_the_effect() -> None:
-    """Also of two at one joint, whose parameters and settings carry the label."""
-    specs = {k: EffectSpec("transmission_ripple", 2, MappingProxyType({"k": float(k)})) for k in (6, 7)}
-    six, seven = f"{RIPPLE}[k=6]", f"{RIPPLE}[k=7]"
-    figures, play = ["0.0300", "0.0100", "0.0500", "deg"], {"backlash:1": EffectSpec("backlash", 1)}
-    for named, parameters, rows, settings in (
-        ({six: specs[6]}, [f"{RIPPLE}.a"], [f"{six}.a"], {f"{RIPPLE}.k": 6.0}),
-        (play | {six: specs[6]}, ["backlash:1.b", f"{RIPPLE}.a"], ["backlash:1.b", f"{six}.a"], {f"{RIPPLE}.k": 6.0}),
-        (
-            {six: specs[6], seven: specs[7]},
-            [f"{six}.a", f"{seven}.a"],
-            [f"{six}.a", f"{seven}.a"],
-            {f"{six}.k": 6.0, f"{seven}.k": 7.0},
-        ),
-    ):
-        found = candidate(named, *parameters)
-        assert (found.title, found.to_json()["settings"]) == (" + ".join(named), settings)
-        assert estimate_rows(found.to_json())[1] == [[name, *figures] for name in rows]
-
-
-def test_sizes_that_are_excluded_are_grouped_by_kind_the_largest_at_the_tip_first() -> None:
-    sizes = {
-        "backlash:1": (0.02, "deg", 0.05),
-        "backlash:2": (0.003, "deg", 0.02),
-        "backlash:4": (0.04, "deg", 0.04),
-        "base_drift": (0.2, "mm/session", 0.06),
-        "gear_ratio:1": (None, "1", None),
-        "gear_ratio:2": (1e-4, "1", 0.01),
-        "transmission_ripple:1[any k]": (0.11, "mm", 0.11),
-        "transmission_ripple:1": (0.01, "deg", 0.03),
-    }
-    keys = ("value", "unit", "tip_mm")
-    excluded = {name: dict(zip(keys, size, strict=True)) for name, size in sizes.items()}
-    assert excluded_by_kind({"excluded": excluded}) == [
-        ["gear_ratio", "1 and 2", "0.0001 to invisible", "any"],
-        ["transmission_ripple[any k]", "1", "0.11 mm", "0.110"],
-        ["base_drift", "–", "0.2 mm/session", "0.060"],
-        ["backlash", "1, 2 and 4", "0.003 to 0.04 deg", "0.050"],
-        ["transmission_ripple", "1", "0.01 deg", "0.030"],
-    ]
-
-
 def test_shapes_of_curves_are_said_in_short() -> None:
     waves = [{"order": order, "share": share} for order, share in ((11.0, 0.5), (14.0, 0.25), (2.0, 0.125))]
     curve = {"joint": 2, "angle_deg": [-10.0, 0.0, 10.0], "error_deg": [0.03] * 3, "std_deg": [0.01] * 3}
@@ -218,47 +133,6 @@ def tables(page: str) -> list[list[list[str]]]:
     """The cells of each table, row by row."""
     rows = [re.findall(r"<tr>(.*?)</tr>", part, re.S) for part in page.split("</table>")[:-1]]
     return [[re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.S) for row in part] for part in rows]
-
-
-def test_what_is_named_stands_in_the_tables_of_a_notebook() -> None:
-    found = diagnosed(2e-3)
-    assert found.effects == ("backlash:2",)
-    page, data = found._repr_html_(), found.to_json()
-    assert "<pre" not in page
-    assert "<img" not in page
-    sets, estimates, gap = tables(page)[:3]
-    assert gap[1][:4] == ["the data", "40", *(f"{data['gap'][f'rms_{k}_mm']:.4f}" for k in ("before", "after"))]
-    assert [row[0] for row in gap[2:]] == [f"cross-validated: {test['transfer']}" for test in data["cross_validation"]]
-    assert sets[1] == ["backlash:2", f"{found.named.probability:.2f}", "0.0", f"{found.named.f:.1f}"]
-    (name, value, low, high, unit) = estimates[1]
-    assert (name, unit) == ("backlash:2.b", "deg")
-    assert float(low) < float(value) < float(high)
-    (estimate,) = data["named"]["parameters"]
-    assert abs(float(value) - np.degrees(2e-3)) < 5.0 * estimate["std"]
-    assert page.index("<details>") > page.index("</table>")
-    assert "<img>" not in replace(found, warnings=("<img>",), notes=("<img>",))._repr_html_()
-
-
-def test_where_nothing_is_named_the_sizes_that_are_excluded_are_behind_a_fold() -> None:
-    found = diagnosed(0.0)
-    assert found.effects == ()
-    page = found._repr_html_()
-    fold = page[page.index("What these postures can and cannot show, effect by effect") :]
-    assert [row[0] for row in tables(fold)[0][1:]] == list(found.excluded)
-
-
-def test_a_probability_says_what_it_is_among() -> None:
-    plain = {"candidates": (), "probabilities": {"none": 0.2, "ripple": 0.8}, "other_sets": (), "confirmation": None}
-    for effects, shapes, confirmed, among in (
-        (["ripple"], (), [True], ""),
-        (["ripple"], (), [None, True], ""),
-        ([], (), [None], ""),
-        (["ripple"], ("k",), [True], " (among the library's shapes, whatever makes them)"),
-        (["ripple"], (), [None, None], " (too few rows to confirm it on others)"),
-    ):
-        tests = [{"confirmed": one} for one in confirmed]
-        data = plain | {"effects": effects, "shapes": shapes, "cross_validation": tests}
-        assert likely(data) == f"probability{among}: none 0.20, ripple 0.80"
 
 
 HELD_OUT = {"transfer": "another session", "file": "more.csv", "by": "holdout", "groups": 8, "refitted": []} | TEST

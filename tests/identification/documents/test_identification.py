@@ -14,7 +14,6 @@ from identification.documents.identification import (
     BY_CHANCE,
     compensation_document,
     corrected_section,
-    dh_sections,
     identification_actions,
     identification_verdict,
     in_short,
@@ -65,12 +64,6 @@ def test_well_determined_values_are_shown_and_the_others_said() -> None:
     ):
         assert words in said
     assert "minimal" not in as_text(in_short(ROWS, minimal=False))
-
-
-def test_the_note_on_beta_stands_beside_a_beta_only() -> None:
-    plain, hayati = row("row 1 a", 0.0, 0.1, 0.01, None, "mm"), row("row 2 beta", 0.0, 0.1, 0.01, None, "deg")
-    noted = ["Hayati" in as_text(dh_sections(rows, [])[0]) for rows in ([plain], [plain, hayati])]
-    assert noted == [False, True]
 
 
 def test_corrected_values_have_three_significant_digits_of_the_standard_deviation() -> None:
@@ -159,9 +152,3 @@ def test_counts_of_targets_without_a_command() -> None:
     assert isinstance(table, Sheet)
     assert [row[3:] for row in table.rows] == [["28.648", "< 1e-6"], ["-", "3.0000"], ["-", "-"]]
     assert len(reasons) == 2
-
-
-def test_where_every_target_is_reached_and_where_none_is() -> None:
-    every, none = (compensation_document(commands([e] * 20, [-1.0] * 20)).verdict[0] for e in (1e-9, 1.0))
-    assert every == "20 of 20 targets reached by the calibrated model."
-    assert none.endswith("20 have no command (angles left empty): out of reach (rows 1, 2, 3, 4, 5, 6, 7, 8, ...).")

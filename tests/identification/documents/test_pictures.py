@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from doe.report.page import svg
 from identification.arm import Arm, Calibration, EffectSpec
-from identification.conditions import Conditions
 from identification.documents.pictures import (
     Compared,
     caption,
@@ -104,18 +103,6 @@ def test_the_line_is_the_effect_of_the_model_and_the_points_before_lack_it() -> 
     assert "black" not in read.lower().split()  # on a dark page the line is white
 
 
-def test_an_effect_that_is_no_function_of_the_angle_is_drawn_at_the_rows() -> None:
-    """Backlash: b this way or that way, by the side from which the joint came."""
-    q = np.random.default_rng(9).uniform(-1.0, 1.0, (30, 2))
-    sides = np.sign(np.random.default_rng(10).normal(size=(30, 2)))
-    model = model_with(EffectSpec("backlash", 2), b=2e-3)
-    nothing = np.zeros((30, 2))
-    rows = Compared(model.arm, q, nothing, nothing, Conditions(directions=sides), model, ["backlash:2"])
-    red, _, black = points_and_line(signed_figures(rows)[1].axes[0])
-    np.testing.assert_allclose(np.radians(red[:, 1]), 2e-3 * sides[:, 1], rtol=1e-3)
-    np.testing.assert_allclose(black, red)
-
-
 def test_an_error_curve_is_off_beyond_its_angles() -> None:
     curve = ErrorCurve(-1.0, 1.0, np.array([0.0, 1e-3, -1e-3, 2e-3, 0.0]))
     arm = Arm(LENGTHS, effects=(EffectSpec("joint_error_curve", 2, curve=curve),), calibration=Calibration({}))
@@ -129,16 +116,6 @@ def test_an_error_curve_is_off_beyond_its_angles() -> None:
         np.testing.assert_array_equal(red[on:, 1], 0.0)
         assert np.isfinite(line[:, 1]).any() == (on > 0)
         assert axes.get_title() == f"joint_error_curve:2{'' if on else ' (off here)'}"
-
-
-def test_without_effects_the_line_is_what_lies_between_the_two_models() -> None:
-    q = np.random.default_rng(4).uniform(-1.0, 1.0, (60, 2))
-    arm = Arm(LENGTHS, calibration=Calibration({"joint_offset:2": 4e-3}))
-    offset = 200.0 * 4e-3 * np.stack([-np.sin(q.sum(axis=1)), np.cos(q.sum(axis=1))], axis=1)
-    _, second = (f.axes[0] for f in signed_figures(Compared(arm, q, offset, np.zeros((60, 2)), model=Model(arm))))
-    line = points_and_line(second)[2]
-    np.testing.assert_allclose(np.radians(line[np.isfinite(line[:, 1]), 1]), 4e-3, rtol=1e-2)
-    assert "Line: the difference of the two" in caption("the drawing", "the model", ["base_drift"])
 
 
 def test_no_label_leaves_a_small_picture() -> None:

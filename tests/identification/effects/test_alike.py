@@ -10,9 +10,8 @@ import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
-from identification.errors import InputError
 from identification.estimation import estimate
-from identification.files.arm import dump_arm, load_arm, with_calibration, with_effects
+from identification.files.arm import dump_arm, load_arm
 from identification.gap.blocks import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
@@ -26,10 +25,6 @@ def ripple(joint: int, k: int, **values: float) -> EffectSpec:
 
 
 ARM = Arm(LENGTHS, effects=(ripple(1, 20), ripple(2, 18), ripple(1, 29)))
-
-
-def entry(joint: int, k: int, more: str = "") -> str:
-    return f'\n[[effects]]\nname = "{RIPPLE}"\njoint = {joint}\nk = {k}\n{more}'
 
 
 def test_names_say_the_setting_only_where_they_must() -> None:
@@ -65,12 +60,6 @@ def test_all_are_estimated_and_known_values_stay() -> None:
     assert fixed.names[6:] == (f"{RIPPLE}:1[k=20].b", f"{RIPPLE}:1[k=29].a", f"{RIPPLE}:1[k=29].b")
 
 
-def test_effects_without_settings_are_there_once() -> None:
-    for spec in (EffectSpec("base_offset"), EffectSpec("backlash", 2)):
-        with pytest.raises(InputError, match=f"^effects: {spec.key} is given 2 times, allowed: once$"):
-            _ = Model(ARM.with_effects(spec, replace(spec, values={}))).names
-
-
 # -- files -------------------------------------------------------------------------------------------------------------
 def load(folder: Path, text: str) -> Arm:
     (folder / "arm.toml").write_text(text)
@@ -91,18 +80,6 @@ def test_files_hold_them_all(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.calibration.covariance, arm.calibration.covariance, rtol=1e-14)
     assert f'"{RIPPLE}:1[k=29].b_deg" = ' in text
     assert f'"{RIPPLE}:2.a_deg" = ' in text
-
-
-def test_only_what_is_not_there_yet_is_added(tmp_path: Path) -> None:
-    text = "links_mm = [300, 200, 100]\n" + entry(1, 20)
-    added = with_effects(text, ARM.effects)
-    assert added == text + entry(2, 18) + entry(1, 29)
-    assert with_effects(added, ARM.effects) == added
-    values = {f"{RIPPLE}:1[k=20].a": 0.001}
-    zeros = readonly(np.zeros(3))
-    assert load(tmp_path, with_calibration(added, Calibration.of(zeros, zeros, values))).calibration is not None
-    with pytest.raises(InputError, match=r"unknown parameter 'transmission_ripple:1\[k=20\].a'"):
-        with_calibration(text, Calibration.of(zeros, zeros, values))  # alone it has no need of a tag
 
 
 # -- diagnosis ---------------------------------------------------------------------------------------------------------

@@ -59,21 +59,7 @@ def test_the_joint_from_zero() -> None:
         _ = build(EffectSpec("thermal_growth"), PAIR.chain).joint_index
 
 
-def test_parameters_know_their_joint_and_kind() -> None:
-    a, b = build(EffectSpec("encoder_eccentricity", 2), PAIR.chain).parameters
-    assert (a.name, a.kind, a.joint, b.short) == ("encoder_eccentricity:2.a", "effect", 2, "b")
-    assert build(EffectSpec("base_offset"), PAIR.chain).parameters[0].joint is None
-
-
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))
-
-
-def test_a_pair_is_every_whole_number() -> None:
-    pair = Setting.of((3, 6))
-    assert pair.scan(SCOPE) == [3.0, 4.0, 5.0, 6.0]
-    assert (pair.allows(4.0), pair.allows(4.5), pair.allows(7.0)) == (True, False, False)
-    assert pair.allowed == "a whole number 3 to 6"
-    assert Setting.of(pair) is pair
 
 
 @pytest.mark.parametrize(
@@ -97,11 +83,3 @@ def test_steps_are_tried_between_rows_and_between_sessions() -> None:
     assert any(at == pytest.approx(0.55) for at in found)
     assert max(found) == pytest.approx(1.1 + 0.5 - 0.1875)
     assert clock(0.5, 0) < 0.55 < clock(-0.5, 1)
-
-
-def test_many_rows_have_fewer_steps() -> None:
-    many = Conditions(time=np.linspace(-0.5, 0.5, 1000))
-    found = step_times(Scope(SCOPE.arm, 1, np.zeros((1000, 2)), many))
-    assert len(found) == 40
-    assert step_times(SCOPE) == pytest.approx([-0.18827165, 0.31172835])
-    assert all(-0.5 < at < 0.5 for at in step_times(Scope(SCOPE.arm)))

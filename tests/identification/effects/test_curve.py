@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import compensate
 from identification.effects import build
-from identification.error_curve import ErrorCurve, all_hold, spline
+from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.estimation.estimate import estimate
 from identification.files.arm import dump_arm, load_arm, with_calibration, with_effects
@@ -42,17 +42,6 @@ def test_agrees_with_scipy_and_is_zero_beyond_two_nodes() -> None:
     np.testing.assert_allclose(SMOOTH.at(nodes), VALUES, atol=1e-16)
 
 
-def test_keeps_the_shape_of_the_angles() -> None:
-    q = np.linspace(-3.0, 3.0, 24).reshape(2, 3, 4)
-    np.testing.assert_array_equal(SMOOTH.at(q).ravel(), SMOOTH.at(q.ravel()))
-    assert SMOOTH.at(0.3).shape == ()
-
-
-def test_splines_sum_to_one() -> None:
-    x = np.linspace(0.0, 1.0, 50)
-    np.testing.assert_allclose(sum(spline(x - k) for k in range(-2, 4)), 1.0, atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("start", "stop", "values", "message"),
     [
@@ -65,11 +54,6 @@ def test_splines_sum_to_one() -> None:
 def test_bad_input(start: float, stop: float, values: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message):
         ErrorCurve(start, stop, values)
-
-
-def test_equal_by_value() -> None:
-    assert ErrorCurve(-0.5, 1.7, VALUES.copy()) == SMOOTH
-    assert ErrorCurve(-0.5, 1.8, VALUES) != SMOOTH
 
 
 def test_whole_turns_away_it_is_the_same() -> None:
@@ -95,11 +79,6 @@ def test_all_hold_where_each_does() -> None:
     q = np.array([[[0.0, 0.3, 0.0], [3.0, 0.3, 0.0]], [[3.0, 0.3, 3.0], [3.0, 3.0, 0.0]]])
     np.testing.assert_allclose(all_hold([(1, SMOOTH), (2, SMOOTH)], q), [[1.0, 1.0], [0.0, 0.0]])
     np.testing.assert_array_equal(all_hold([], q), np.ones((2, 2)))
-
-
-def test_equal_curves_have_the_same_geometry() -> None:
-    assert ErrorCurve(-0.5, 1.7, VALUES, {"joint_offset:1": 1e-3}) != SMOOTH
-    assert ErrorCurve(-0.5, 1.7, VALUES, {}) == SMOOTH
 
 
 LENGTHS = [300.0, 200.0, 150.0]

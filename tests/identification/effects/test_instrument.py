@@ -15,9 +15,7 @@ from identification.instruments import TRACKER, Distance, Sphere
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.model.minimal import minimal
 from identification.model.placed import in_own_frame, tip_jacobian
-from identification.simulate import simulate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.exponentials import Exponentials, drawing
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
@@ -36,10 +34,6 @@ def test_every_distance_is_longer_by_it(more: tuple[EffectSpec, ...]) -> None:
     places = [tip_by_exponentials(replace(CHAIN, base=BASE), posture, {}, REFLECTOR) for posture in Q]
     np.testing.assert_allclose(read[:, 0], np.linalg.norm(places, axis=1) + 2.5, rtol=1e-12)
     np.testing.assert_allclose(jacobian[:, 0, model.names.index(C)], 1.0, rtol=1e-12)
-
-
-def test_distances_show_it_beside_24_parameters_of_the_arm() -> None:
-    assert len(minimal(Model(BAR.with_effects(OFFSET))).names) == 25
 
 
 def test_no_point_is_moved_by_it() -> None:
@@ -68,13 +62,6 @@ def test_it_is_estimated_and_named() -> None:
     assert abs(found.parameters[k] - 0.6) < 4.0 * deviation < 0.2
     assert found.rms_after < 0.022
     assert diagnose(arm, data).named.effects == ("length_offset",)
-
-
-def test_it_is_simulated() -> None:
-    noise = np.random.default_rng(6), np.random.default_rng(6)
-    with_it = replace(BAR.with_effects(OFFSET), calibration=Calibration({C: 1.5}))
-    lengths = [simulate(arm, Q, generator).positions for arm, generator in zip((with_it, BAR), noise, strict=True)]
-    np.testing.assert_allclose(lengths[0] - lengths[1], 1.5, rtol=1e-9)
 
 
 def test_it_is_refused_where_no_distances_are_measured() -> None:

@@ -102,14 +102,3 @@ def test_outliers_of_lengths_are_too_long_or_too_short() -> None:
     assert off.sum() == 500
     np.testing.assert_allclose(np.abs(moved_by[off]), 2.0, rtol=1e-9)
     assert abs(np.sum(moved_by > 1e-9) - 250) < 45  # four standard deviations of a fair coin
-
-
-def test_in_space_joint_noise_turns_each_reflector_about_its_joint() -> None:
-    arm = Arm(KinematicChain(ELBOW, np.eye(4), tools=TOOLS), sigma=0.1)
-    noisy = arm.with_effects(EffectSpec("joint_noise", 1, {"std": 1e-3}))
-    exact, found = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.0).positions for one in (arm, noisy))
-    about_z = np.column_stack([-exact[:, 1], exact[:, 0], 0.0 * exact[:, 0]])
-    angle = np.sum((found - exact) * about_z, axis=1) / np.sum(about_z**2, axis=1)
-    np.testing.assert_allclose(found - exact, angle[:, None] * about_z, atol=1e-9)
-    # 2000 draws: relative standard error of a deviation 1.6 %
-    assert np.std(angle) == pytest.approx(1e-3, rel=0.08)

@@ -10,13 +10,7 @@ import pytest
 
 from identification.arm import Arm, Calibration
 from identification.estimation import Identification, estimate, estimate_with_prior
-from identification.estimation.problem import (
-    Prior,
-    Problem,
-    contradicted,
-    posterior_squares,
-    worst_contradicted,
-)
+from identification.estimation.problem import Prior, Problem, contradicted, posterior_squares, worst_contradicted
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -132,17 +126,6 @@ def test_one_equation_tells_no_culprit() -> None:
     stands for the other."""
     found = worst_contradicted({"": 25.0, "a": 0.0, "b": 1e-9, "c": 20.0}, np.inf)
     assert found == {"a": ("b",)}
-
-
-def test_data_without_noise() -> None:
-    """Nothing fails where the residuals are zero or rounding."""
-    generator = np.random.default_rng(9)
-    earlier = before(generator)
-    postures = generator.uniform(-2.0, 2.0, (12, 3))
-    drawn = replace(earlier, values=dict.fromkeys(MODEL.names, 0.0))
-    exact = Measurements(postures, MODEL.position(postures, np.zeros(6)))
-    for sigma in (None, "given", "estimated"):
-        assert with_prior(drawn, exact, sigma).contradictions == ()
 
 
 def test_an_error_of_degrees_accuses_no_length() -> None:

@@ -143,36 +143,6 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)
 
 
-def test_frames_have_the_prior_of_what_they_are_made_of() -> None:
-    """The origin of a frame along one axis is one translation, of the size of the machining."""
-    generator = np.random.default_rng(5)
-    model = Model(Arm(CHAIN, sigma=0.05))
-    q = generator.uniform(-2.0, 2.0, (40, 3))
-    points = model.position(q) + generator.normal(0.0, 0.05, (40, 3))
-    found = estimate(model, Measurements(q, points))
-    assert found.to_json()["machining_factor"] == 1.0
-    second = by_name(found.corrected_values)["joint 2 x"]
-    assert second.prior_std == pytest.approx(1.0, rel=1e-6)  # mm
-    assert by_name(found.corrected_values)["base x"].prior_std is None
-
-
-def test_a_calibrated_file_marks_the_values_that_its_fit_marked() -> None:
-    """The prior is that of the machining, in the fit as in the file; of a fit without a prior nothing is marked."""
-    generator = np.random.default_rng(5)
-    chain = replace(CHAIN, base=np.eye(4), tools={"1": np.array([60.0, 20.0, 30.0])})
-    model, q = Model(Arm(chain, sigma=0.05)), generator.uniform(-2.0, 2.0, (25, 3))
-    sizes = model.parameters.vector(model.prior, 0.0)
-    truth = 0.5 * sizes * generator.standard_normal(len(sizes))
-    rows = Measurements(q, model.position(q, truth) + 0.05 * generator.standard_normal((25, 3)))
-    found = estimate(model, rows, sigma="given")
-    made = found.calibrated_arm()
-    said = {row.name: row.held_by_prior for row in found.corrected_values}
-    assert {row.name: row.held_by_prior for row in corrected_values(made)} == said
-    assert {*said.values()} == {True, False}
-    part = replace(made.calibration, parameter_names=found.names[:20], covariance=found.covariance[:20, :20])
-    assert not any(row.held_by_prior for row in corrected_values(replace(made, calibration=part)))
-
-
 @pytest.mark.parametrize("kind", ["given", "scatter", "sandwich"])
 def test_a_calibrated_file_has_the_intervals_of_its_fit(kind: str, tmp_path: Path) -> None:
     """Whatever they rely on: Student's t of 12 rows is 12 % wider than the normal distribution."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.estimation import estimate
-from identification.estimation.doubts import FAR, another_frame, copied_rows, outside_limits
+from identification.estimation.doubts import FAR, another_frame, outside_limits
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
@@ -79,16 +79,6 @@ def test_postures_outside_the_joint_limits_are_counted() -> None:
     first = "row 3: joint 1 at -91 deg, allowed -90 to 90"
     assert sentence == f"2 of 5 postures lie outside the joint limits, the first in {first}"
     assert outside_limits(narrow, Measurements(q[:2], np.zeros((2, 2)))) == []
-
-
-def test_rows_that_are_copied_are_said_and_repeats_are_not() -> None:
-    measured = data(Model(arm()), plan(10))
-    assert copied_rows(measured) == []
-    (sentence,) = copied_rows(measured.rows([*range(10), 3, 7]))
-    assert sentence.startswith("2 rows are exact copies of another (of 12 rows): the first row 11 of row 4: ")
-    again = replace(measured, positions=measured.positions + 0.01)
-    repeats = np.concatenate([measured.positions, again.positions])
-    assert copied_rows(Measurements(np.tile(measured.postures, (2, 1)), repeats)) == []
 
 
 # -- columns that look swapped, which a spatial fit hides in errors of the geometry ------------------------------------

@@ -7,22 +7,20 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from doe.criteria import information_matrix
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
 from identification.estimation import estimate, without_outliers
-from identification.information import information_matrix
-from identification.measurements import Measurements, load_measurements
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.running import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 
-UR10 = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"
 DOCUMENTED_KEYS = {"parameters", "corrected_values", "not_identifiable", "sigma_mm", "chi2", "dof", "p_value"}
 DOCUMENTED_KEYS |= {"status", "warnings", "outlier_rows", "scatter_mm", "intervals", "clusters"}
 DOCUMENTED_KEYS |= {"rms_before_mm", "rms_after_mm", "max_before_mm", "max_after_mm", "method", "expected_tip_mm"}
@@ -219,22 +217,6 @@ def test_calibrated_arm_computes_what_was_fitted() -> None:
     np.testing.assert_allclose(again.parameters, found.parameters, rtol=0, atol=1e-9)
 
 
-def test_result_is_read_only_and_prints() -> None:
-    found = estimate(Model(arm(EffectSpec("base_rotation"))), data(Model(arm()), plan(20)))
-    for values in (found.parameters, found.identifiable):
-        with pytest.raises(ValueError, match="read-only"):
-            values[0] = 1.0
-    text, page = str(found), found._repr_html_()
-    assert "joint_offset:1 + base_rotation.angle" in text
-    assert "nan" not in text
-    assert max(map(len, text.splitlines())) <= 130
-    parameters = page.split("</table>")[0]
-    assert parameters.count("<tr>") == 1 + len(found.names)
-    value, std = (row[found.names.index("joint_offset:2")] for row in np.degrees([found.parameters, found.std]))
-    shown = f"{value:.{2 - int(np.floor(np.log10(std)))}f}"  # to the third digit of the standard deviation
-    assert f">joint_offset:2</td><td>{shown}</td>" in parameters.replace(' data-heading="value"', "")
-
-
 # -- refusals --------------------------------------------------------------------------------------------------------
 
 
@@ -277,15 +259,6 @@ def test_bad_arguments() -> None:
 
 
 # -- real data -------------------------------------------------------------------------------------------------------
-@pytest.mark.skipif(not UR10.exists(), reason="the UR10 data are not here")
-def test_ur10() -> None:
-    """Figures of an independent fit (identification/README.md, "Real data")."""
-    model = Model(Arm([612.0, 572.3, 115.7], effects=(EffectSpec("base_offset"),)))
-    found = estimate(model, load_measurements(UR10, 3))
-    assert found.rms_before == pytest.approx(0.569, abs=5e-4)
-    assert found.rms_after == pytest.approx(0.413, abs=5e-4)
-    np.testing.assert_allclose(model.arm.lengths + found.length_errors, [612.61, 571.97, 115.95], rtol=0, atol=5e-3)
-    assert found.not_identifiable == ()
 
 
 def test_rows_are_numbered_as_given_and_the_fit_is_that_of_the_others() -> None:
@@ -307,12 +280,3 @@ def test_rows_are_numbered_as_given_and_the_fit_is_that_of_the_others() -> None:
     assert calls[-1] == 37
     expected = scipy_fit(model, measured.rows(np.delete(np.arange(40), [2, 5, 8])))
     np.testing.assert_allclose(found.parameters, expected.x, atol=1e-7)
-
-
-def test_nothing_is_left_out_of_clean_rows_and_what_the_fit_refuses_is_refused() -> None:
-    model = Model(Arm([260.0, 180.0], sigma=0.1))
-    rows = Measurements(plan(20)[:, :2], np.zeros((20, 2)))
-    clean = Measurements(rows.postures, model.position(rows.postures, model.values, rows.conditions))
-    assert without_outliers(lambda given: estimate(model, given), clean)[1] == ()
-    with pytest.raises(InputError):
-        without_outliers(lambda given: estimate(model, given, method="guess"), clean)

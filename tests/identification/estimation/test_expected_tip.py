@@ -104,12 +104,11 @@ def test_postures_like_those_measured_fill_no_box_of_angles() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*columns are not used")  # orientations
-@pytest.mark.parametrize("series", ["A", "C"])
-def test_a_real_robot_is_off_by_what_is_said(series: str) -> None:
-    """40 rows of a sample of the UR10's sessions, five times, against the fit of the others: what is said is right to
+def test_a_real_robot_is_off_by_what_is_said() -> None:
+    """40 rows of a sample of a session of the UR10, five times, against the fit of the others: what is said is right to
     a third. Random angles within those measured would be 4 times as far off: its postures fill no box of angles."""
     robot = load_arm(UR10 / "ur10.toml")
-    rows, model = load_measurements(UR10 / f"series_{series}.csv", robot), Model(robot)
+    rows, model = load_measurements(UR10 / "series_A.csv", robot), Model(robot)
     generator, said, off = np.random.default_rng(15), [], []
     for _ in range(5):
         order = generator.permutation(len(rows))
@@ -119,13 +118,6 @@ def test_a_real_robot_is_off_by_what_is_said(series: str) -> None:
         said.append(found.expected_tip_measured**2)
         off.append(np.mean(np.sum((left[0] - left[1]) ** 2, axis=1)))
     assert np.sqrt(np.mean(said) / np.mean(off)) == pytest.approx(1.0, abs=1.0 / 3.0)
-
-
-def test_what_is_not_identifiable_has_no_expected_error() -> None:
-    model = Model(limited())
-    found = estimate(model, data(model, np.tile(plan(1), (6, 1))))
-    assert found.not_identifiable
-    assert (found.expected_tip, found.to_json()["expected_tip_mm"]) == (None, None)
 
 
 @pytest.mark.parametrize(

@@ -242,35 +242,6 @@ def test_no_corner_without_gradient_counts_as_converged(factors: tuple[int, int]
     np.testing.assert_array_less(lower_by, 1e-9 * found.rss)
 
 
-def test_a_saddle_point_is_left() -> None:
-    """-1 = a b from a = b = 1: by steps that keep their ratio both go to zero, where neither has an effect."""
-
-    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return -1.0 - x[:, :1] * x[:, 1:], x[:, None, ::-1].copy()
-
-    found = levenberg_marquardt(problem(linearize, 2, 1, rounding=np.array([1e-12])), np.array([[1.0, 1.0]]))
-    assert found.status[0] is Status.converged
-    assert found.rss[0] <= 1e-20
-
-
-def test_a_corner_is_left_where_the_other_factor_has_room() -> None:
-    """(0, 1) = a (b, c) with a >= 0 and b, c in -1 .. 1: a = 0 has a cost of 1 whatever b and c are, and with c < 0 no
-    gradient leads away from it; the least cost is 0."""
-
-    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        assert len(x) == 1  # of one problem one point at a time, as fits that keep their last point need it
-        a, b, c = x.T
-        jacobian = np.zeros((len(x), 2, 3))
-        jacobian[:, 0, 0], jacobian[:, 1, 0], jacobian[:, 0, 1], jacobian[:, 1, 2] = b, c, a, a
-        return np.stack([-a * b, 1.0 - a * c], axis=1), jacobian
-
-    low, high = np.array([0.0, -1.0, -1.0]), np.array([2.0, 1.0, 1.0])
-    least = problem(linearize, 3, 1, lower=low, upper=high, rounding=np.array([1e-12]))
-    found = levenberg_marquardt(least, np.array([[0.0, -0.3, -0.8]]))
-    assert found.status[0] is Status.converged
-    assert found.rss[0] <= 1e-20
-
-
 @pytest.mark.parametrize("rows", [150, 4099])
 def test_a_tall_problem_is_its_triangle(rows: int) -> None:
     """Sums of products stay, and with them the solution, here by the normal equations."""

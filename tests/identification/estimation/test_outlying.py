@@ -85,9 +85,9 @@ def test_a_fit_says_which_rows_it_does_not_explain() -> None:
 
 @pytest.mark.parametrize(("postures", "rows", "wrong"), [(50, 1, 3), (50, 1, 12), (30, 2, 3), (20, 3, 3), (30, 5, 20)])
 def test_rows_that_are_wrong_independently_of_each_other_stay_outliers(postures: int, rows: int, wrong: int) -> None:
-    """`CHANCE` is 1 in 1000: of 400 sets two or more in 15 cases of 16 would be beyond it; 3 have probability 0.008."""
+    """`CHANCE` is 1 in 1000: of 200 sets 3 or more would be beyond it with probability 0.001."""
     rng, kept = np.random.default_rng(postures + wrong), 0
-    for _ in range(400):
+    for _ in range(200):
         q, numbers = np.repeat(rng.uniform(-3, 3, (postures, 4)), rows, axis=0), np.repeat(np.arange(postures), rows)
         outlier = np.isin(np.arange(postures * rows), rng.choice(postures * rows, wrong, replace=False))
         kept += together(outlier, q, numbers).any()

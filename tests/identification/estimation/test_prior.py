@@ -113,21 +113,6 @@ def test_noise_is_that_of_the_largest_marginal_likelihood() -> None:
     assert estimate_with_prior(MODEL, quiet, PRIOR).scatter == 0.1  # no less than what is given
 
 
-@pytest.mark.parametrize("size", [2.0**-12, 2.0**12])
-def test_the_size_of_the_arm_does_not_matter(size: float) -> None:
-    """Nobody knows the noise, 0.4 mm times the size: as many rounds for a model as for a house."""
-    data, _ = measured(np.random.default_rng(5), 15, 0.4)
-    names = ["encoder_eccentricity", "gear_ratio"]
-    arms = [library_prior(Arm(scale * ARM.lengths), names=names) for scale in (1.0, size)]
-    one, other = (
-        estimate_with_prior(Model(found.arm), Measurements(data.postures, scale * data.positions), found.prior)
-        for found, scale in zip(arms, (1.0, size), strict=True)
-    )
-    scaled = other.parameters / np.where(np.arange(len(SIZES)) < 2, size, 1.0)
-    assert np.abs((scaled - one.parameters) / one.std).max() < 1e-9
-    assert other.scatter == pytest.approx(size * one.scatter, rel=1e-9)
-
-
 def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
     """95 % intervals of the geometry of 40 arms with effects of the prior: with it they hold, least squares' do not.
 
@@ -202,26 +187,6 @@ def test_an_arm_far_from_its_drawing_is_fitted_as_well_as_one_near_it(times: flo
         error = fresh.positions - found.model.position(fresh.postures, found.parameters)
         assert np.sqrt(np.mean(error**2)) <= 2.0 * 0.05
         assert any("farther from its drawing" in doubt for doubt in found.doubts) == (times > 1.0)
-
-
-def test_copies_of_many_rows_are_no_new_evidence_of_an_arm_far_from_its_drawing() -> None:
-    """1,000 rows, and the same ten times: misfits that come again do not make other errors of frames likelier."""
-    generator, zero = np.random.default_rng(36), np.zeros(len(SPATIAL.names))
-    data = Measurements(generator.uniform(-2.5, 2.5, (1000, len(CHAIN))), np.zeros((1000, 3)))
-    jacobian = SPATIAL.jacobian(data.postures, zero).reshape(-1, len(zero)) / 0.05
-    sizes = SPATIAL.parameters.vector(SPATIAL.prior, 0.0)
-    # 20 mm: so large that the rows once leave the machining's errors open, and ten times do not
-    misfit = 400.0 * generator.standard_normal(len(jacobian))
-    problem = Problem.of(SPATIAL, data, prior=Prior(SPATIAL.prior))
-
-    def width(times: float, copies: int) -> float:
-        target, columns = (np.concatenate([a] * copies) for a in (misfit + jacobian @ (times * sizes), jacobian))
-        copied = replace(problem, weights=np.ones(1000 * copies))
-        return likeliest(copied, zero, target, columns)[1][0]
-
-    once = [width(times, 1) for times in (0.5, 1.2, 1.6, 4.0)]
-    assert once[0] == 1.0 < once[-1]
-    assert [width(times, 10) for times in (0.5, 1.2, 1.6, 4.0)] == once
 
 
 @pytest.mark.parametrize("factors", [(6.0, 1.0), (1.0, 30.0)])

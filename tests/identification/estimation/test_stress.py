@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification.arm import Arm
-from identification.compensate import compensate
 from identification.estimation import Identification, estimate
 from identification.measurements import Measurements
 from identification.model import Model
@@ -110,21 +109,3 @@ def test_data_without_noise_are_fitted_exactly_and_said_to_be_so() -> None:
             assert "data without noise" in said(found)
         few = measured(lengths, q[:n], 0.1, generator)  # as many equations as parameters leave nothing either
         assert "without noise" not in said(estimate(Model(Arm(tuple(lengths), sigma=0.1)), few))
-
-
-@given(n=st.integers(2, 6), seed=st.integers(0, 2**32))
-@FEW
-def test_commands_reach_their_targets_on_links_of_all_sizes(n: int, seed: int) -> None:
-    """The real arm at the commands is where the drawing is at the postures, or it is said that it cannot be."""
-    generator = np.random.default_rng(seed)
-    lengths = lengths_of(n, generator)
-    arm = Arm(tuple(lengths), sigma=0.1)
-    data = measured(lengths, generator.uniform(-3.0, 3.0, (n + 30, n)), 1e-4 * lengths.min(), generator)
-    fit = estimate(Model(arm), data)
-    found = compensate(fit.calibrated_arm(), postures=generator.uniform(-2.0, 2.0, (5, n)))
-    near = found.reached
-    real = lengths + fit.length_errors
-    tip = np.exp(1j * np.cumsum(found.commands[near] + fit.joint_offsets, axis=1)) @ real
-    away = np.hypot(tip.real - found.targets[near, 0], tip.imag - found.targets[near, 1])
-    assert np.all(away <= 1e-9 * lengths.sum())
-    assert np.all(np.isfinite(found.commands[near]))

@@ -174,6 +174,15 @@ ORIGIN = PLAIN + CALIBRATION + "[calibration.provenance]\n"
 BAD = [  # values that are of the right type
     ("", "empty"),
     ("links_mm = []", "links_mm: found 0"),
+    (PLAIN + "[measurement]\nsigma_mm = 0", "measurement.sigma_mm: found 0"),
+    # keys that stand elsewhere, or have another name
+    ("sigma_mm = 0.1\n" + PLAIN, "[measurement]"),
+    ("lengths_mm = [1.0]\n" + PLAIN, "'links_mm'"),
+    ("description = 'x'\n" + PLAIN, "description: "),
+    (PLAIN + "[base]", "spatial"),
+    (PLAIN + "[limits]", "'joint_limits_deg'"),
+    (LIMITS + "min = [0, 0]\nupper = [90, 90]", "'lower'"),
+    (PLANAR.replace("acceleration_m_s2", "g"), "'acceleration_m_s2'"),
     (LIMITS + "lower = [0, 0]\nupper = [90, -90]", "joint 2"),
     (LIMITS + "lower = [0]\nupper = [90, 90]", "joint_limits_deg.lower: found 1"),
     (PLAIN + "[joints]\nsign = [1, 0]", "joints.sign: found 0 for joint 2"),
@@ -192,6 +201,7 @@ BAD = [  # values that are of the right type
     (PLAIN + BASE + BASE, "base_offset"),
     (PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0', "transmission_ripple:1"),
     (PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1', "effects[1].b_deg: found -1"),
+    (PLAIN + CALIBRATION.replace("[0, 0]", "[0, -180]", 1), "calibration.length_errors_mm: found -180"),
     (PLAIN + CALIBRATION + "covariance = [[1]]", "calibration.parameters: is missing"),
     (PLAIN + TWO + "covariance = [[1, 0]]", "calibration.covariance: found 1 rows"),
     (PLAIN + TWO + "covariance = [[1], [2]]", "calibration.covariance: found 1 values"),
@@ -234,6 +244,7 @@ def test_calibration_is_replaced_where_it_stands_and_the_rest_stays(tmp_path: Pa
         '[calibration.provenance]\nfile = "new.csv"\n'
     )
     assert written == moved.replace(text[start:end], new)
+    assert with_calibration(written, found) == written
     same(found, load(tmp_path, written).calibration)
 
 
@@ -250,13 +261,6 @@ def test_calibration_in_unusual_layouts(tmp_path: Path, text: str) -> None:
     found = Calibration.of(readonly([1, 2]), readonly([0.1, 0.2]), provenance={"file": "b", "fit": {"rms_mm": 0.1}})
     (tmp_path / "arm.toml").write_bytes(with_calibration(text, found).encode())
     same(found, load_arm(tmp_path / "arm.toml").calibration)
-
-
-def test_writing_a_calibration_twice_changes_nothing(tmp_path: Path) -> None:
-    calibration = load(tmp_path, FULL).calibration
-    assert calibration is not None
-    once = with_calibration(FULL, calibration)
-    assert with_calibration(once, calibration) == once
 
 
 def test_provenance_leaves_out_what_toml_cannot_say() -> None:
@@ -339,7 +343,7 @@ def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
 
 
 @given(arms())
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_round_trip(arm: Arm) -> None:
     same(arm, arm_from_tables(tomllib.loads(dump_arm(arm))))
 

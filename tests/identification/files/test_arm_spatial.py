@@ -139,14 +139,6 @@ def saved(folder: Path, text: str) -> Path:
     return folder / "arm.toml"
 
 
-def test_no_limits_in_degrees_of_an_arm_of_prismatic_joints(tmp_path: Path) -> None:
-    row = '[[dh]]\na_mm = 10.0\nalpha_deg = 90.0\nd_mm = 0.0\njoint = "prismatic"\n'
-    limits = "[joint_limits_mm]\nlower = [0.0, 1.0]\nupper = [5.0, 6.0]\n[joint_limits_deg]\nlower = []\nupper = []\n"
-    (tmp_path / "arm.toml").write_text(f'kind = "spatial"\n{row}{row}{limits}')
-    arm = load_arm(tmp_path / "arm.toml")
-    assert (arm.lower.tolist(), arm.upper.tolist()) == ([0.0, 1.0], [5.0, 6.0])
-
-
 def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     arm = load_arm(saved(tmp_path, BY_URDF))
     nominal = read_urdf(URDF).chain("world", "tool0")

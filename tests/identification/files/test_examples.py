@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.plan.plan import load_plan
 from doe.studies.monte_carlo import StudyFile
+from identification import load_plan
 from identification.files.arm import load_arm
 from identification.files.measurement import load_targets
 from identification.measurements import load_measurements
@@ -23,50 +23,30 @@ EXAMPLES = dict(
 )
 
 
-@pytest.fixture
-def example(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """The example below a heading, as a file."""
-    path = tmp_path / "example"
-    path.write_text(EXAMPLES[request.param])
-    return path
+READ = {  # heading of the example -> what is read of it
+    "Arm file": lambda path: (load_arm(path).links, len(load_arm(path).constraints), load_arm(path).effects[1].key),
+    "Truth file": lambda path: [spec.name for spec in load_arm(path).effects],
+    "Plan file": lambda path: np.degrees(load_plan(path).postures[0]).tolist(),
+    "Measurement file": lambda path: load_measurements(path).positions.shape,
+    "Target file": lambda path: load_targets(path, 4).positions.shape,  # type: ignore[union-attr]
+    "Study file": lambda path: StudyFile.model_validate(tomllib.loads(path.read_text())).replications,
+}
 
 
-@pytest.mark.parametrize("example", ["Arm file"], indirect=True)
-def test_arm(example: Path) -> None:
-    arm = load_arm(example)
-    assert arm.links == 4
-    assert len(arm.constraints) == 3
-    assert [spec.key for spec in arm.effects] == ["base_offset", "encoder_eccentricity:2"]
-    assert arm.calibration is not None
-
-
-@pytest.mark.parametrize("example", ["Truth file"], indirect=True)
-def test_truth(example: Path) -> None:
-    assert [spec.name for spec in load_arm(example).effects] == ["gear_ratio", "serial_correlation"]
-
-
-@pytest.mark.parametrize("example", ["Plan file"], indirect=True)
-def test_plan(example: Path) -> None:
-    np.testing.assert_allclose(load_plan(example).postures[0], np.radians([-90.0, -120.0]))
-
-
-@pytest.mark.parametrize("example", ["Measurement file"], indirect=True)
-def test_measurements(example: Path) -> None:
-    data = load_measurements(example)
-    assert data.positions.shape == (3, 2)
-    assert data.temperature is not None
-    assert data.directions is not None
-
-
-@pytest.mark.parametrize("example", ["Target file"], indirect=True)
-def test_targets(example: Path) -> None:
-    positions = load_targets(example, 4).positions
-    assert positions is not None
-    assert positions.shape == (2, 2)
-
-
-def test_study() -> None:
-    assert StudyFile.model_validate(tomllib.loads(EXAMPLES["Study file"])).replications == 10_000
+@pytest.mark.parametrize(
+    ("heading", "expected"),
+    [
+        ("Arm file", (4, 3, "encoder_eccentricity:2")),
+        ("Truth file", ["gear_ratio", "serial_correlation"]),
+        ("Plan file", pytest.approx([-90.0, -120.0])),
+        ("Measurement file", (3, 2)),
+        ("Target file", (2, 2)),
+        ("Study file", 10_000),
+    ],
+)
+def test_the_example_below_a_heading_is_a_file_that_loads(tmp_path: Path, heading: str, expected: object) -> None:
+    (tmp_path / "example").write_text(EXAMPLES[heading])
+    assert READ[heading](tmp_path / "example") == expected
 
 
 WRITERS = {"to_json", "as_dict", "next_data", "demo_data", "discriminating_data"}  # functions whose keys users read

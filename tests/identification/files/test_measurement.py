@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from doe.plan.plan import Plan, load_plan, plan_text
+from identification import Plan, load_plan
 from identification.arm import Arm
 from identification.effects.catalogue import entry
 from identification.errors import InputError
@@ -150,14 +150,13 @@ BAD = [  # arm, text, what is named
             (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),
             (",".join(f"q{j}_deg" for j in range(1, 14)) + "\n" + "0," * 12 + "0\n", ["q13_deg", "q1_deg to q12_deg"]),
             (PLAIN.replace("-3", "nan"), ["row 2 (line 3), column x_mm", "found 'nan'", "allowed: a finite length"]),
+            (PLAIN.replace("-3", "1e200"), ["row 2 (line 3), column x_mm", "found '1e200'"]),
+            (PLAIN.replace("-60", "1e300"), ["row 1 (line 2), column q2_deg", "found '1e300'"]),
             (with_columns(payload_kg=(0, -1)), ["row 2 (line 3), column payload_kg", "found '-1'", "a number >= 0"]),
             (with_columns(sigma_mm=(0.1, 0)), ["row 2 (line 3), column sigma_mm", "found '0'", "a number > 0"]),
             (with_columns(temperature_C=(-300, 0)), ["column temperature_C", "found '-300'", "a number >= -273.15"]),
             (with_columns(direction1=(1, 1), direction2=(1, 0)), ["row 2 (line 3), column direction2", "'0'", "+1 or"]),
-            (
-                with_columns(direction1=(1, 1)),
-                ["'direction2' is missing", "direction1; allowed: a column"],
-            ),
+            (with_columns(direction1=(1, 1)), ["'direction2' is missing", "direction1; allowed: a column"]),
             (
                 with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
                 ["direction3", "allowed: direction1 to direction2"],
@@ -261,7 +260,7 @@ def assert_same(again: Measurements, data: Measurements) -> None:
 
 
 @given(measured())
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
     path, frame = tmp_path_factory.mktemp("data") / "data.csv", data.to_frame()
     path.write_text(measurement_text(data))
@@ -311,7 +310,7 @@ def test_positions_of_markers(load: Load) -> None:
 
 def test_plans_and_targets(tmp_path: Path) -> None:
     path, plan = tmp_path / "plan.csv", Plan(np.array([[0.5, 50.0], [-0.5, 20.0]]))
-    path.write_text(text := plan_text(plan, SPATIAL.joint_types))
+    path.write_text(text := plan.text(SPATIAL.joint_types))
     assert text.startswith("run,q1_deg,q2_mm\n")
     np.testing.assert_allclose(load_plan(path, SPATIAL.joint_types).postures, plan.postures)
     positions = np.array([[1.0, 2.0, 3.0]])
@@ -434,15 +433,6 @@ def test_gaps_are_those_of_each_session(load: Load) -> None:
         assert load(measurement_text(replace(two, order=order))).gaps is None
     together = pooled_sessions({"whole": WHOLE, "struck": struck(load)})
     assert (np.flatnonzero(together.gaps) + 1).tolist() == [M + 5, M + 10, M + 18]
-
-
-def test_numbers_that_are_left_out_nearly_everywhere_do_not_count(load: Load) -> None:
-    """Every second row, by frame numbers of the instrument: the row before is the one before."""
-    thinned = struck(load, list(range(1, M, 2)))
-    assert thinned.gaps is None
-    alone = replace(thinned, order=None)
-    np.testing.assert_array_equal(thinned.conditions.directions, alone.conditions.directions)
-    assert struck(load, [k for k in range(1, M) if k % 4 == 1]).gaps is not None  # 7 of 22 rows: these count
 
 
 def test_effects_that_need_the_row_before_are_not_looked_for_without_it() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.gap.average import _to_parameters, averaged, beside_known, shape_and_waves
+from identification.gap.average import averaged, beside_known, shape_and_waves
 from identification.gap.blocks import hypotheses
 from identification.gap.fit import Rows
 from identification.gap.likelihood import SIZES, Key
@@ -85,17 +85,6 @@ def test_the_expected_square_error_is_that_of_draws() -> None:
     assert 2.0 * float(np.mean((true - off) ** 2)) == pytest.approx(expected, rel=0.05)
 
 
-def test_a_part_of_the_rest_that_is_not_written_leaves_the_others_in_their_places() -> None:
-    """The last of them alone: its rows of the rest's root, and no others."""
-    problem = found().whole
-    b = problem.numbers["library"]
-    last, own, g = problem.blocks[b].parts[-1], problem.products.places([b]), len(problem.base)
-    width = len(problem.roots[problem.numbers[last.label]])
-    turn = _to_parameters(problem, {last.label: (last, np.arange(g, g + width))}, g, g + width)
-    np.testing.assert_array_equal(turn[g:, own], problem.roots[b][-width:])
-    np.testing.assert_array_equal(turn[:g, own], problem.response[:, own])
-
-
 def test_rounding_in_what_hardly_varies_is_not_amplified() -> None:
     rng, kept = np.random.default_rng(0), np.arange(3)
     root = rng.normal(size=(40, 12))  # 37 known ones that vary in 12 ways
@@ -153,10 +142,3 @@ def test_shapes_with_a_name_and_without(error: np.ndarray, shape: str) -> None:
     text, waves = shape_and_waves(ANGLES, error, STD)
     assert text.startswith(shape)
     assert bool(waves) == bool(error.any())
-
-
-def test_angles_without_data_do_not_count() -> None:
-    """Where the curve is not known it is zero, with a wide band."""
-    error = np.where(ANGLES > 0.0, 3e-4 * np.cos(17.0 * ANGLES), 0.0)
-    std = np.where(ANGLES > 0.0, 1e-5, 1e-2)
-    assert radians(shape_and_waves(ANGLES, error, std)[1][0])[0] == pytest.approx(3e-4, rel=0.02)

@@ -90,13 +90,6 @@ def test_a_stretch_of_time_ends_with_a_posture() -> None:
     assert np.bincount(stretches).tolist() == [18, 15, 15, 15, 15, 15, 15, 15]
 
 
-def test_regions_are_cut_at_the_median_of_the_joint_that_moves_most() -> None:
-    postures = np.column_stack([np.arange(16.0), 0.1 * np.arange(16.0) % 0.4])
-    of_all, of_one, of_three = (groupings(postures[:m], np.arange(m), np.arange(m))[1] for m in (16, 1, 3))
-    assert of_all.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5, 6, 6, 7, 7]
-    assert (of_one.tolist(), of_three.max()) == ([0], 1)
-
-
 def held_out(rng: np.random.Generator, m: int, size: float, present: float = 1.0, noise: float = 1.0) -> Confirmation:
     """m fresh rows; the named model moves the tip by `size` sigma (RMS) where the truth moves it by `present` as much.
 
@@ -220,14 +213,6 @@ def test_what_is_left_is_what_was_expected(given: bool) -> None:
     _, after, expected = left_by_others(simulated(3, sigma, given), np.arange(400) % 8)
     assert expected == pytest.approx(2.0 * np.mean(sigma**2), rel=0.1)
     assert np.mean(np.sum(after**2, axis=1)) == pytest.approx(expected, rel=0.3 if given else 0.15)
-
-
-def test_says_what_was_tested_and_what_failed() -> None:
-    rng = np.random.default_rng(6)
-    wrong, right, few = held_out(rng, 200, 2.0, present=0.0), held_out(rng, 200, 2.0), held_out(rng, 1, 2.0)
-    assert wrong.to_json()["shrinks"] is False
-    assert holds_in_words(wrong.to_json())[1].endswith(": the gap does not shrink and the gap exceeds the prediction.")
-    assert [holds_in_words(test.to_json())[0] for test in (wrong, right, few)] == ["no", "yes", "too few rows"]
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0, -0.2, float("nan")])

@@ -13,7 +13,7 @@ from identification.errors import InputError
 from identification.gap.blocks import hypotheses, linearized
 from identification.gap.detectability import NEAR, assess, detectability, detectable_lambda, order_ranges
 from identification.gap.fit import At, Rows, fit
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Measurements
 from identification.model import Model
 
 ARM = Arm(
@@ -61,15 +61,6 @@ def test_likeness_is_one_for_the_effect_itself_and_for_a_part_of_a_family() -> N
     assert result.likeness[part, whole] == pytest.approx(1.0)
     assert result.likeness[whole, part] < 0.9
     assert ("joint_compliance:2", "joint_compliance") in [(a, b) for a, b, _ in result.pairs()]
-
-
-def test_needs_decide_what_is_tried() -> None:
-    bare = detectability(Arm([260.0, 180.0, 120.0]), POSTURES)
-    assert {"link_bending", "thermal_growth"} <= set(bare.skipped)
-    warm = detectability(ARM, POSTURES, Conditions(temperature=np.linspace(-2, 2, 30), directions=np.ones((30, 3))))
-    assert {"thermal_growth", "link_bending"} <= set(warm.names)
-    assert {"tool_offset", "measurement_scale", "base_rotation"} == set(warm.aliases)
-    assert warm.detectable["backlash:2"].value is None  # a constant direction shows none
 
 
 def test_refuses_fewer_than_four_residual_degrees_of_freedom() -> None:
@@ -173,11 +164,3 @@ def test_a_wave_is_a_shape_where_its_neighbor_is_alike(degrees: float, joint: in
         np.testing.assert_allclose(entry["range_deg"], np.degrees([q[:, joint].min(), q[:, joint].max()]))
         said = findings({"shape": None, "misfit": None, "replication": (), "shapes": [entry]})[0]
         assert said.startswith(f"Over the {np.degrees(np.ptp(q[:, joint])):.0f} deg that joint {joint + 1} moved, ")
-
-
-def test_other_effects_are_no_waves() -> None:
-    q = np.random.default_rng(4).uniform(-0.3, 0.3, (40, 2))
-    arm = Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1), EffectSpec("base_drift")))
-    z = (LENGTHS * np.exp(1j * np.cumsum(q, axis=1))).sum(axis=1)
-    rows = Rows.of(Measurements(q, np.column_stack([z.real, z.imag])))
-    assert order_ranges(fit(Model(arm), rows), ("gear_ratio:1", "base_drift")) == ()

@@ -88,13 +88,6 @@ def test_a_covariance_of_every_row_and_a_memory_become_white(d: int) -> None:
     assert rows.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-12)
 
 
-def test_a_sigma_per_row_is_a_relative_weight() -> None:
-    measured = Measurements(np.zeros((3, 1)), np.arange(9.0).reshape(3, 3), sigma=[1.0, 2.0, 4.0])
-    rows = Rows.of(measured)
-    np.testing.assert_allclose(rows.whiten(rows.positions).reshape(3, 3), rows.positions / [[0.5], [1.0], [2.0]])
-    assert rows.log_determinant == pytest.approx(0.0, abs=1e-12)  # the geometric mean of the weights is one
-
-
 # -- the same numbers for the same model and rows ----------------------------------------------------------------------
 # Both end where no column of the Jacobian has a cosine above 1e-9 with the residuals: within 1e-9 sqrt(N) of a standard
 # deviation of each other. Figures that do not depend on the estimates in first order agree to rounding.
@@ -157,24 +150,6 @@ def test_sigma_per_row_is_a_relative_weight() -> None:
     assert (found.sigma, found.freedom) == (pytest.approx(other.sigma, **SAME), other.dof)
     deviations = np.sqrt(np.diag(found.covariance))
     np.testing.assert_allclose(deviations, other.std, rtol=1e-7)
-
-
-def test_an_active_bound() -> None:
-    """Links that rise under their load: the flexibility ends at its bound, in both with the interval behind it."""
-    model = Model(arm(EffectSpec("link_bending")))
-    true = np.zeros(9)
-    true[-1] = -2e-5
-    exact = model.position(plan(40), true)
-    noise = 0.1 * np.random.default_rng(8).standard_normal(exact.shape)
-    rows = Measurements(plan(40), exact + noise)
-    other = estimate(model, rows, sigma="estimated")
-    found = fit(model, Rows.of(rows))
-    assert other.parameters[-1] == found.values[-1] == 0.0
-    np.testing.assert_array_equal(found.free, np.r_[np.ones(8, dtype=bool), False])
-    np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
-    without = replace(found, free=np.ones(9, dtype=bool)).covariance
-    np.testing.assert_allclose(np.sqrt(np.diag(without)), other.std, rtol=1e-7)
-    assert np.all(found.covariance[-1] == 0.0)
 
 
 def test_a_fit_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,14 +108,6 @@ def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
         np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], atol=1e-9)
 
 
-def test_a_few_blocks_alone_have_the_same_likelihoods() -> None:
-    products = problem()[3]
-    few = products.of_blocks((1, 3, 4))
-    one, other = few.state([(0, 0), (2, 2)]), products.state([(1, 0), (4, 2)])
-    assert one.ratio == pytest.approx(other.ratio, abs=1e-10)
-    assert few.limits.tolist() == [14, 14, 3]
-
-
 def test_a_block_of_one_sign_has_twice_the_mass_on_its_side() -> None:
     j, z, y, _ = problem()
     q = np.linalg.qr(j)[0]

@@ -14,12 +14,7 @@ from identification.documents.diagnosis import findings
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES
-from identification.gap.replication import (
-    SAME,
-    Replication,
-    _in_session,
-    replications,
-)
+from identification.gap.replication import SAME, Replication, replications
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
@@ -182,11 +177,3 @@ def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> No
     (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": (2, columns, 1)})
     assert one.replicates is None
     assert [there.probability for there in one.sessions] == [0.25, 0.25]
-
-
-def test_an_effect_that_the_rest_has_in_it_is_open_and_lists_no_values() -> None:
-    rest = np.random.default_rng(8).normal(size=(40, 5))
-    table = np.hstack([rest @ np.ones((5, 1)), rest, rest[:, :2]])
-    both = np.hstack([table, table * (np.arange(40) < 20)[:, None]])
-    target = np.eye(len(both.T))[0]
-    assert _in_session(both.T @ both, target, np.arange(1, 6), np.arange(6, 8), 40, np.ones(2)) == ()

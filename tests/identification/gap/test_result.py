@@ -35,7 +35,7 @@ def drawn(rng: np.random.Generator) -> Probabilities:
 
 def test_verdict_and_probabilities_never_contradict_each_other() -> None:
     rng, seen = np.random.default_rng(1), set()
-    for _ in range(5000):
+    for _ in range(1000):
         found = drawn(rng)
         library = sum(found.sets.values())
         totals = {"none": found.none, "unknown": found.outside, "library": library}
@@ -92,7 +92,7 @@ def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
     """The JSON keys by the rules of the blind study; the sentences by the words of the verdicts."""
     rng, plain = np.random.default_rng(3), diagnosed(None)
     opening = {"none": "Nothing", "named": "Missing", "ambiguous": "", "unknown": "Something that the library"}
-    for _ in range(5000):
+    for _ in range(1000):
         likely = drawn(rng)
         likely = likely.not_none(1e-6) if rng.random() < 0.2 else likely
         found = diagnosis_with(plain, likely)

@@ -97,16 +97,3 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     assert min(row["std"] for row in rows) > 100.0
     together = np.sqrt(found.covariance[np.ix_(heights, heights)].sum())
     assert together < 2.0 * np.sqrt(2.0)
-
-
-def test_what_the_machining_holds_is_no_unknown() -> None:
-    chain = chain_of([DHRow(0.0, 1.5, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(300.0, 0.0, 0.0)])
-    arm = Arm(chain, sigma=NOISE)
-    q = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 3))
-    measured = Measurements(q, Model(arm).position(q))
-    found, words, few = sufficiency(estimate(Model(arm), measured), measured, NoiseFloor())
-    held = sum(name.startswith(("translation", "rotation", "joint_offset")) for name in Model(arm).names)
-    assert f"({held} held by [machining])" in str(words[0][1])
-    assert not few
-    assert found["weakly_determined"] == []
-    assert found["identifiable"][:2] == ("base", "tool[1]")

@@ -14,7 +14,7 @@ from identification.inspection.inspection import constant_length, other_base, tu
 from identification.inspection.readings import read_differently
 from identification.instruments import Distance
 from identification.kinematics.chain import BASE
-from identification.kinematics.frames import pose, rotation_about
+from identification.kinematics.frames import rotation_about
 from identification.measurements import Measurements
 from identification.model import Model
 from tests.identification.exponentials import Exponentials, drawing
@@ -48,15 +48,6 @@ def test_a_turned_frame_in_the_plane(turn: float, place: complex) -> None:
     )  # zeros of 0.004 rad turn it, too
 
 
-def test_a_frame_as_the_file_has_it() -> None:
-    assert frame_note(PLANAR, in_the_plane(3.0)) == []
-    other = Arm(LENGTHS[::-1])  # no angle explains the positions
-    assert frame_note(other, in_the_plane(40.0)) == []
-    generator = np.random.default_rng(5)
-    truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (60, 6))
-    assert frame_note(Arm(drawing()), Measurements(q, truth.poses(q)[:, :3, 3])) == []
-
-
 def test_a_base_that_stands_elsewhere() -> None:
     """Known to stand somewhere, found 60 degrees and 500 mm from there; a base that is left out is nowhere wrong."""
     generator = np.random.default_rng(2)
@@ -74,15 +65,6 @@ def test_a_base_that_stands_elsewhere() -> None:
     assert "zero of joint 1" not in said
     assert other_base(Arm(replace(chain, base=truth.base)), data) == []
     assert other_base(Arm(drawing()), data) == []
-
-
-def test_a_base_turned_about_joint_1_may_be_its_zero() -> None:
-    generator = np.random.default_rng(3)
-    truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (60, 6))
-    data = Measurements(q, truth.poses(q)[:, :3, 3])
-    turned = truth.base @ pose(rotation=rotation_about([0.0, 0.0, 1.0], np.radians(-40.0)))
-    (said,) = other_base(Arm(replace(drawing(), base=turned, settled=frozenset({BASE}))), data)
-    assert "or the zero of joint 1 is off by that" in said
 
 
 def bar_readings(offset: float, q: Array, generator: np.random.Generator) -> Measurements:

@@ -36,19 +36,6 @@ def test_a_sphere_of_unknown_radius_is_read_by_heights_above_it() -> None:
     assert [not one.size_is_open[0] for one in (*LENGTHS, ball)] == [True, True, False, False]
 
 
-def test_a_center_has_no_direction() -> None:
-    read, slopes, _ = Distance().linearized(np.zeros((1, 3)), *NOTHING)
-    assert 0.0 < read[0, 0] < 1e-8
-    np.testing.assert_array_equal(slopes, 0.0)
-
-
-def test_positions_are_read_as_they_are() -> None:
-    assert TRACKER.reads_positions
-    assert not TRACKER.contact
-    assert TRACKER.reading(point := ca.SX.sym("p", 3), ca.SX(0, 1), ca.SX(0)) is point
-    assert TRACKER.hidden(np.eye(4)) == frozenset()
-
-
 def test_turns_about_a_normal_are_hidden() -> None:
     """The base's axis that is nearest to the normal, which is the last row of the base's pose."""
     level, upright = np.eye(4), pose(rotation=np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.instruments import Distance, Instrument, Plane, Sphere, search
-from identification.instruments.library import PATIENCE
+from identification.instruments import Distance, Plane, Sphere
 from identification.instruments.search import Unplaced, placed, registered
 from identification.kinematics.frames import pose
 from tests.identification.exponentials import Exponentials
@@ -74,45 +73,6 @@ def test_what_is_known_stays(frames: np.ndarray) -> None:
     plane = Plane().place(Unplaced(frames, heights[:, None], REACH))
     again = Plane().place(Unplaced(frames, heights[:, None], REACH, base=plane.base))
     np.testing.assert_allclose(again.tool, TOOL, atol=1e-6)
-
-
-def test_few_rows_have_a_start(frames: np.ndarray) -> None:
-    """Fewer than unknowns: anything that explains them will do."""
-    lengths = np.linalg.norm(points(frames[:4]) - CENTER, axis=1)
-    assert Distance().place(Unplaced(frames[:4], lengths[:, None], REACH)).rms < 1.0
-
-
-@pytest.mark.parametrize("rows", [1, 2, 4])
-def test_a_few_contacts_have_a_ball(rows: int, frames: np.ndarray) -> None:
-    assert Sphere().place(Unplaced(frames[:rows], np.zeros(rows)[:, None], REACH)).rms < 1e-3 * REACH
-
-
-@pytest.mark.parametrize("rows", [1, 2])
-def test_one_or_two_contacts_have_a_plane(rows: int, frames: np.ndarray) -> None:
-    """Any of those through them."""
-    found = Plane().place(Unplaced(frames[:rows], np.zeros(rows)[:, None], REACH))
-    assert found.rms < 1e-6 * REACH
-    np.testing.assert_allclose(found.base[:3, :3] @ found.base[:3, :3].T, np.eye(3), atol=1e-12)
-
-
-@pytest.mark.parametrize("instrument", [Plane(), Sphere()])
-def test_what_no_surface_explains_is_given_up_early(
-    frames: np.ndarray, instrument: Instrument, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Random poses touch nothing: a bound far below what is left ends the search, one above it changes nothing."""
-    steps: list[int] = []
-    moved = search.Starts.moved
-    monkeypatch.setattr(search.Starts, "moved", lambda *words: steps.append(1) or moved(*words))
-    lengths = np.zeros(40)
-    exact = instrument.place(Unplaced(frames, lengths[:, None], REACH))
-    followed = len(steps)
-    again = instrument.place(Unplaced(frames, lengths[:, None], REACH, hopeless=1.01 * exact.rms))
-    assert again.rms == pytest.approx(exact.rms, rel=1e-6)
-    steps.clear()
-    rough = instrument.place(Unplaced(frames, lengths[:, None], REACH, hopeless=0.1 * exact.rms))
-    surfaces_tried = 2 if instrument.parameters else 1  # of known radii first
-    assert len(steps) <= surfaces_tried * (PATIENCE + 1) < followed
-    assert rough.rms > 0.1 * exact.rms
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -156,7 +156,7 @@ def test_cups_keep_distances_that_are_known() -> None:
         socket = Socket(cups, known)  # type: ignore[arg-type]
         assert len(socket.parameters) == 12 - len(known)
         values = ca.SX.sym("v", len(socket.parameters))
-        places = ca.Function("places", [values], [socket._places(values)])
+        places = ca.Function("places", [values], [ca.vertcat(*socket._cups(values))])
         moved = np.array([p.neutral for p in socket.parameters]) + np.random.default_rng(0).uniform(
             -2.0, 2.0, len(socket.parameters)
         )
@@ -173,7 +173,7 @@ def test_cups_of_two_days_are_others() -> None:
         (day, next_day, ("tuesday/A", (0.0, 99.0, 0.0)), ("tuesday/B", (0.0, 400.0, 0.0))), (("A", "B", 301.0),)
     )
     assert len(socket.parameters) == 10
-    socket = replace(socket, cups=(day, ("tuesday/B", (300.0, 0.0, 0.0))))
+    socket = replace(socket, at=(day, ("tuesday/B", (300.0, 0.0, 0.0))))
     assert len(socket.parameters) == 6
 
 

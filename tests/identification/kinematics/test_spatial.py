@@ -18,19 +18,14 @@ from identification.files.urdf import read_urdf
 from identification.kinematics.chain import MODIFIED, STANDARD, DHRow, Joint, KinematicChain, chain_of, planar_chain
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import (
-    JOINT_OFFSET,
-    LENGTH_ERROR,
     PRISMATIC,
     Parameter,
     ParameterSet,
-    by_joint,
     chain_parameters,
-    of_effects,
 )
-from identification.vectorize import vectorize
+from identification.vectorized import vectorize
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
-STEP = 1e-6  # [mm, rad] of central differences of positions of some 1e3 mm: rounding 1e3 * 1e-16 / 1e-6 = 1e-7
 
 
 def twist(motion: Array) -> Array:
@@ -87,7 +82,7 @@ def chain() -> KinematicChain:
 def position_and_jacobian(chain: KinematicChain, q: Array, values: Array) -> tuple[Array, Array]:
     symbols, p = ca.SX.sym("q", len(chain)), ca.SX.sym("p", len(chain.every_parameter))
     named = {name: p[k] for k, name in enumerate(chain.every_parameter.names)}
-    tip = chain.tool(chain.frames(symbols, named)[-1], "1", named)
+    tip = chain.measured(chain.frames(symbols, named)[-1], named)[0].origin
     found = vectorize(ca.Function("tip", [symbols, p], [tip, ca.jacobian(tip, p)]))(q, values)
     return found[0][..., 0], found[1]
 
@@ -148,16 +143,6 @@ def test_frames_points_and_orientation_against_exponentials(chain: KinematicChai
         expected = [*(place[:3, 3] for place in places[:-1]), tip]
         found = posed.points(q, np.array([values[name] for name in names]))
         np.testing.assert_allclose(found, [(from_base @ np.r_[point, 1.0])[:3] for point in expected], atol=1e-9)
-
-
-def test_points_of_many_postures_and_one_measured_point(chain: KinematicChain) -> None:
-    zeros = np.zeros(len(chain.parameters()))
-    q = postures(chain, 6)
-    every = chain.points(q.reshape(2, 3, -1), zeros)
-    assert every.shape == (2, 3, len(chain) + 2, 3)
-    np.testing.assert_array_equal(every.reshape(6, len(chain) + 2, 3)[4], chain.points(q[4], zeros))
-    point, turn = chain.tip(ca.DM(q[0]), ca.DM(zeros), {"tool": ca.DM.zeros(3)})
-    assert (point.shape, turn.shape) == ((3, 1), (0, 1))
 
 
 def test_links_grow_along_themselves(chain: KinematicChain) -> None:
@@ -221,10 +206,7 @@ def test_a_shift_along_the_axes_of_the_base_turns_by_them() -> None:
     assert {name: float(x) for name, x in shift.items()} == {"base.x": 0.0, "base.y": 1.0, "base.z": 3.0}
 
 
-GENERATOR = np.random.default_rng(4)
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
-POSTURES = GENERATOR.uniform(-np.pi, np.pi, (7, 4))
-NO_ERRORS = np.zeros(8)
 
 
 def by_complex_numbers(lengths: np.ndarray, posture: np.ndarray) -> list[complex]:
@@ -355,18 +337,3 @@ def test_vector_and_mapping_are_inverse() -> None:
     }
     with pytest.raises(ValueError, match="shorter"):
         SET.mapping(vector[:3])
-
-
-def test_parameters_of_a_chain() -> None:
-    parameters = chain_parameters([260.0, 180.0])
-    assert parameters.names == ("length_error:1", "length_error:2", "joint_offset:1", "joint_offset:2")
-    assert parameters.kinds == (LENGTH_ERROR, LENGTH_ERROR, JOINT_OFFSET, JOINT_OFFSET)
-    assert parameters.units == ("mm", "mm", "rad", "rad")
-    np.testing.assert_array_equal(parameters.scales, [1.0, 1.0, 260.0, 180.0])
-
-
-def test_values_by_joint_and_of_effects() -> None:
-    values = {"joint_offset:2": 0.2, "length_error:1": 1.5, "backlash:2.b": 0.01, "joint_offset:1": 0.1}
-    np.testing.assert_array_equal(by_joint(values, JOINT_OFFSET), [0.1, 0.2])
-    np.testing.assert_array_equal(by_joint(values, LENGTH_ERROR), [1.5])
-    assert of_effects(values) == {"backlash:2.b": 0.01}

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from doe.criteria import information_matrix
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.errors import InputError
-from identification.information import information_matrix
 from identification.measurements import Conditions
 from identification.model import Model
 
@@ -206,7 +206,7 @@ def test_jacobian_is_the_central_difference(case: tuple[Arm, np.random.Generator
         np.testing.assert_allclose(jacobian[..., k], difference, rtol=0, atol=1e-6 * size)
 
 
-@pytest.mark.parametrize("n", [1, 2, 4, 7, 12])
+@pytest.mark.parametrize("n", [1, 4, 12])
 def test_information_in_orientations_is_eq_18_19_corrected(n: int) -> None:
     generator = np.random.default_rng(n)
     arm = Arm(generator.uniform(50, 300, n))
@@ -300,13 +300,6 @@ def test_joint_levers_are_the_derivative_by_each_offset_known_or_not() -> None:
             for step in (-h, h)
         ]
         np.testing.assert_allclose(levers[:, :, j], (ends[1] - ends[0]) / (2 * h), rtol=0, atol=1e-5)
-
-
-def test_joint_levers_are_the_jacobian_columns_of_estimated_offsets() -> None:
-    model, generator = Model(LEVER_ARM), np.random.default_rng(6)
-    q, sets = generator.uniform(-np.pi, np.pi, (5, 3)), 1e-3 * generator.standard_normal((2, len(model.names)))
-    columns = model.jacobian(q, sets)[..., model.parameters.indices("joint_offset")]
-    np.testing.assert_allclose(model.joint_levers(q, sets), columns, rtol=1e-12, atol=1e-9)
 
 
 def test_points_are_the_best_known_chain_in_the_frame_of_the_base() -> None:

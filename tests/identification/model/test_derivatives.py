@@ -153,28 +153,6 @@ def test_gravity_torques_are_the_work_of_the_loads() -> None:
         assert torques[j] == pytest.approx(expected, abs=1e-6)
 
 
-def test_models_share_what_is_compiled_where_their_symbols_are_equal() -> None:
-    """Limits, sigma and name are in no formula; lengths, loads, effects, their settings and known values are."""
-    ripple = EffectSpec("transmission_ripple", 2, {"k": 5.0})
-    arm = Arm(LENGTHS, effects=(ripple,))
-    first = Model(arm).expressions
-    narrow = replace(arm, lower=np.full(3, -1.0), upper=np.full(3, 1.0), sigma=0.1, name="narrow")
-    assert Model(narrow).expressions is first
-    others = [
-        Model(replace(arm, chain=1.1 * LENGTHS)),
-        Model(replace(arm, gravity=Gravity(np.array([0.0, -9.81]), np.ones(3), np.full(3, 0.5), 1.0))),
-        Model(arm.with_effects()),
-        Model(arm.with_effects(replace(ripple, joint=1))),
-        Model(arm.with_effects(replace(ripple, values={"k": 6.0}))),
-        Model(arm.with_effects(replace(ripple, values={"k": 5.0, "a": 1e-3}))),
-        Model(arm, {"length_error:1": 0.5}),
-        Model(Arm(PARALLEL, effects=(ripple,))),
-    ]
-    assert all(model.expressions is not first for model in others)
-    moved = [model.position(TURNED, 0.01 * np.ones(len(model.names))) for model in (Model(arm), *others[:-1])]
-    assert all(np.abs(moved[0] - other).max() > 1e-6 for other in (*moved[1:2], *moved[3:]))
-
-
 def test_an_effect_that_is_defined_anew_is_not_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
     arm, found = Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 2),)), []
     for factor in (1.0, 2.0):

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm, Calibration
+from identification.arm import Arm
 from identification.errors import InputError
-from identification.estimation import estimate
 from identification.instruments import Distance
 from identification.instruments.search import registered
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
@@ -18,8 +17,8 @@ from identification.kinematics.frames import pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.model.minimal import independent, minimal, practical
-from identification.model.placed import in_own_frame, of_positions, placed_model, tip_jacobian
+from identification.model.minimal import minimal, practical
+from identification.model.placed import of_positions, placed_model, tip_jacobian
 from tests.doe.six_axis import CHAIN as DRAWN
 
 QUARTER = np.pi / 2.0
@@ -96,20 +95,6 @@ def test_what_is_left_after_registration() -> None:
         tip_jacobian(model, POSTURES[:3])
 
 
-def test_of_a_tracker_as_it_is() -> None:
-    model = Model(Arm(DRAWN))
-    np.testing.assert_array_equal(tip_jacobian(model, POSTURES), model.jacobian(POSTURES))
-    assert in_own_frame(model.arm) is model.arm
-
-
-def test_in_the_frame_of_the_base() -> None:
-    """The base drops out, the rest of the calibration stays."""
-    values = {"base.x": 3.0, "translation_x:3": 0.5, "tool[1].z": 1.0}
-    own = in_own_frame(replace(BAR, calibration=Calibration(values)))
-    bare = Arm(DRAWN, calibration=Calibration({"translation_x:3": 0.5, "tool[1].z": 1.0}))
-    np.testing.assert_allclose(Model(own).position(POSTURES), Model(bare).position(POSTURES), atol=1e-9)
-
-
 HALF = np.pi / 2.0
 UR10 = [(0.0, HALF, 127.3), (-612.0, 0.0, 0.0), (-572.3, 0.0, 0.0), (0.0, HALF, 163.9), (0.0, -HALF, 115.7)]
 SIX = chain_of([DHRow(*row) for row in [*UR10, (0.0, 0.0, 92.2)]])
@@ -146,23 +131,6 @@ def test_as_many_as_can_be_told_apart(chain: KinematicChain, count: int | None) 
     assert len(found.names) == rank == int(np.sum(kept_value > 1e-9 * kept_value[0]))
     assert count is None or rank == count
     assert found.prior == {}
-
-
-def test_a_fit_predicts_as_that_of_all() -> None:
-    """Errors of parameters that are left out move the points as those that are kept, to first order: what is left is of
-    the square of the errors, some (0.3 mm)^2 over a lever of 100 mm, 1e-3 mm."""
-    chain = replace(SIX, tools=OFF_AXIS, settled=frozenset({"base"}))
-    truth, generator = Model(Arm(chain)), np.random.default_rng(6)
-    values = 0.3 / truth.scales * generator.standard_normal(len(truth.names))
-    postures = generator.uniform(-2.0, 2.0, (60, 6))
-    data = Measurements(postures, truth.position(postures, values))
-    found = estimate(minimal(placed_model(Model(Arm(replace(chain, tools=ON_AXIS))), data)), data)
-    fresh = generator.uniform(-2.0, 2.0, (50, 6))
-    np.testing.assert_allclose(found.model.position(fresh, found.parameters), truth.position(fresh, values), atol=2e-3)
-
-
-def test_columns_that_others_span() -> None:
-    assert independent(np.array([[1.0, 2.0, 0.0, 1.0], [0.0, 0.0, 3.0, 1.0], [0.0, 0.0, 0.0, 1e-9]])) == [0, 2]
 
 
 def test_what_measurements_hardly_tell_is_left_out() -> None:

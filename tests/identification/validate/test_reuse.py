@@ -16,8 +16,6 @@ from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.reuse import earlier, only, with_base_doubt, with_held, words_of
-from identification.running import Status
-from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1
 OFFSETS = np.array([0.01, -0.02, 0.015])
@@ -171,46 +169,3 @@ def test_a_held_base_that_stands_elsewhere_is_said() -> None:
         doubts = with_base_doubt(found, drawn, ["lengths"], data).doubts
         assert len(doubts) == expected  # once: not also as another frame
         assert all("--only base,lengths" in one for one in doubts)
-
-
-SLIDE = DHRow(275.0, np.pi, 0.0, type="prismatic", limits=(0.0, 200.0))
-SCARA = chain_of([DHRow(0.0, 0.0, 300.0), DHRow(325.0, 0.0, 0.0), SLIDE, DHRow(0.0, 0.0, 50.0)], "modified")
-
-
-@pytest.mark.parametrize("seed", [4, 7])
-def test_heights_of_base_and_reflector_that_only_the_tilts_of_parallel_axes_tell_apart(seed: int) -> None:
-    """A SCARA calibrated, then set up anew: the sum of squares, by exponentials, is a parabola along the combination
-    that is known least, with its vertex at the fit."""
-    generator, model = np.random.default_rng(seed), Model(Arm(SCARA, sigma=0.05))
-    lengths = ("translation", "joint_offset:3")
-    truth = {
-        name: generator.standard_normal() * (0.3 if name.startswith(lengths) else np.radians(0.1))
-        for name in model.names
-        if ":" in name
-    }
-
-    def set_up(rows: int, reflector: list[float], base: dict[str, float]) -> Measurements:
-        q = generator.uniform([-2.2, -2.4, 0.0, -2.9], [2.2, 2.4, 200.0, 2.9], (rows, 4))
-        points = [tip_by_exponentials(SCARA, posture, truth | base, np.array(reflector)) for posture in q]
-        return Measurements(q, np.array(points) + 0.05 * generator.standard_normal((rows, 3)))
-
-    before = set_up(60, [40.0, 10.0, 60.0], {"base.x": 1500.0, "base.y": -400.0, "base.rx": 0.02, "base.rz": 0.7})
-    after = set_up(40, [45.0, -15.0, 80.0], {"base.x": 1200.0, "base.y": 300.0, "base.ry": 0.01, "base.rz": -0.3})
-    prior = earlier(estimate(model, before).calibrated_arm(), model, after)
-    found = estimate_with_prior(model, after, Prior({}, prior))
-    assert found.status is Status.converged
-    assert found.iterations < 60
-    names, z, placed = found.names, found.names.index("base.z"), found.model.arm.chain
-    assert found.std[z] > 50.0
-    assert placed is not None
-
-    def squares(share: float) -> float:
-        values = dict(zip(names, found.parameters + share * found.covariance[z] / found.std[z], strict=True))
-        points = [tip_by_exponentials(placed, q, values, placed.tools["1"]) for q in after.postures]
-        off = np.array([values[name] - prior.values[name] for name in prior.parameter_names])
-        left = np.sum((after.positions - points) ** 2) / found.scatter**2
-        return float(left + off @ np.linalg.solve(prior.covariance, off))
-
-    low, middle, high = squares(-0.01), squares(0.0), squares(0.01)
-    assert low - 2.0 * middle + high > 0.0
-    assert abs(0.005 * (low - high) / (low - 2.0 * middle + high)) < 1e-3  # standard deviations

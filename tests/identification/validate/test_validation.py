@@ -27,7 +27,7 @@ from identification.kinematics.frames import from_own_axes, pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
-from identification.origin import mostly_outside, outside
+from identification.origin import outside
 from identification.validate import Figures, Offered, extrapolation, judged, prior_judged, validate
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
@@ -142,14 +142,6 @@ def test_each_session_has_its_own_base() -> None:
     assert {(e["session"], e["name"]): e["value"] for e in entries}["second", "base_offset.y0"] == pytest.approx(-50.0)
 
 
-def test_blocks_of_time_and_workspace_hold_every_row_once() -> None:
-    q, order = postures(21, 7), np.random.default_rng(8).permutation(21)
-    blocks = validate(calibrated(), Measurements(q, tip(q), order=order)).to_json()["blocks"]
-    for kind in ("time", "workspace"):
-        assert sum(b["rows"] for b in blocks if b["kind"] == kind) == 21
-    assert [b["rows"] for b in blocks if b["kind"] == "time"] == [6, 5, 5, 5]
-
-
 def test_rows_outside_the_identified_range_are_said() -> None:
     q = postures(30, 9, 0.5)
     arm = estimate(Model(Arm(LENGTHS)), Measurements(q, tip(q))).calibrated_arm()
@@ -167,25 +159,6 @@ def test_rows_outside_the_identified_range_are_said() -> None:
     assert "curves are zero there" not in (extrapolation(replace(arm, effects=(replace(curve, joint=2),)), other) or "")
     tied = replace(curve, curve=replace(curve.curve, geometry={"joint_offset:1": 1e-3}))
     assert "by the geometry that was fitted alone" in (extrapolation(replace(arm, effects=(tied,)), other) or "")
-
-
-def test_rows_at_angles_that_were_seen_are_judged_by_themselves() -> None:
-    """Twelve of forty rows inside the range, the others beyond it in joint 2, whose encoder the geometry lacks."""
-    q = postures(40, 13, 0.5)
-    arm = estimate(Model(Arm(LENGTHS)), Measurements(q, tip(q))).calibrated_arm()
-    other = 0.9 * q
-    other[12:, 1] = np.linspace(1.0, 2.5, 28)
-    found = validate(arm, Measurements(other, tip(other)))
-    note = next(note for note in found.notes if "has seen" in note)
-    model, drawing = (np.sum(r**2, axis=1) for r in (found.residuals, found.nominal_residuals))
-    there, elsewhere = (
-        [f"{np.sqrt(r[rows].mean()):.3g} mm" for r in (model, drawing)] for rows in (slice(12), slice(12, None))
-    )
-    assert note.startswith("30 % of these rows lie at joint angles that the calibration has seen: RMS there ")
-    assert note.endswith(f"{there[0]} (drawing {there[1]}), elsewhere {elsewhere[0]} (drawing {elsewhere[1]})")
-    assert mostly_outside(arm, other)
-    assert not mostly_outside(arm, other[:20])
-    assert not any("has seen" in note for note in validate(arm, Measurements(other[1:], tip(other[1:]))).notes)
 
 
 def test_missing_columns_and_the_same_file_are_said() -> None:
@@ -343,25 +316,6 @@ def test_the_figures_are_those_of_validate_on_the_same_rows(
     assert any("base_drift" in n and "of the session of the identification only" in n for n in extended.notes)
 
 
-def worse(found: Diagnosis) -> Diagnosis:
-    """The diagnosis with an effect ten times as large as it is."""
-    own = found.predicting.calibration
-    values = {k: 10.0 * v if k.startswith("backlash") else v for k, v in own.values.items()}
-    calibration = Calibration(values, own.parameter_names, own.covariance)
-    return replace(found, predicting=replace(found.predicting, calibration=calibration))
-
-
-def test_a_model_that_is_worse_says_so_first(drifting: tuple[Diagnosis, Measurements, Measurements]) -> None:
-    found, own, held = drifting
-    spoiled = judged(worse(found), ARM, own, held)
-    assert spoiled.offered is not None
-    assert not spoiled.offered.better
-    assert spoiled.offered.rms > spoiled.offered.rms_geometry
-    figure = f"{spoiled.offered.rms:.3g} mm RMS (largest"
-    assert f"This model predicts no better than the geometry alone: {figure}" in spoiled.sentence
-    assert spoiled.calibration.provenance["better_than_geometry"] is False
-
-
 def test_without_a_hold_out_other_postures_say_it() -> None:
     data = session(0.0, 8e-4)
     found = judged(diagnose(ARM, data), ARM, data, None)
@@ -371,8 +325,6 @@ def test_without_a_hold_out_other_postures_say_it() -> None:
     assert (found.offered.rms, found.offered.rms_geometry) == (test.after, test.before)
     assert test.largest_before > test.before
     assert test.to_json()["max_after_mm"] == test.largest_after
-    nothing = session(0.0, 0.0)
-    assert judged(diagnose(ARM, nothing), ARM, nothing, None).offered is None
 
 
 def test_geometry_and_largest_error_of_residuals_by_hand() -> None:

@@ -36,11 +36,10 @@ from doe.studies.blind.simulator import (
     relays,
     session,
 )
-from doe.studies.blind.study import fitted_arm
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import Array
 from identification.effects import build_all
-from identification.gap.fit import Rows, fit
+from identification.gap.fit import Rows, fit, fitted_arm
 from identification.model import Model
 from identification.model.minimal import practical
 
@@ -264,7 +263,7 @@ def test_what_the_arm_file_is_wrong_about() -> None:
 def test_outliers_are_15_sigma_away() -> None:
     """Beside the same arm without them, which is the true model fitted to the other rows."""
     data = data_set("space, three outliers, lambda 8", 900)
-    arm = fitted_arm(data, data.specs)
+    arm = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
     rows, model = data.measurements, Model(arm)
     missed = np.linalg.norm(rows.positions - model.position(rows.postures, model.values, rows.conditions), axis=1)
     wrong = np.flatnonzero(missed > 10.0 * data.arm.sigma) + 1
@@ -290,17 +289,6 @@ def test_what_is_outside_the_library_is_of_the_size_asked_for_in_space(number: i
     assert effect[0] in names
     inside = column(truth, run, ("encoder_eccentricity", 3, {"a": 0.3, "b": -0.4}))
     assert np.linalg.norm(off(library, inside)) < 1e-6 * np.linalg.norm(inside)
-
-
-def test_reads_of_a_posture_share_its_error_in_space() -> None:
-    """Variance within postures sigma^2, within 3 standard errors; of what the true model leaves about 5 sigma^2."""
-    data = data_set("space, three reads, none", 900)
-    read = data.measurements.positions.reshape(-1, 3, 3) / data.arm.sigma
-    count = 2 * 3 * len(read)
-    within = np.sum((read - read.mean(axis=1, keepdims=True)) ** 2) / count
-    assert within == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / count))
-    assert np.array_equal(data.measurements.posture_numbers, np.repeat(np.arange(60), 3))
-    assert 3.0 < base_fit(data) / (180 * 3 - 28) < 7.0
 
 
 def test_reflectors_take_turns() -> None:

@@ -33,7 +33,6 @@ from doe.studies.blind.study import (
     blind_study,
     calibration,
     contradictions,
-    fitted_arm,
     gap,
     outcome_of,
     reliability,
@@ -41,6 +40,7 @@ from doe.studies.blind.study import (
     share_inside_tip,
 )
 from identification.arm import Calibration
+from identification.gap.fit import fitted_arm
 from identification.model import Model
 
 FAIL = 1e-4
@@ -329,7 +329,7 @@ def test_an_arm_with_the_true_values_has_no_error_and_its_intervals_hold() -> No
     arm = data.arm.with_effects(*data.arm.effects, *data.specs)
     known = replace(arm, calibration=Calibration(data.values))
     assert gap(known, data, data.exact) == pytest.approx(0.0, abs=1e-9)
-    fitted = gap(fitted_arm(data, data.specs), data, data.exact)
+    fitted = gap(fitted_arm(data.arm, data.measurements, data.specs), data, data.exact)
     assert fitted is not None
     assert 0.0 < fitted < data.arm.sigma
     assert cells.data_set("two, lambda 8", 3).exact is None

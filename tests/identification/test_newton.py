@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from identification.arrays import Array
-from identification.newton_ascent import Rows, newton_ascent
+from identification.newton import Rows, newton_ascent
 
 WAVES = np.array([[1.0, 0.3], [-0.4, 1.2], [0.7, -0.9]])
 PHASES, SIZES, UNITS = np.array([0.2, 1.0, -0.5]), np.array([1.0, 2.0, 0.5]), np.array([1.0, 0.5])

@@ -48,14 +48,13 @@ def vectorize(function: ca.Function) -> Evaluate:
     """
     compiled = _compiled(function.serialize())
     sparsities = [function.sparsity_out(i) for i in range(function.n_out())]
-    shapes = [sparsity.shape for sparsity in sparsities]
     places = [tuple(zip(*s.get_triplet(), strict=True)) for s in sparsities]
 
     def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:
         inputs = [np.asarray(a, dtype=float) for a in arguments]
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in inputs))
         # components first: each is written in contiguous runs; structural zeros are zero
-        full = [np.zeros((*shape, *batch)) for shape in shapes]
+        full = [np.zeros((*sparsity.shape, *batch)) for sparsity in sparsities]
         for part in _parts(batch):
             outputs = compiled([_components(a, part) for a in inputs])
             for array, values, place in zip(full, outputs, places, strict=True):
@@ -91,26 +90,25 @@ def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[n
     """The function as numpy source; equal functions are set up again and again, as parts of different models."""
     function = ca.Function.deserialize(serialized)
     lines = ["def run(x):", f"    y = [[0.0] * k for k in {[function.nnz_out(i) for i in range(function.n_out())]}]"]
-    lines += [f"    {_line(function, k)}" for k in range(function.n_instructions())]
+    for k in range(function.n_instructions()):
+        operation, operands = function.instruction_id(k), function.instruction_input(k)
+        target, *place = function.instruction_output(k)
+        words = [f"w{operand}" for operand in operands]
+        if operation == ca.OP_OUTPUT:
+            line = f"y[{target}][{place[0]}] = {words[0]}"
+        elif operation == ca.OP_CONST:
+            line = f"w{target} = {function.instruction_constant(k)!r}"
+        elif operation == ca.OP_INPUT:
+            line = f"w{target} = x[{operands[0]}][{operands[1]}]"
+        elif operation in ARITHMETIC:
+            line = f"w{target} = " + ARITHMETIC[operation].format(*words)
+        elif operation in FUNCTIONS:
+            one = " * 1.0" if FUNCTIONS[operation] in TRUTHS.values() else ""
+            line = f"w{target} = np.{FUNCTIONS[operation]}({', '.join(words)}){one}"
+        else:
+            reason = f"CasADi operation {operation} has no numpy form here"
+            raise NotImplementedError(f"{reason}; add it to identification/vectorized.py")
+        lines.append(f"    {line}")
     scope: dict[str, object] = {"np": np}
     exec(compile("\n".join([*lines, "    return y"]), f"<instructions of {function.name()}>", "exec"), scope)
     return scope["run"]  # type: ignore[return-value]
-
-
-def _line(function: ca.Function, k: int) -> str:
-    operation, operands = function.instruction_id(k), function.instruction_input(k)
-    target, *place = function.instruction_output(k)
-    words = [f"w{operand}" for operand in operands]
-    if operation == ca.OP_OUTPUT:
-        return f"y[{target}][{place[0]}] = {words[0]}"
-    if operation == ca.OP_CONST:
-        return f"w{target} = {function.instruction_constant(k)!r}"
-    if operation == ca.OP_INPUT:
-        return f"w{target} = x[{operands[0]}][{operands[1]}]"
-    if operation in ARITHMETIC:
-        return f"w{target} = " + ARITHMETIC[operation].format(*words)
-    if operation not in FUNCTIONS:
-        reason = f"CasADi operation {operation} has no numpy form here"
-        raise NotImplementedError(f"{reason}; add it to identification/vectorize.py")
-    one = " * 1.0" if FUNCTIONS[operation] in TRUTHS.values() else ""
-    return f"w{target} = np.{FUNCTIONS[operation]}({', '.join(words)}){one}"

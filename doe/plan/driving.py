@@ -1,0 +1,166 @@
+"""A plan as it is driven: in an order, with way-points, each posture approached as is asked for.
+
+A posture to which no free way leads is replaced by the best, by the criterion, of random ones to which one does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
+from doe.plan.plan import ordered, shortest_path
+from doe.problem.clearance import ROUNDING, SIGHT, Clearance
+from doe.problem.constraints import KINDS, Constraint
+from doe.problem.model import turns
+from doe.problem.postures import random_postures
+from doe.problem.problem import DesignProblem
+from identification import Array, InputError, JobError, Plan, nearest
+
+# of the last motion of each joint: room for it below a posture, and above
+SENSES = {"any": (0.0, 0.0), "positive": (1.0, 0.0), "negative": (0.0, 1.0), "alternate": (1.0, 1.0)}
+MOVING = 0.5  # share of the clearance that is kept while the arm moves
+WALL = 10.0  # [mm] that the arm may pass a wall by while it moves
+MANY = 100  # runs above which a plan keeps its order if no other is asked for
+CANDIDATES, ATTEMPTS = 200, 5  # for a posture in the place of one that cannot be reached; rounds of replacing
+NEXT = 10  # postures to which one is tried to be moved from there
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A plan of measurements in their order, and how they are driven through.
+
+    plan : the measurements;  moves : the same with way-points;  order : of `ORDERS`
+    travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
+    shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
+    """
+
+    plan: Plan
+    moves: Plan
+    order: str
+    travel: float
+    before: float
+    shortest: float
+    replaced: int = 0
+
+
+def drive(
+    problem: DesignProblem,
+    plan: Plan,
+    order: str | None = None,
+    approach: str = "any",
+    signs: Sequence[int] = (),
+    seed: int = 0,
+) -> Drive:
+    """The moves of a plan whose problem may know of bodies, and postures in the place of those that no way leads to.
+
+    order : of `ORDERS`, None: `travel`, where bodies are known, else as given
+    approach : of `SENSES`;  signs : (n) of each joint as the controller counts it, empty: as the model does
+
+    Raises `JobError` where postures are left that cannot be reached.
+    """
+    known, generator = room_of(problem.constraints), np.random.default_rng(seed)
+    room = known or Room(
+        lambda q: np.empty((len(q), 0)), np.empty((0, problem.joints)), lambda q: np.ones(len(q), bool)
+    )
+    space = Space(problem.model.lower, problem.model.upper, problem.joint_units)
+    order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
+    before = float(space.travel(plan.postures[:-1], plan.postures[1:]).sum())
+    given = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
+    postures, replaced = given.copy(), set[int]()
+    senses = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
+    senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
+    for _ in range(ATTEMPTS):
+        entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
+        lost = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
+        if not lost:
+            found = route(postures, room, space, entries=entries, keep_order=order != "travel", seed=seed)
+            lost = found.unreached
+        if not lost:
+            break
+        postures = another(problem, postures, lost, room, space, generator)
+        replaced |= {*lost}
+    else:
+        runs = ", ".join(str(row + 1) for row in lost)
+        raise JobError(f"no free way was found to run {runs}; another --seed, or --candidates, may have more luck")
+    ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
+    via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
+    moves = replace(plan, postures=np.concatenate(ways), via=via)
+    lengths = space.travel(moves.postures[:-1], moves.postures[1:])
+    cost = space.travel(postures[:, None], postures)
+    path = shortest_path(cost) if len(plan) <= MANY else found.rows
+    shortest = float(cost[path[:-1], path[1:]].sum())
+    measured = replace(plan, postures=postures[found.rows])
+    return Drive(measured, moves, order, float(lengths.sum()), before, shortest, len(replaced))
+
+
+def another(
+    problem: DesignProblem,
+    postures: Array,
+    lost: Sequence[int],
+    room: Room,
+    space: Space,
+    generator: np.random.Generator,
+) -> Array:
+    """(m, n) postures, in the place of lost rows the best of random ones that have a free move to one of the others."""
+    postures, kept = postures.copy(), np.delete(np.arange(len(postures)), lost)
+    for row in lost:
+        if problem.choices is None:
+            drawn = random_postures(problem, CANDIDATES, generator)
+        else:
+            drawn = generator.permutation(problem.choices)[:CANDIDATES]
+        others = np.delete(postures, row, axis=0)
+        apart = space.travel(drawn[:, None], others).min(axis=1, initial=np.inf)
+        drawn = drawn[(apart >= problem.minimum_distance) & room.allows(drawn)]
+        values = [problem.objective(np.vstack([others, each])) for each in drawn]
+        for each in drawn[np.argsort(values)[::-1]]:
+            near = postures[kept][np.argsort(space.travel(postures[kept], each))[:NEXT]]
+            if not len(near) or free(np.broadcast_to(each, near.shape), near, room).any():
+                postures[row], kept = each, np.append(kept, row)
+                break
+    return postures
+
+
+def room_of(constraints: Sequence[Constraint]) -> Room | None:
+    """What the moves of an arm with these constraints keep free; None where nothing is known of any body.
+
+    Of the clearance that postures keep it is half, beyond which a body may be where it is not thought to be; and the
+    walls of the arm file to 10 mm, since many postures are on one. A line of sight may be blocked between measurements.
+    """
+    if (clearance := next((each for each in constraints if isinstance(each, Clearance)), None)) is None:
+        return None
+    walls = [each for each in constraints if each.kind in KINDS]
+    solid, model = np.array([SIGHT not in pair for pair in clearance.pairs], dtype=bool), clearance.model
+    kept, levers = MOVING * clearance.asked[solid] - ROUNDING, clearance.levers()[solid]
+
+    def margin(postures: Array, beyond: float = WALL) -> Array:
+        apart = clearance.distance(postures)[:, solid] - kept
+        return np.concatenate([apart, *(wall.margin(postures) + beyond for wall in walls)], axis=1)
+
+    # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
+    longest = np.where(turns(model), model.reach, 1.0)
+    rest = margin(np.zeros((1, len(longest)))).shape[1] - len(levers)
+    of_all = np.concatenate([levers, np.broadcast_to(longest, (rest, len(longest)))])
+    return Room(margin, of_all, lambda postures: np.asarray(np.all(margin(postures, 0.0) >= 0.0, axis=1)))
+
+
+def check_approach(approach: str) -> None:
+    """Raises `InputError` with the nearest name for an unknown approach."""
+    if approach not in SENSES:
+        raise InputError(f"approach: unknown {approach!r}, {nearest(approach, SENSES)}")
+
+
+def with_approach(problem: DesignProblem, approach: str, signs: Sequence[int] = ()) -> DesignProblem:
+    """The problem with postures that leave room within the limits to come from where they are approached.
+
+    signs : (n) of each joint as the controller counts it, as for `drive`
+    """
+    if approach == "any":
+        return problem
+    below, above = SENSES[approach]
+    turned = np.array(signs or np.ones(problem.joints)) < 0.0
+    away = APPROACH * problem.joint_units
+    lower = problem.lower + np.where(turned, above, below) * away
+    return replace(problem, lower=lower, upper=problem.upper - np.where(turned, below, above) * away)

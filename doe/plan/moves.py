@@ -1,0 +1,240 @@
+"""Moves between the postures of a plan: straight in the joints, free of collisions, short.
+
+*A move that is proven.* No pair k of bodies comes nearer or gets farther apart than by
+
+    sum_j L_kj |q_j - q'_j|
+
+between two postures, L_kj being its lever about joint j [mm/rad]. So a pair that is r and r' apart at the ends of a
+stretch keeps (r + r' - sum_j L_kj |q_j - q'_j|) / 2 all along it; where that is below zero, the stretch is halved
+(F. Schwarzer, M. Saha, J.-C. Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots",
+IEEE Trans. Robotics 21 (2005) 338-353). The stretches of all moves are evaluated at once, level by level. What becomes
+too short to go on counts as not free: nothing here is sampled and hoped for.
+
+*The order* is the shortest open path (`doe.plan.plan`) whose moves are free. Most moves are never looked at: those of
+the shortest path are, the ones that collide are forbidden, and again, until none does.
+
+*Where no order is free* a random tree grows from each end of a move, a cloud of postures at a time, until one of them
+can be reached from both (J. J. Kuffner, S. M. LaValle, "RRT-Connect", ICRA 2000); what lies on the way becomes
+way-points, pulled straight as far as they can be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.plan.plan import shortest_path
+from identification import Array
+
+NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
+CLOUD, GROWTHS = 60, 10  # postures by which trees grow at once, and how often before a move is given up
+ALONE = 3  # growths after which an end from which nothing was reached is given up
+NEAR = 0.1  # of the joints' ranges: how far about a straight move the first cloud lies; each next one twice as far
+APPROACH, TRIES = float(np.radians(3.0)), 40  # more than any backlash; how many others are tried, 0.2 to 3 times as far
+NEIGHBOURS = 5  # of a posture with a move that collides, to which moves are looked at in advance
+PULLS = 6  # times that the way-points of a detour are pulled straight
+
+
+class Room(NamedTuple):
+    """What moves keep free.
+
+    margin : of postures (m, n) the margins (m, k) [mm], which are to be >= 0
+    levers : (k, n) [mm/rad, 1] how much at most each margin changes by a unit of each joint
+    allows : whether postures (m, n) may be way-points
+    """
+
+    margin: Callable[[Array], Array]
+    levers: Array
+    allows: Callable[[Array], NDArray[np.bool_]]
+
+
+class Space(NamedTuple):
+    """Where way-points may be: (n,) limits [rad, mm], and what counts as one radian of each joint."""
+
+    lower: Array
+    upper: Array
+    units: Array
+
+    def travel(self, starts: Array, ends: Array) -> Array:
+        """(...) [rad] what the joint that moves most has to go from postures (..., n) to others."""
+        return np.asarray(np.abs((ends - starts) / self.units).max(axis=-1))
+
+
+def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
+    """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free."""
+    proven = np.ones(len(starts), dtype=bool)
+    move, first, last = np.arange(len(starts)), np.asarray(starts), np.asarray(ends)
+    before, after = np.split(room.margin(np.concatenate([first, last])), 2)
+    proven &= np.all(before >= 0.0, axis=1) & np.all(after >= 0.0, axis=1)
+    while True:
+        ways = np.abs(last - first) @ room.levers.T
+        proven[move[np.any((before + after < ways) & (ways < NARROWEST), axis=1)]] = False
+        going = np.any(before + after < ways, axis=1) & proven[move]
+        if not going.any():
+            return proven
+        move, first, last, before, after = (part[going] for part in (move, first, last, before, after))
+        middle = 0.5 * (first + last)
+        margin = room.margin(middle)
+        proven[move[np.any(margin < 0.0, axis=1)]] = False
+        first, last, move = np.concatenate([first, middle]), np.concatenate([middle, last]), np.tile(move, 2)
+        before, after = np.concatenate([before, margin]), np.concatenate([margin, after])
+
+
+def detour(start: Array, end: Array, room: Room, space: Space, generator: np.random.Generator) -> Array | None:
+    """(v, n) way-points of free moves from one posture to another, None where none are found."""
+    nodes, parents = [start[None], end[None]], [[-1], [-1]]
+    for growth in range(GROWTHS):
+        spread = min(NEAR * 2.0**growth, 2.0) * (space.upper - space.lower)
+        cloud = start + generator.random((CLOUD, 1)) * (end - start)
+        cloud = np.clip(cloud + spread * generator.uniform(-0.5, 0.5, cloud.shape), space.lower, space.upper)
+        cloud = cloud[room.allows(cloud)]
+        nearest = [np.argmin(space.travel(tree[:, None], cloud), axis=0) for tree in nodes]
+        reached = [free(tree[near], cloud, room) for tree, near in zip(nodes, nearest, strict=True)]
+        if (both := np.flatnonzero(reached[0] & reached[1])).size:
+            ways = []
+            for joint in both:
+                halves = [traced(t, p, n[joint]) for t, p, n in zip(nodes, parents, nearest, strict=True)]
+                ways.append(np.array([*halves[0][::-1], cloud[joint], *halves[1]]))
+            return pulled(min(ways, key=lambda way: float(space.travel(way[:-1], way[1:]).sum())), room, space)[1:-1]
+        for k in (0, 1):
+            nodes[k] = np.concatenate([nodes[k], cloud[reached[k]]])
+            parents[k] += nearest[k][reached[k]].tolist()
+        if growth >= ALONE and min(map(len, nodes)) == 1:  # nothing near or far is reached from there
+            return None
+    return None
+
+
+def traced(nodes: Array, parents: Sequence[int], node: int) -> list[Array]:
+    """Postures from a node of a tree to its root."""
+    way = []
+    while node >= 0:
+        way.append(nodes[node])
+        node = parents[node]
+    return way
+
+
+def pulled(way: Array, room: Room, space: Space) -> Array:
+    """(v, n) the free way (w, n), v <= w, without way-points that are not needed, the others pulled straight."""
+    for _ in range(PULLS):
+        for k in range(len(way) - 2, 0, -1):
+            before, here, after = way[k - 1 : k + 2]
+            if free(before[None], after[None], room)[0]:
+                way = np.delete(way, k, axis=0)
+                continue
+            come, go = space.travel(before, here), space.travel(here, after)
+            straight = before + come / (come + go) * (after - before)
+            moved = here + np.array([0.8, 0.4, 0.2])[:, None] * (straight - here)
+            ends = np.broadcast_to(before, moved.shape), np.broadcast_to(after, moved.shape)
+            good = free(ends[0], moved, room) & free(moved, ends[1], room)
+            way[k] = moved[np.argmax(good)] if good.any() else here
+    return way
+
+
+def approaches(postures: Array, senses: Array, room: Room, space: Space, generator: np.random.Generator) -> Array:
+    """(m, n) way-points from which each joint moves in its sense, (m, n) of +1 and -1, to postures (m, n); NaN of a
+    posture to which none leads."""
+    m, n = postures.shape
+    steps = np.concatenate([np.full((1, m, n), APPROACH), generator.uniform(0.2, 3.0, (TRIES, m, n)) * APPROACH])
+    starts = (postures - senses * space.units * steps).reshape(-1, n)
+    within = np.all((starts >= space.lower) & (starts <= space.upper), axis=1)
+    good = np.zeros(len(starts), dtype=bool)
+    good[within] = free(starts[within], np.tile(postures, (TRIES + 1, 1))[within], room)
+    first = np.argmax(good.reshape(-1, m), axis=0)
+    found = starts.reshape(-1, m, n)[first, np.arange(m)]
+    found[~np.any(good.reshape(-1, m), axis=0)] = np.nan
+    return found
+
+
+class Route(NamedTuple):
+    """The order of a plan's postures (m, n), and the moves between them.
+
+    rows : (m,) of the plan, in the order of measurement;  vias : of each the (v, n) way-points on the way to it
+    unreached : rows of the plan to which no free way was found from most of the others
+    """
+
+    rows: NDArray[np.intp]
+    vias: list[Array]
+    unreached: list[int]
+
+
+def route(
+    postures: Array,
+    room: Room,
+    space: Space,
+    *,
+    entries: Array | None = None,
+    keep_order: bool = False,
+    seed: int = 0,
+) -> Route:
+    """The shortest order of postures (m, n) with free moves, with way-points where there is no other.
+
+    entries : (m, n) from which each is approached, as the last way-point; None: from anywhere
+    keep_order : the postures stay in their order
+    """
+    m, generator = len(postures), np.random.default_rng(seed)
+    aims = postures if entries is None else entries
+    cost = space.travel(postures[:, None], aims)
+    cost = np.maximum(cost, cost.T)
+    forbidden = cost.sum()  # worse than any order
+    ways, given_up = dict[tuple[int, int], Array | None](), set[tuple[int, int]]()
+
+    def know(pair: tuple[int, int], way: Array | None, length: float) -> None:
+        ways[pair] = way
+        cost[pair] = cost[pair[::-1]] = length
+        if entries is None:
+            ways[pair[::-1]] = None if way is None else way[::-1]
+
+    def look(pairs: list[tuple[int, int]]) -> None:
+        i, k = np.array(pairs, dtype=int).reshape(-1, 2).T
+        for pair, good in zip(pairs, free(postures[i], aims[k], room), strict=True):
+            know(pair, np.empty((0, postures.shape[1])) if good else None, cost[pair] + (not good) * forbidden)
+
+    while True:
+        path = np.arange(m) if keep_order else shortest_path(cost)
+        path = path if path[0] <= path[-1] else path[::-1]
+        pairs = [(int(i), int(k)) for i, k in pairwise(path)]
+        new = [pair for pair in pairs if pair not in ways]
+        if new:
+            look(new)
+            # what collides once does so again and again: its neighbours, before the next path asks for them one by one
+            ends = {row for pair in new if ways[pair] is None for row in pair}
+            near = [
+                (i, int(k)) for i in ends for k in np.argsort(cost[i], kind="stable") if k != i and (i, k) not in ways
+            ]
+            look([pair for i in ends for pair in [p for p in near if p[0] == i][:NEIGHBOURS]])
+            continue
+        if not (hard := [pair for pair in pairs if ways[pair] is None and pair not in given_up]):
+            break
+        for pair in hard:  # there is no order without them
+            way = detour(postures[pair[0]], aims[pair[1]], room, space, generator)
+            if way is None:
+                given_up |= {pair, pair[::-1]}
+            else:
+                whole = np.array([postures[pair[0]], *way, aims[pair[1]]])
+                know(pair, way, float(space.travel(whole[:-1], whole[1:]).sum()))
+    breaks = [k + 1 for k, pair in enumerate(pairs) if ways[pair] is None]
+    apart = sorted({*path.tolist()} - {*max(np.split(path, breaks), key=len).tolist()})
+    if apart and keep_order:  # by way of other postures there may be one to some of them, and to all
+        other = route(postures, room, space, entries=entries, seed=seed)
+        if not (apart := other.unreached):
+            for pair in (pair for pair in pairs if ways[pair] is None):
+                whole = np.array([*along(other, postures, *pair), aims[pair[1]]])
+                ways[pair] = pulled(whole, room, space)[1:-1]
+    none = np.empty((0, postures.shape[1]))
+    found = [none, *(ways[pair] for pair in pairs)]
+    vias = [none if way is None else way for way in found]
+    if entries is not None:
+        vias = [np.vstack([way, entries[row]]) for way, row in zip(vias, path, strict=True)]
+    return Route(path, vias, apart)
+
+
+def along(found: Route, postures: Array, start: int, end: int) -> Array:
+    """(v, n) from one posture to another along a route, back if need be."""
+    ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
+    whole, at = np.concatenate(ways), np.cumsum([len(way) for way in ways]) - 1
+    first, last = (int(at[np.flatnonzero(found.rows == row)[0]]) for row in (start, end))
+    return whole[first : last + 1] if first <= last else whole[last : first + 1][::-1]

@@ -1,0 +1,393 @@
+"""Clearance: how far the bodies of an arm keep from each other, from its cell and from a tracker's line of sight.
+
+A body is a union of capsules and boxes (`identification.bodies`). The signed distance of two capsules with axes A and B
+and radii r and s is |a - b| - r - s at the nearest points a, b of the axes, the witness points; that of two bodies is
+the least of their pieces. Moving the witness points along the axes changes nothing to first order, so it changes with
+joint j by
+
+    n . (da/dq_j - db/dq_j),     n = (a - b) / |a - b|,
+    n . da/dq_j = z_j . (a x n) + (o_j x z_j) . n  for a joint that turns about z_j through o_j,  z_j . n if it slides,
+
+the points fixed to their bodies, and zero for a joint beyond the body: the line of the joint and the force along n in
+Pluecker coordinates (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 2). Second derivatives are
+differences of these.
+
+Pieces contain their bodies, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
+joint connects are not looked at (`Cell.apart`), nor those that touch wherever the arm goes, which random postures tell;
+of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.problem.model import turns
+from identification import Array
+
+SAMPLES, SELDOM = 1000, 0.02  # random postures that tell how far apart pairs come, but for this share of them
+SHARE = 0.25  # of the largest distance of a pair: the clearance that is asked at most
+SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
+STEP = 1e-4  # [rad] of a joint, for second derivatives
+PART = 2**18  # pairs of pieces at once: 2 MB an array
+ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss what it keeps
+SHOWN = 6  # pairs named in a sentence
+FLOOR, SIGHT = "floor", "line of sight"
+# what is said of plans of an arm in space whose bodies are not known
+COLLISIONS = (
+    "Collisions were not looked at, neither of the arm with itself nor with what is around it, since the arm file has "
+    "no bodies: add [[cell.bodies]] or a URDF with collision bodies, or try each posture slowly."
+)
+
+
+class Seen(NamedTuple):
+    """Frames (m, n + 2, 4, 4) of base, joints and measured point at postures, ends (2, 3, m, K) of the axes of all
+    capsules in that of the base, distances (m, k) of the pairs, and numbers of the pairs of pieces that have them."""
+
+    postures: Array
+    frames: Array
+    placed: Array
+    least: Array
+    nearest: NDArray[np.intp]
+
+    def screws(self, model: Any) -> tuple[Array, Array]:
+        """(m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide."""
+        frames = self.frames[:, 1:-1]
+        along = (frames[..., :3, :3] @ model.joint_axes[:, :, None])[..., 0]
+        turning = turns(model)[:, None]
+        return np.where(turning, along, 0.0), np.where(turning, np.cross(frames[..., :3, 3], along), along)
+
+
+class Clearance:
+    """The condition on a posture that bodies keep their distance: a constraint, as `doe.problem.constraints` has them.
+
+    pairs : (k) names of both bodies;  asked : (k,) [mm] how far they are to keep apart;  touching : the pairs that are
+    not looked at since they touch wherever the arm goes
+    """
+
+    kind = "clearance"
+
+    def __init__(self, model: Any, trackers: Sequence[Array] = ()) -> None:
+        """Of a model that offers `cell`, `joint_frames` and `joint_axes`.
+
+        trackers : (3,) [mm] in the frame of the base, from which the measured point must be seen
+        """
+        self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
+        self.usual = cell.clearance
+        # a line of sight is a capsule from the base's frame to that of the measured point
+        none, no_box = np.empty((0, 7)), np.empty((0, 15))
+        sights = [(SIGHT, tip, np.r_[place, np.zeros(4)][None], no_box) for place in trackers]
+        ground = [(FLOOR, 0, none, no_box)] if cell.floor is not None else []
+        solid = [(body.name, body.joint, body.capsules, body.boxes) for body in cell.bodies]
+        names, joints, capsules, boxes = zip(*sorted([*ground, *solid, *sights], key=lambda body: body[1]), strict=True)
+        joint = np.repeat(joints, [*map(len, capsules)])
+        self._frames = np.stack([np.where(joint == tip, 0, joint), joint])  # (2, K) of the ends of each axis
+        axes = np.concatenate(capsules)
+        self._ends, self._radii = np.stack([axes[:, :3], axes[:, 3:6]]), axes[:, 6]
+        self._moves = np.array([[np.any(row == k) for k in range(tip + 1)] for row in self._frames])
+        self._boxes, self._floor = np.concatenate(boxes), cell.floor
+        self._last: Seen | None = None
+        # pieces in this order: capsules, boxes, the floor
+        numbers = range(len(names))
+        counts = [*map(len, capsules)], [*map(len, boxes)], [int(name == FLOOR) for name in names]
+        owner = np.concatenate([np.repeat(numbers, each) for each in counts])
+        pairs, pieces = list[tuple[str, str]](), list[tuple[int, int, int]]()
+        for one in numbers:
+            for other in range(one):  # which stands still where one does: boxes and the floor come second
+                pair = names[one], names[other]
+                if joints[one] == joints[other] or frozenset(pair) in cell.apart or {*pair} == {SIGHT, FLOOR}:
+                    continue
+                first, second = np.flatnonzero(owner == one), np.flatnonzero(owner == other)
+                pieces += [(len(pairs), a, b) for a in first.tolist() for b in second.tolist()]
+                pairs += [pair] if len(first) and len(second) else []
+        self._set_pieces(np.array(pieces, dtype=int).reshape(-1, 3))
+        drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, tip - 1))
+        apart = self.distance(drawn)
+        largest = np.quantile(apart, 1.0 - SELDOM, axis=0)
+        never = largest <= 0.0
+        self.touching = tuple(pair for pair, always in zip(pairs, never, strict=True) if always)
+        self.pairs = tuple(pair for pair, always in zip(pairs, never, strict=True) if not always)
+        self.asked = np.minimum(cell.clearance, SHARE * largest)[~never]
+        self._set_pieces(self._pieces[~never[self._pieces[:, 0]]])
+
+    def _set_pieces(self, pieces: np.ndarray) -> None:
+        """(P, 3) of the pairs of pieces that are looked at: the number of their bodies' pair, and both pieces."""
+        capsules, boxes = len(self._radii), len(self._boxes)
+        self._pieces = pieces
+        self._starts, self._pair = np.unique(pieces[:, 0], return_index=True, return_inverse=True)[1:]
+        self._axes, self._walls, self._floors = (
+            np.flatnonzero((pieces[:, 2] >= low) & (pieces[:, 2] < high))
+            for low, high in ((0, capsules), (capsules, capsules + boxes), (capsules + boxes, np.inf))
+        )
+
+    def levers(self) -> Array:
+        """(k, n) how much at most the distance of each pair changes by a unit of each joint [mm/rad, 1].
+
+        For a joint between two bodies it is the length of the stretched arm from there to the farthest point of the
+        outer one. A joint that moves both or neither changes nothing, except that a line of sight ends in the tracker.
+        """
+        at_limits = np.stack([self.model.lower, self.model.upper])
+        origins = self.model.joint_frames(at_limits)[:, :, :3, 3]
+        steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
+        along = np.r_[0.0, 0.0, np.cumsum(steps)]  # from joint 1 to each frame
+        far = np.max(along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii, axis=0)
+        turning = turns(self.model)
+        joints, (first, second) = np.arange(1, len(turning) + 1), self._pieces[:, 1:].T
+        second = np.where(second < len(far), second, -1)  # boxes and the floor stand still
+        frames, sights = np.r_[self._frames[1], 0], np.r_[self._frames[0] != self._frames[1], False]
+        lengths = np.where(turning, np.maximum(np.r_[far, 0.0][:, None] - along[1:-1], 0.0), 1.0)  # (K + 1, n)
+        lengths *= joints <= frames[:, None]
+        inside = np.where(sights[first][:, None], lengths[second], -np.inf)
+        apart = np.where(joints > frames[second][:, None], lengths[first], lengths[first] * sights[first][:, None])
+        return np.asarray(np.maximum.reduceat(apart + np.maximum(inside, 0.0), self._starts, axis=0))
+
+    # -- distances -----------------------------------------------------------------------------------------------------
+    def margin(self, postures: Array) -> Array:
+        """(m, k) [mm] by how much pairs are farther apart than is asked, at postures (m, n)."""
+        return self.distance(postures) - self.asked
+
+    def distance(self, postures: Array) -> Array:
+        """(m, k) [mm] signed distances of the pairs at postures (m, n)."""
+        rows = np.atleast_2d(np.asarray(postures, dtype=float))
+        if not len(self._pieces) or not len(rows):
+            return np.empty((len(rows), len(self._starts)))
+        size = max(1, PART // len(self._pieces))
+        return np.concatenate([self._seen(rows[k : k + size]).least for k in range(0, len(rows), size)])
+
+    def too_near(self, postures: Array) -> list[tuple[int, tuple[str, str], float]]:
+        """Number of the posture from 1, pair, and distance [mm] wherever a pair is nearer than is asked."""
+        apart = self.distance(postures)
+        near = np.argwhere(apart < self.asked - ROUNDING).tolist()
+        return [(run + 1, self.pairs[k], float(apart[run, k])) for run, k in near]
+
+    def to_json(self, postures: Array) -> list[dict[str, Any]]:
+        """`too_near` by the keys of `collisions`."""
+        return [{"run": run, "bodies": [*pair], "distance_mm": gap} for run, pair, gap in self.too_near(postures)]
+
+    def in_words(self, postures: Array) -> list[str]:
+        """What is to be said of postures (m, n): every pair that is too near, or how near the nearest come."""
+        apart, near = self.distance(postures), self.too_near(postures)
+        lines = []
+        if near:
+            runs = len({run for run, *_ in near})
+            lines.append(f"Collisions: {runs} of {len(postures)} postures bring bodies too near to each other:")
+            lines += [f"  run {run}: {distance_in_words(pair, gap)}" for run, pair, gap in near]
+        elif apart.size:
+            run, k = divmod(int(np.argmin(apart - self.asked)), apart.shape[1])
+            kept = f"{len(self.pairs)} pairs of bodies keep {self.usual:g} mm apart in all {len(postures)} postures"
+            nearest = f"{_and(self.pairs[k])} come nearest, to {apart[run, k]:.0f} mm in run {run + 1}"
+            lines.append(f"Collisions: {kept}; {nearest}.")
+        narrow = [
+            f"{_and(pair)} {gap:.0f} mm" for pair, gap in zip(self.pairs, self.asked, strict=True) if gap < self.usual
+        ]
+        for why, pairs in (
+            ("Kept apart by less, since they are near wherever the arm goes", narrow),
+            ("Not looked at, since they touch wherever the arm goes", [*map(_and, self.touching)]),
+        ):
+            if pairs:
+                rest = f" and {len(pairs) - SHOWN} more pairs" if len(pairs) > SHOWN else ""
+                lines.append(f"{why}: {', '.join(pairs[:SHOWN])}{rest}.")
+        return lines
+
+    def _seen(self, postures: Array) -> Seen:
+        """What there is to see at postures (m, n); kept for the next question about the same ones."""
+        if self._last is None or not np.array_equal(self._last.postures, postures):
+            frames = self._frames_at(postures)
+            placed = np.empty((2, 3, len(postures), len(self._radii)))
+            for end, joint in np.argwhere(self._moves).tolist():
+                chosen = np.flatnonzero(self._frames[end] == joint)
+                points = frames[:, joint, :3, :3] @ self._ends[end, chosen].T + frames[:, joint, :3, 3:]
+                placed[end][:, :, chosen] = points.swapaxes(0, 1)
+            apart, count = self._apart(placed), len(self._pieces)
+            least = np.minimum.reduceat(apart, self._starts, axis=1)
+            ranks = np.where(apart == least[:, self._pair], np.arange(count), count)
+            nearest = np.minimum.reduceat(ranks, self._starts, axis=1)
+            self._last = Seen(postures.copy(), frames, placed, least, nearest)
+        return self._last
+
+    def _frames_at(self, postures: Array) -> Array:
+        """(m, n + 2, 4, 4) frames of base, joints and measured point."""
+        base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
+        return np.concatenate([base, self.model.joint_frames(postures)], axis=1)
+
+    def _apart(self, placed: Array) -> Array:
+        """(m, P) distances of all pairs of pieces; of a box that is not the nearest of its body, at least that."""
+        apart = np.empty((placed.shape[2], len(self._pieces)))
+        first, second = self._pieces[self._axes, 1:].T
+        between = shortest(*placed[..., first], *placed[..., second])[2]
+        apart[:, self._axes] = np.sqrt(dot(between, between)) - self._radii[first] - self._radii[second]
+        first = self._pieces[self._floors, 1]
+        apart[:, self._floors] = placed[:, 2][..., first].min(axis=0) - self._radii[first] - (self._floor or 0.0)
+        if len(self._walls):  # by the middle of each axis, then exactly where the box may be the nearest
+            first, box = self._pieces[self._walls, 1], self._pieces[self._walls, 2] - len(self._radii)
+            a, b = (self._in_box(end[..., first], box) for end in placed)
+            half = self._boxes[box, 12:].T[:, None]
+            most = from_box(0.5 * (a + b), half) - self._radii[first]
+            apart[:, self._walls] = most
+            least = np.full((len(most), len(self._starts)), np.inf)
+            pair = self._pair[self._walls]
+            for k in np.unique(pair):
+                least[:, k] = most[:, pair == k].min(axis=1)
+            run, wall = np.nonzero(most - 0.5 * np.sqrt(dot(b - a, b - a)) <= least[:, pair])
+            a, b, half = a[:, run, wall], b[:, run, wall], half[:, 0, wall]
+            share = nearest_to_box(a, b, half)
+            apart[run, self._walls[wall]] = from_box(a + share * (b - a), half) - self._radii[first[wall]]
+        return apart
+
+    def _in_box(self, points: Array, box: np.ndarray) -> Array:
+        """(3, ..., W) points (3, ..., W) along the axes of boxes (W,), from their centers."""
+        centers, turns = self._boxes[box, :3].T, self._boxes[box, 3:12].reshape(-1, 3, 3)
+        shifted = points - centers.reshape(3, *np.ones(points.ndim - 2, dtype=int), -1)
+        return np.einsum("wij,i...w->j...w", turns, shifted)
+
+    # -- derivatives ---------------------------------------------------------------------------------------------------
+    def gradients(self, postures: Array, run: NDArray[np.intp], pair: NDArray[np.intp]) -> Array:
+        """(N, n) how the distances of N pairs, each at one of the postures, change with the joints [mm/rad, 1]."""
+        seen = self._seen(postures)
+        first, second = self._pieces[seen.nearest[run, pair], 1:].T
+        capsules, axis = len(self._radii), second < len(self._radii)
+        a, b = seen.placed[:, :, run, first]  # (3, N)
+        other = np.where(axis, second, 0)
+        c, d = seen.placed[:, :, run, other]
+        share, shared, normal = shortest(a, b, c, d)
+        # of axes that cross each other the direction across both
+        normal = np.where(dot(normal, normal) < 1e-12, np.cross(b - a, d - c, axis=0), normal)
+        normal /= np.maximum(np.sqrt(dot(normal, normal)), SMALL)
+        share = np.where(axis, share, b[2] < a[2])
+        normal = np.where(axis, normal, np.array([[0.0], [0.0], [1.0]]))
+        if len(wall := np.flatnonzero(~axis & (second < capsules + len(self._boxes)))):
+            box = second[wall] - capsules
+            start, end = self._in_box(a[:, wall], box), self._in_box(b[:, wall], box)
+            half = self._boxes[box, 12:].T
+            share[wall] = nearest_to_box(start, end, half)
+            away = away_from_box(start + share[wall] * (end - start), end - start, half)
+            normal[:, wall] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), away)
+        moment, force = seen.screws(self.model)
+        slopes, joints = np.zeros((len(run), moment.shape[1])), np.arange(1, moment.shape[1] + 1)
+        still = np.where(axis, self._frames[1, other], 0)
+        for sign, near, far, part, piece, frame in (
+            (1.0, a, b, share, first, self._frames[1, first]),
+            (-1.0, c, d, shared, other, still),
+        ):
+            sight = self._frames[0, piece] < self._frames[1, piece]  # of which only the far end moves
+            point, weight = np.where(sight, far, near + part * (far - near)), np.where(sight, part, 1.0)
+            turned = (moment[run] @ np.cross(point.T, normal.T)[:, :, None])[..., 0]
+            pushed = (force[run] @ normal.T[:, :, None])[..., 0]
+            slopes += (sign * weight)[:, None] * np.where(joints <= frame[:, None], turned + pushed, 0.0)
+        return slopes
+
+
+class Slopes:
+    """Derivatives of a clearance by some joints, as `doe.problem.constraints.Derivatives` has those of expressions."""
+
+    def __init__(self, clearance: Clearance, joints: Sequence[int]) -> None:
+        self.clearance, self.joints, self.count = clearance, list(joints), len(clearance.pairs)
+
+    def values(self, postures: Array) -> Array:
+        """(m, k) margins."""
+        return self.clearance.margin(postures)
+
+    def first(self, postures: Array) -> tuple[Array, Array]:
+        """(m, k) margins and their derivatives (m, a, k)."""
+        run, pair = np.indices((len(postures), self.count)).reshape(2, -1)
+        slopes = self.clearance.gradients(postures, run, pair)[:, self.joints]
+        return self.values(postures), np.swapaxes(slopes.reshape(len(postures), self.count, -1), 1, 2)
+
+    def slope(self, postures: Array, weights: Array) -> Array:
+        """(m, a) gradients of the sums with weights (m, k)."""
+        run, pair = np.nonzero(weights)
+        slopes, total = self.clearance.gradients(postures, run, pair), np.zeros(postures.shape)
+        np.add.at(total, run, weights[run, pair, None] * slopes)
+        return total[:, self.joints]
+
+    def bend(self, postures: Array, weights: Array) -> Array:
+        """(m, a, a) Hessians of the sums: differences of their gradients."""
+        bend = np.empty((len(postures), len(self.joints), len(self.joints)))
+        for k, joint in enumerate(self.joints):
+            step = STEP * np.eye(postures.shape[1])[joint]
+            bend[:, k] = (self.slope(postures + step, weights) - self.slope(postures - step, weights)) / (2.0 * STEP)
+        return 0.5 * (bend + np.swapaxes(bend, 1, 2))
+
+
+def distance_in_words(pair: Sequence[str], gap: float) -> str:
+    """Of two bodies;  gap : signed distance [mm]"""
+    return f"{_and(pair)} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
+
+
+def _and(pair: Sequence[str]) -> str:
+    return " and ".join(pair)
+
+
+# -- geometry: vectors run along the first axis of arrays --------------------------------------------------------------
+def dot(a: Array, b: Array) -> Array:
+    """(...) a . b of (3, ...) vectors."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def shortest(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Array]:
+    """Of segments a-b and c-d (3, ...) the shares (...) of the way to their nearest points, and (3, ...) from the
+    second of these to the first (C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.9)."""
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = dot(u, u), dot(v, v), dot(u, v), dot(u, w), dot(v, w)
+    first = np.clip((uv * vw - uw * vv) / np.maximum(uu * vv - uv * uv, SMALL), 0.0, 1.0)
+    second = np.clip((uv * first + vw) / np.maximum(vv, SMALL), 0.0, 1.0)
+    first = np.clip((uv * second - uw) / np.maximum(uu, SMALL), 0.0, 1.0)
+    return first, second, w + first * u - second * v
+
+
+def from_box(points: Array, half: Array) -> Array:
+    """(...) signed distance of points (3, ...) from boxes around the origin of half sizes (3, ...); it is convex."""
+    beyond = np.abs(points) - half
+    away = np.maximum(beyond, 0.0)
+    deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])  # thrice as fast as a reduction
+    return np.asarray(np.sqrt(dot(away, away)) + np.minimum(deepest, 0.0))
+
+
+def nearest_to_box(a: Array, b: Array, half: Array) -> Array:
+    """(N,) shares of the way from a to b (3, N) to the point nearest to a box, or deepest in it.
+
+    The derivative of the squared distance grows along the way, and linearly between the planes of the box's faces.
+    Inside, where it is zero, the deepest point is found by thirds.
+    """
+    along, n = b - a, np.arange(a.shape[1])
+    crossed = np.concatenate([half - a, -half - a]) / np.tile(np.where(np.abs(along) > SMALL, along, np.inf), (2, 1))
+    shares = np.concatenate([np.zeros((1, len(n))), np.sort(np.clip(crossed, 0.0, 1.0), axis=0), np.ones((1, len(n)))])
+    points = a + shares[:, None] * along
+    slopes = np.sum(along * np.sign(points) * np.maximum(np.abs(points) - half, 0.0), axis=1)  # (8, N)
+    after = np.where((slopes >= 0.0).any(axis=0), np.argmax(slopes >= 0.0, axis=0), len(shares) - 1)
+    before = np.maximum(after - 1, 0)
+    low, high = slopes[before, n], slopes[after, n]
+    part = np.where(high > 0.0, -low / np.where(high > low, high - low, 1.0), 1.0)
+    nearest = shares[before, n] + np.clip(part, 0.0, 1.0) * (shares[after, n] - shares[before, n])
+    inside = np.flatnonzero(from_box(a + nearest * along, half) < ROUNDING)
+    if len(inside):
+        a, along, half = a[:, inside], along[:, inside], half[:, inside]
+        low, high = np.zeros(len(inside)), np.ones(len(inside))
+        for _ in range(40):  # to 1e-7 of the way
+            one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
+            nearer = from_box(a + one * along, half) < from_box(a + other * along, half)
+            low, high = np.where(nearer, low, one), np.where(nearer, other, high)
+        nearest[inside] = 0.5 * (low + high)
+    return nearest
+
+
+def away_from_box(points: Array, along: Array, half: Array) -> Array:
+    """(3, ...) directions in which axes get away from boxes, by their nearest points and the directions they run along.
+
+    Inside a box the deepest point of an axis is equally deep under two faces: that mixture of both from which the axis
+    does not slide away.
+    """
+    beyond = np.abs(points) - half
+    order = np.argsort(-beyond, axis=0)[:2]
+    faces = np.sign(points) * np.moveaxis(np.eye(3)[order], -1, 1)  # (2, 3, ...)
+    slides = [dot(face, along) for face in faces]
+    depth = np.take_along_axis(beyond, order, axis=0)
+    tied = (depth[0] - depth[1] < 1e-6) & (slides[0] * slides[1] < 0.0)
+    share = np.where(tied, slides[1] / np.where(tied, slides[1] - slides[0], 1.0), 1.0)
+    out = np.maximum(beyond, 0.0)
+    length = np.sqrt(dot(out, out))
+    away = np.sign(points) * out / np.maximum(length, SMALL)
+    return np.where(length > 0.0, away, share * faces[0] + (1.0 - share) * faces[1])

@@ -1,0 +1,1 @@
+"""Programs with which a controller drives through a plan."""

@@ -1,0 +1,233 @@
+"""A plan as a program of the robot's controller: move to each posture, wait, pause for the measurement; drive through
+way-points. One template a language beside this file, or a user's own.
+
+Joints are written as the controller counts them, as the columns of a plan are. A move starts and ends at rest; where
+times are given (ROS, and the estimated duration) its joints follow 10 s^3 - 15 s^4 + 6 s^5 of their way, which is 15/8
+as fast at its fastest as on average and stops without a jerk.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from doe.problem.constraints import constraints_of
+from identification import Arm, Array, InputError, Model, Plan
+
+FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
+PEAK = 15.0 / 8.0
+SHORTEST = 0.5  # [s] of a move: a controller needs some time, and points of a trajectory different ones
+LONGEST_SETTLE = 300.0  # [s] a FANUC waits 327 s at most
+FITS = 1e-4  # [deg, mm] by which a row may miss limits and constraints: what rounding of a file does
+SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
+
+
+class Language(NamedTuple):
+    """Of a controller: its template, the units of its angles and lengths, and how many joints its arm and all have."""
+
+    template: str
+    angle: str
+    length: str
+    arm: int
+    most: int
+
+
+# robot -> language; UR controllers know six joints only
+LANGUAGES = {
+    "ur": Language("ur.script.j2", "rad", "m", 6, 6),
+    "abb": Language("abb.mod.j2", "deg", "mm", 6, 12),
+    "kuka": Language("kuka.src.j2", "deg", "mm", 6, 12),
+    "fanuc": Language("fanuc.ls.j2", "deg", "mm", 6, 9),
+    "ros": Language("ros.yaml.j2", "rad", "m", 99, 99),
+}
+UNITS = {"rad": np.radians(1.0), "deg": 1.0, "m": 1e-3, "mm": 1.0}  # of [deg] and [mm]
+DIGITS = {"rad": 9, "deg": 6, "m": 9, "mm": 6}  # 1e-7 deg and 1e-6 mm: nothing is lost, and no exponent is needed
+
+
+class Move(NamedTuple):
+    """A motion to a row of a plan, as templates have it.
+
+    run : number of the measurement there, 0 at a way-point
+    joints, external : positions of the arm's joints, and of external axes: of more than six joints those that slide,
+        and those that turn after the sixth
+    arrival, departure : [ms] from the start, departure after settling;  comment : `run 3` or `via`
+    """
+
+    run: int
+    joints: list[str]
+    external: list[str]
+    arrival: int
+    departure: int
+    comment: str
+
+
+class Program(NamedTuple):
+    """What a controller runs, and for a dry run what that does.
+
+    moves : of each its `kind` (`measure` or `via`), the `run` that is measured there, None at a way-point, the `joints`
+        in `units`, and the `seconds` from the start at which it arrives
+    units : (n) deg or mm;  seconds : estimated duration, without the measurements
+    """
+
+    text: str
+    name: str
+    moves: list[dict[str, Any]]
+    units: tuple[str, ...]
+    seconds: float
+
+
+def program(
+    arm: Arm,
+    plan: Plan,
+    robot: str,
+    *,
+    speed: int = 20,
+    settle: float = 2.0,
+    name: str = "armcal",
+    template: Path | None = None,
+) -> Program:
+    """The program for the rows of an exact plan, in their order, its way-points (`Plan.via`) among them.
+
+    robot : of `LANGUAGES`
+    speed : [%] of the speed of joint moves;  settle : [s] from arrival to the measurement
+    name : of the program, made one that all languages accept;  template : instead of the language's own
+
+    Raises `InputError` for an arm that the controller does not know, rows that the arm must not be driven to, and a
+    template that does not work.
+    """
+    language, n = LANGUAGES[robot], arm.links
+    least = 6 if robot == "ur" else 1
+    if not least <= n <= language.most:
+        raise InputError(f"--robot {robot}: {n} joints, allowed: {least} to {language.most}")
+    if not 0.0 <= settle <= LONGEST_SETTLE:
+        raise InputError(f"--settle: {settle:g} s, allowed: 0 to {LONGEST_SETTLE:g}")
+    shown = replace(plan, joint_types=arm.joint_types).units
+    slides = np.array([unit == "mm" for unit in shown])
+    if robot == "ur" and slides.any():
+        raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
+    via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
+    check_rows(arm, plan.postures, via)
+    columns, runs = in_units(arm, plan.postures), np.where(via, 0, np.cumsum(~via)).tolist()
+    units = [language.length if slide else language.angle for slide in slides]
+    order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
+    inner, outer = order[: language.arm], order[language.arm :]
+    positions = [[decimal(x * UNITS[u], DIGITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
+    arrivals, departures = schedule(columns, slides, ~via, speed, settle, limits_in_units(arm))
+    identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
+    identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
+    planned = f"{max(runs)} runs, {speed} % speed, {settle:g} s to settle"
+    rest = f"about {departures[-1] / 60e3:.1f} min without measuring"
+    known = {
+        "name": identifier,
+        "title": SPECIAL.sub("?", f"armcal program: {arm.name}, {planned}, {rest}"),
+        "robot": robot,
+        "speed": speed,
+        "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0 * UNITS[language.angle], 6),
+        "settle": decimal(settle, 3),
+        "names": [SPECIAL.sub("_", joint.name) or f"joint_{j}" for j, joint in enumerate(arm.chain.joints, 1)],
+        "units": [units[j] for j in inner],
+        "external_units": [units[j] for j in outer],
+        "postures": list(listed(columns, runs)),
+        "moves": [
+            Move(run, [row[j] for j in inner], [row[j] for j in outer], a, d, f"run {run}" if run else "via")
+            for run, row, a, d in zip(runs, positions, arrivals, departures, strict=True)
+        ],
+    }
+    moves = [
+        {"kind": "measure" if run else "via", "run": run or None, "joints": row, "seconds": a / 1000.0}
+        for run, row, a in zip(runs, columns.tolist(), arrivals, strict=True)
+    ]
+    text = rendered_template(language.template, template, known)
+    return Program(text, identifier, moves, shown, departures[-1] / 1000.0)
+
+
+def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
+    """Raises `InputError` for the first row beyond a joint limit or a constraint; a way-point need not be seen."""
+    columns, (low, high) = in_units(arm, postures), limits_in_units(arm)
+    for row, j in np.argwhere((columns < low - FITS) | (columns > high + FITS))[:1]:
+        found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
+        raise InputError(f"{found}, allowed: {low[j]:.7g} to {high[j]:.7g}")
+    for constraint in constraints_of(Model(arm)):
+        broken = np.any(constraint.margin(postures) < -FITS, axis=1) & ~(via & (constraint.kind == "line_of_sight"))
+        for row in np.flatnonzero(broken)[:1]:
+            raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
+
+
+def in_units(arm: Arm, postures: Array) -> Array:
+    """(m, n) what the controller shows [deg, mm] at postures (m, n) [rad, mm]."""
+    return Plan(postures, joint_types=arm.joint_types).displayed
+
+
+def limits_in_units(arm: Arm) -> Array:
+    """(2, n) limits of what the controller shows [deg, mm]; NaN where there are none (`Arm.column_limits`)."""
+    ends = np.array(arm.column_limits)
+    return np.where([unit == "mm" for unit in Plan(ends, joint_types=arm.joint_types).units], ends, np.degrees(ends))
+
+
+def decimal(value: float, digits: int) -> str:
+    """A number without an exponent and without -0; at least one digit behind the point."""
+    text = f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0")
+    return f"{text}0" if text.endswith(".") else text
+
+
+def schedule(
+    columns: Array, slides: NDArray[np.bool_], measured: NDArray[np.bool_], speed: int, settle: float, ends: Array
+) -> tuple[list[int], list[int]]:
+    """(m,) [ms] from the start at which each row is reached, and left again after settling where it is measured.
+
+    ends : (2, n) limits [deg, mm]; where the arm stands at first is not known, but it is within them
+    """
+    first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
+    ways = np.abs(np.vstack([first, np.diff(columns, axis=0)]))
+    fastest = np.where(slides, FULL_SPEED[1], FULL_SPEED[0]) * speed / 100.0
+    moving = np.maximum(PEAK * (ways / fastest).max(axis=1), SHORTEST)
+    departures = np.cumsum(moving + settle * measured)
+    arrivals = departures - settle * measured
+    return np.ceil(arrivals * 1000.0).astype(int).tolist(), np.ceil(departures * 1000.0).astype(int).tolist()
+
+
+def listed(columns: Array, runs: list[int]) -> Iterable[str]:
+    """A line for each row: what the pendant shows there, for a dry run."""
+    for number, run, row in zip(count(1), runs, columns, strict=False):
+        yield f"{number:3d} {f'run {run}' if run else 'via':8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
+
+
+def rendered_template(own: str, template: Path | None, known: dict[str, Any]) -> str:
+    """The text of a template, its own or a user's file, which runs in jinja's sandbox and knows these variables.
+
+    Raises `InputError`, one line, where a user's does not work.
+    """
+    from jinja2 import PackageLoader, StrictUndefined, TemplateError
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
+
+    options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
+    environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)
+    if template is None:
+        environment.loader = PackageLoader("doe.program", ".")
+        return environment.get_template(own).render(known)
+    try:
+        return environment.from_string(template.read_text("utf-8-sig")).render(known)
+    except OSError as error:
+        raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
+    except (
+        TemplateError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+        RecursionError,
+    ) as error:
+        line = getattr(error, "lineno", None)
+        where = f"{template}: " if line is None else f"{template}: line {line}: "
+        allowed = f"allowed: a jinja template of the variables {', '.join(known)}"
+        raise InputError(f"{where}{error}, {allowed}") from None

@@ -1,0 +1,132 @@
+"""Plans of five robots judged by pinocchio and coal on their collision meshes: `pytest -m benchmark -s` with this file.
+
+Needs pin and example-robot-data (`pip install pin coal example-robot-data`). Each robot's plans of 30 postures are made
+by `armcal design` from its URDF, five seeds each; every posture, and every straight joint move at 400 places, is looked
+at for collisions of links that no joint connects.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.benchmark
+
+pinocchio: Any = pytest.importorskip("pinocchio")
+ROBOTS = {  # URDF, its ends
+    "UR10": ("ur_description/urdf/ur10_robot.urdf", "base_link", "ee_link"),
+    "UR5": ("ur_description/urdf/ur5_robot.urdf", "base_link", "ee_link"),
+    "xArm7": ("xarm_description/urdf/xarm7.urdf", "link_base", "link7"),
+    "Panda": ("panda_description/urdf/panda.urdf", "panda_link0", "panda_hand"),
+    "Z1": ("z1_description/urdf/z1.urdf", "link00", "link06"),
+}
+SEEDS, RUNS, PLACES = range(int(os.environ.get("SEEDS", "5"))), 30, 400
+BASE = "[measurement]\nsigma_mm = 0.05\n\n[tool]\nx_mm = 40.0\ny_mm = 30.0\nz_mm = 80.0\n"
+FLOOR = "\n[cell]\nfloor_z_mm = 0.0\nclearance_mm = 20.0\n"
+
+
+def data() -> Path:
+    """The folder in which `package://example-robot-data` is."""
+    return Path(pinocchio.__file__).parents[4] / "share"
+
+
+class Judge:
+    """A robot's meshes; the pairs of links that a joint connects, or that touch at all of 300 random postures, count
+    for nothing."""
+
+    def __init__(self, urdf: Path, joints: list[str]) -> None:
+        self.model = pinocchio.buildModelFromUrdf(str(urdf))
+        self.geometry = pinocchio.buildGeomFromUrdf(self.model, str(urdf), pinocchio.COLLISION, [str(data())])
+        self.places = [self.model.idx_qs[self.model.getJointId(name)] for name in joints]
+        self.sizes = [self.model.nqs[self.model.getJointId(name)] for name in joints]
+        parents = [self.geometry.geometryObjects[k].parentJoint for k in range(self.geometry.ngeoms)]
+        for a in range(self.geometry.ngeoms):
+            for b in range(a):
+                one, other = parents[a], parents[b]
+                if one != other and self.model.parents[one] != other and self.model.parents[other] != one:
+                    self.geometry.addCollisionPair(pinocchio.CollisionPair(a, b))
+        self.work, self.found = self.model.createData(), self.geometry.createData()
+        generator = np.random.default_rng(0)
+        low, high = np.maximum(self.model.lowerPositionLimit, -3.1), np.minimum(self.model.upperPositionLimit, 3.1)
+        low, high = np.minimum(low, high), np.maximum(low, high)
+        always = np.ones(len(self.geometry.collisionPairs), dtype=bool)
+        for _ in range(300):
+            always &= self._pairs(np.array([generator.uniform(low[k], high[k]) for k in self.places]))
+        for k in np.flatnonzero(always)[::-1].tolist():
+            self.geometry.removeCollisionPair(self.geometry.collisionPairs[k])
+        self.found = self.geometry.createData()
+
+    def _pairs(self, q: np.ndarray) -> np.ndarray:
+        full = pinocchio.neutral(self.model)
+        for place, size, value in zip(self.places, self.sizes, q.tolist(), strict=True):
+            full[place : place + size] = [value] if size == 1 else [math.cos(value), math.sin(value)]
+        pinocchio.computeCollisions(self.model, self.work, self.geometry, self.found, full, False)
+        return np.array([result.isCollision() for result in self.found.collisionResults], dtype=bool)
+
+    def collides(self, q: np.ndarray) -> bool:
+        return bool(self._pairs(q).any())
+
+    def names(self, q: np.ndarray) -> list[str]:
+        objects, pairs = self.geometry.geometryObjects, self.geometry.collisionPairs
+        return [
+            f"{objects[pairs[k].first].name}-{objects[pairs[k].second].name}" for k in np.flatnonzero(self._pairs(q))
+        ]
+
+
+def joints_of(urdf: Path, base: str, tip: str) -> list[str]:
+    from identification.files.urdf import MOVING, read_urdf
+
+    return [str(e.get("name")) for e in read_urdf(urdf).elements(base, tip) if e.get("type") in MOVING]
+
+
+def plan_of(folder: Path, arm: str, seed: int, *more: str) -> tuple[dict[str, Any], np.ndarray, list[str], float]:
+    """The answer, all rows of the plan in order (measured and via), their kinds, and the processor time [s]."""
+    (folder / "arm.toml").write_text(arm)
+    command = ["design", "arm.toml", "--runs", str(RUNS), "--seed", str(seed), "--out", "plan.csv", "--force", "--json"]
+    command += ["--package-dir", str(data()), *more] if "urdf" in arm else more
+    start = time.monotonic()
+    done = subprocess.run([sys.executable, "-m", "doe", *command], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in (folder / "plan.csv").read_text().splitlines() if not line.startswith("#")]
+    rows = list(csv.DictReader(lines))
+    angles = np.radians([[float(value) for key, value in row.items() if key.startswith("q")] for row in rows])
+    return json.loads(done.stdout), angles, [row.get("kind", "measure") for row in rows], time.monotonic() - start
+
+
+@pytest.mark.parametrize("floor", ["", FLOOR], ids=["bodies", "floor"])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_posture_and_no_move_collides(robot: str, floor: str, tmp_path: Path) -> None:
+    urdf, base, tip = ROBOTS[robot]
+    path = data() / "example-robot-data/robots" / urdf
+    judge = Judge(path, joints_of(path, base, tip))
+    head = f'kind = "spatial"\nurdf = "{path}"\nbase_link = "{base}"\ntip_link = "{tip}"\n\n{BASE}'
+    bare = head + "\n[cell]\nbodies_of_urdf = false\n"
+    print(f"\n{robot}: {len(judge.geometry.collisionPairs)} pairs of meshes")
+    for seed in SEEDS:
+        said, rows, kinds, seconds = plan_of(tmp_path, head + (floor or "\n[cell]\nclearance_mm = 0.0\n"), seed)
+        free, free_rows, _, free_seconds = plan_of(tmp_path, bare, seed)
+        hits = [judge.names(q) for q in rows[[kind == "measure" for kind in kinds]] if judge.collides(q)]
+        moves = [
+            k
+            for k in range(len(rows) - 1)
+            if any(judge.collides(rows[k] + s * (rows[k + 1] - rows[k])) for s in np.linspace(0.0, 1.0, PLACES))
+        ]
+        before = sum(judge.collides(q) for q in free_rows)
+        p = said["parameters"] if isinstance(said["parameters"], int) else len(said["parameters"])
+        efficiency = math.exp((said["objective"] - free["objective"]) / p)
+        print(
+            f"  seed {seed}: {len(hits)} postures and {len(moves)} moves collide ({before} postures without bodies), "
+            f"efficiency {efficiency:.4f}, {kinds.count('via')} via, {seconds:.1f} s against {free_seconds:.1f} s"
+        )
+        assert not hits
+        assert not moves

@@ -1,0 +1,209 @@
+"""Plans of arms with bodies as they are driven: moves sampled a hundred times finer than they were proven."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.plan.driving import MOVING, check_approach, drive, room_of, with_approach
+from doe.plan.moves import APPROACH, Room, Space, free, route
+from doe.problem.clearance import SIGHT, Clearance
+from doe.problem.constraints import constraints_of
+from doe.problem.problem import DesignProblem
+from identification import Arm, Array, Model, Plan, load_plan
+from identification.bodies import Body, Cell
+from identification.errors import InputError, JobError
+from identification.workspace import LineOfSight, WorkspaceBox
+from tests.doe.plan.test_moves import whole_way
+from tests.doe.problem.test_clearance import cell_of
+from tests.doe.six_axis import SIX_AXIS
+
+
+# -- an arm ------------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    sight = LineOfSight((2000.0, 300.0, 500.0), np.radians(60.0), (0.0, 0.0, 400.0))
+    box = WorkspaceBox((-1200.0, 1200.0), (-1200.0, 1200.0), (0.0, 2000.0))
+    cell = cell_of(SIX_AXIS)
+    few = [body for body in cell.bodies if body.name != "table"]  # boxes take time
+    limits = np.full(6, np.pi)
+    return replace(
+        SIX_AXIS, lower=-limits, upper=limits, cell=replace(cell, bodies=tuple(few)), constraints=(sight, box)
+    )
+
+
+def test_moves_of_an_arm_keep_half_the_clearance(arm: Arm) -> None:
+    """Postures keep it all; moves are sampled a hundred times finer than they were looked at."""
+    constraints = constraints_of(Model(arm))
+    clearance = next(each for each in constraints if isinstance(each, Clearance))
+    room = room_of(constraints)
+    assert room is not None
+    drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (800, 6))
+    postures = drawn[np.all(clearance.margin(drawn) >= 0.0, axis=1) & room.allows(drawn)][:12]
+    looked = [0]
+
+    def margin(q: Array) -> Array:
+        looked[0] += len(q)
+        return room.margin(q)
+
+    found = route(postures, Room(margin, room.levers, room.allows), Space(arm.lower, arm.upper, np.ones(6)))
+    assert found.unreached == []
+    way = whole_way(postures, found)
+    shares = np.linspace(0.0, 1.0, 3000)[:, None]
+    solid = [SIGHT not in pair for pair in clearance.pairs]
+    for a, b in pairwise(way):
+        apart = clearance.distance(a + shares * (b - a))[:, solid]
+        assert np.all(apart >= MOVING * clearance.asked[solid] - 2e-3)
+    assert looked[0] < 5000
+
+
+def test_a_wall_may_be_left_and_reached_again() -> None:
+    """Both postures are on the side of the box, 300 mm from the base, and bodies are nowhere near."""
+    ball = (
+        Body("ball", 2, np.array([200.0, 0, 0, 200, 0, 0, 5])),
+        Body("post", 0, np.array([900.0, 0, 0, 900, 0, 0, 5])),
+    )
+    box = WorkspaceBox((-600.0, 300.0), (-600.0, 600.0))
+    arm = Arm(np.array([300.0, 200.0]), cell=Cell(ball), constraints=(box,))
+    room = room_of(constraints_of(Model(arm)))
+    assert room is not None
+    out = np.arccos(200.0 / 300.0 - 1.0 / 3.0)  # the tip is 300 cos q1 + 200 cos (q1 + q2)
+    ends = np.array([[out, -out], [-out, out]])
+    folded = np.array([[np.pi / 2, np.pi / 2 - 0.01]])
+    tips = 300.0 * np.cos(ends[:, 0]) + 200.0 * np.cos(ends.sum(axis=1))
+    np.testing.assert_allclose(tips, 300.0)
+    assert free(ends[:1], folded, room).all()
+    assert not free(ends[:1], ends[1:], room).any()  # the stretched arm reaches 500 mm
+
+
+def test_nothing_is_known_without_bodies() -> None:
+    assert room_of(constraints_of(Model(Arm(np.array([300.0, 200.0]))))) is None
+
+
+# -- plans -------------------------------------------------------------------------------------------------------------
+def ball(name: str, joint: int, x: float, y: float, radius: float) -> Body:
+    return Body(name, joint, np.array([x, y, 0.0, x, y, 0.0, radius]))
+
+
+def ring() -> DesignProblem:
+    """Two links of 300 and 200 mm and a ball at the tip, which gets between two posts with its elbow on one side only:
+    all around is free, and a pocket between joint limits and posts is cut off."""
+    posts = ball("above", 0, 0.0, 500.0, 60.0), ball("below", 0, 0.0, -500.0, 60.0)
+    limits = np.radians([170.0, 20.0])
+    cell = Cell((*posts, ball("hand", 2, 200.0, 0.0, 30.0)), clearance=20.0)
+    arm = Arm(np.array([300.0, 200.0]), lower=-limits, upper=limits, sigma=0.1, cell=cell)
+    return DesignProblem.of(Model(arm))
+
+
+def inside(problem: DesignProblem, way: Array) -> bool:
+    """Whether every move of a way keeps half of its clearance, by a fine sample."""
+    clearance = next(each for each in problem.constraints if isinstance(each, Clearance))
+    shares = np.linspace(0.0, 1.0, 1500)[:, None]
+    points = np.concatenate([a + shares * (b - a) for a, b in pairwise(way)])
+    solid = [SIGHT not in pair for pair in clearance.pairs]
+    return bool(np.all((clearance.distance(points) >= MOVING * clearance.asked - 2e-3)[:, solid]))
+
+
+def test_postures_behind_a_post_are_replaced_by_the_best_that_are_not() -> None:
+    """The stretched arm sweeps past no post: of three sectors the one with most postures stays."""
+    problem = ring()
+    q1 = np.radians([-60.0, -30.0, 0.0, 30.0, 60.0, 150.0])
+    postures = np.column_stack([q1, np.radians([5.0, -5.0, 10.0, -10.0, 0.0, 0.0])])
+    found = drive(problem, Plan(postures))
+    assert found.replaced == 1
+    assert np.all(np.abs(found.plan.postures[:, 0]) < np.pi / 2)
+    assert len({*map(tuple, found.plan.postures)} & {*map(tuple, postures)}) == 5
+    assert inside(problem, found.moves.postures)
+    (new,) = {*map(tuple, found.plan.postures)} - {*map(tuple, postures)}
+    others = problem.feasible(drawn := np.random.default_rng(1).uniform(problem.lower, problem.upper, (300, 2)))
+    drawn = drawn[others & (np.abs(drawn[:, 0]) < np.pi / 2)]
+    values = [problem.objective(np.vstack([postures[:5], each])) for each in drawn]
+    assert problem.objective(np.vstack([postures[:5], new])) > np.quantile(values, 0.9)
+
+
+def test_what_nothing_can_replace_is_named() -> None:
+    problem = ring()
+    problem = replace(problem, choices=np.radians([[150.0, 0.0], [160.0, 5.0]]))
+    postures = np.radians([[-60.0, 5.0], [0.0, -5.0], [150.0, 0.0]])
+    with pytest.raises(JobError, match="no free way was found to run 3; another --seed"):
+        drive(problem, Plan(postures))
+
+
+@pytest.mark.parametrize("approach", ["positive", "negative", "alternate"])
+def test_joints_come_from_the_side_that_is_asked_for(approach: str) -> None:
+    """Without bodies and with them; one joint is counted the other way round."""
+    signs = (1, -1)
+    for problem in (ring(), replace(ring(), constraints=())):
+        asked = with_approach(problem, approach, signs)
+        postures = np.random.default_rng(2).uniform(asked.lower, asked.upper, (40, 2))
+        postures = postures[problem.feasible(postures) & (np.abs(postures[:, 0]) < 1.0)][:6]
+        postures[0] = asked.lower * [0.3, 1.0]
+        found = drive(problem, Plan(postures), None, approach, signs)
+        assert found.replaced == 0
+        assert found.moves.via is not None
+        come = np.sign(np.diff(found.moves.postures, axis=0)[~found.moves.via[1:]]) * signs
+        assert np.all(come == come[:, :1])
+        rows = [int(np.flatnonzero((postures == q).all(axis=1))[0]) for q in found.plan.postures]
+        wanted = {"positive": [1] * 6, "negative": [-1] * 6, "alternate": [1 - 2 * (row % 2) for row in rows]}
+        assert come[:, 0].tolist() == wanted[approach]
+        if problem.constraints:
+            assert inside(problem, found.moves.postures)
+        else:
+            assert rows == list(range(6))
+
+
+def test_room_to_come_from_is_left_within_the_limits() -> None:
+    problem = ring()
+    away = np.full(2, APPROACH)
+    for approach, below, above in (("any", 0, 0), ("positive", 1, 0), ("negative", 0, 1), ("alternate", 1, 1)):
+        asked = with_approach(problem, approach)
+        np.testing.assert_allclose(asked.lower, problem.lower + below * away)
+        np.testing.assert_allclose(asked.upper, problem.upper - above * away)
+    turned = with_approach(problem, "positive", (1, -1))
+    np.testing.assert_allclose(turned.lower, problem.lower + np.array([APPROACH, 0.0]))
+    np.testing.assert_allclose(turned.upper, problem.upper - np.array([0.0, APPROACH]))
+    with pytest.raises(InputError, match="approach: unknown 'positiv', did you mean 'positive'"):
+        check_approach("positiv")
+
+
+def test_orders_that_are_asked_for(arm: Arm) -> None:
+    problem = DesignProblem.of(Model(arm))
+    drawn = np.random.default_rng(6).uniform(arm.lower, arm.upper, (800, 6))
+    drawn[:, 1] = -np.abs(drawn[:, 1])  # through the floor no way leads to the others
+    postures = drawn[problem.feasible(drawn)][:5]
+    kept, mixed, short = (drive(problem, Plan(postures), order, seed=3) for order in ("given", "random", "travel"))
+    np.testing.assert_array_equal(kept.plan.postures, postures)
+    rows = np.random.default_rng(3).permutation(5)
+    np.testing.assert_array_equal(mixed.plan.postures, postures[rows])
+    assert short.shortest <= short.travel <= kept.travel
+    assert kept.before <= kept.travel
+    assert all(inside(problem, found.moves.postures) for found in (kept, mixed, short))
+    again = drive(problem, Plan(postures), "travel", seed=3)
+    np.testing.assert_array_equal(again.moves.postures, short.moves.postures)
+
+
+# -- the file ----------------------------------------------------------------------------------------------------------
+def test_a_plan_file_with_way_points(tmp_path: Path) -> None:
+    """Runs are numbered without them; directions are those of the motion that the file describes."""
+    postures = np.radians([[0.0, 0.0], [10.0, -5.0], [7.0, -8.0], [12.0, -8.0]])
+    plan = Plan(postures, via=np.array([False, False, True, False]), fit="library-prior")
+    text = plan.text(further={"cup": ["a", "bb", "c"]})
+    assert text.splitlines() == [
+        "# fit: library-prior",
+        "run,kind,q1_deg,q2_deg,direction1,direction2,cup",
+        "1,measure,0.0,0.0,1,1,a",
+        "2,measure,10.0,-5.0,1,-1,bb",
+        ',via,7.0,-8.0,,,""',
+        "3,measure,12.0,-8.0,1,-1,c",
+    ]
+    (tmp_path / "plan.csv").write_text(text)
+    np.testing.assert_allclose(load_plan(tmp_path / "plan.csv", 2).postures, postures[[0, 1, 3]], atol=1e-14)
+    whole = load_plan(tmp_path / "plan.csv", 2, vias=True)
+    np.testing.assert_allclose(whole.postures, postures, atol=1e-14)
+    assert [*(whole.via if whole.via is not None else [])] == [False, False, True, False]
+    straight = Plan(postures, via=np.zeros(4, dtype=bool)).text()
+    assert straight.splitlines()[:2] == ["run,kind,q1_deg,q2_deg", "1,measure,0.0,0.0"]

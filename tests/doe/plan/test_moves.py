@@ -1,0 +1,204 @@
+"""Moves in a plane of two joints with discs, squares and pockets that are known in closed form, and of an arm with
+bodies; every move sampled a hundred times finer than it was proven, and all orders of few postures."""
+
+from __future__ import annotations
+
+from itertools import pairwise, permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from doe.plan.moves import Room, Route, Space, approaches, detour, free, pulled, route
+from identification import Array
+
+PLANE = Space(np.full(2, -2.0), np.full(2, 2.0), np.ones(2))
+
+
+def discs(*places: tuple[float, float, float]) -> Room:
+    """Discs (x, y, radius) in the plane of the joints, where 1 rad is 100 mm."""
+    centers, radii = np.array([place[:2] for place in places]), np.array([place[2] for place in places])
+
+    def margin(postures: Array) -> Array:
+        return 100.0 * (np.linalg.norm(postures[:, None] - centers, axis=2) - radii)
+
+    # by Cauchy and Schwarz a distance changes by at most the way, and that is at most |dq_1| + |dq_2|
+    levers = np.full((len(places), 2), 100.0)
+    return Room(margin, levers, lambda q: np.all(margin(q) >= 0.0, axis=1))
+
+
+def sampled(room: Room, way: Array, count: int = 4000) -> float:
+    """Least margin at so many postures of each straight move of a way (v, n)."""
+    shares = np.linspace(0.0, 1.0, count)[:, None]
+    return min(float(room.margin(a + shares * (b - a)).min(initial=np.inf)) for a, b in pairwise(way))
+
+
+def distance_to_segment(point: Array, a: Array, b: Array) -> float:
+    share = np.clip((point - a) @ (b - a) / max((b - a) @ (b - a), 1e-300), 0.0, 1.0)
+    return float(np.linalg.norm(a + share * (b - a) - point))
+
+
+coordinate = st.floats(-2.0, 2.0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(coordinate, coordinate), min_size=2, max_size=2), coordinate, coordinate, st.floats(0.05, 1))
+def test_a_move_is_free_where_it_misses_the_disc(ends: list[tuple[float, float]], x: float, y: float, r: float) -> None:
+    """Never where the segment meets the disc, always where it is half a millimetre away (1 rad is 100 mm)."""
+    a, b = np.array(ends)
+    room = discs((x, y, r))
+    gap = 100.0 * (distance_to_segment(np.array([x, y]), a, b) - r)
+    proven = bool(free(a[None], b[None], room)[0])
+    assert not (proven and gap < -1e-9)
+    assert proven or gap < 0.5
+
+
+def test_many_moves_at_once_are_each_as_alone() -> None:
+    generator = np.random.default_rng(0)
+    room = discs((0.0, 0.0, 0.5), (1.0, 1.0, 0.4), (-1.0, 0.3, 0.3))
+    starts, ends = generator.uniform(-2.0, 2.0, (2, 80, 2))
+    together = free(starts, ends, room)
+    assert 10 < together.sum() < 70
+    alone = [free(a[None], b[None], room)[0] for a, b in zip(starts, ends, strict=True)]
+    assert together.tolist() == alone
+
+
+def test_a_move_along_a_wall_is_not_proven_and_ends_all_the_same() -> None:
+    """It touches the disc, at one place; nothing can be proven of it."""
+    assert not free(np.array([[-1.0, 0.5]]), np.array([[1.0, 0.5]]), discs((0.0, 0.0, 0.5)))[0]
+
+
+def test_nothing_in_the_way_and_no_move() -> None:
+    nothing = Room(lambda q: np.empty((len(q), 0)), np.empty((0, 2)), lambda q: np.ones(len(q), dtype=bool))
+    assert free(np.zeros((3, 2)), np.ones((3, 2)), nothing).all()
+    here = np.array([[0.7, 0.0]])
+    assert free(here, here, discs((0.0, 0.0, 0.5))).all()
+    assert not free(0.5 * here, 0.5 * here, discs((0.0, 0.0, 0.5))).any()
+
+
+# -- ways round --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("seed", range(5))
+def test_a_detour_round_a_disc_is_near_the_shortest(seed: int) -> None:
+    """The joint that goes 3 rad need not turn back: no way is shorter, and one by way of (0, 1.3) is as long."""
+    room, generator = discs((0.0, 0.0, 0.8)), np.random.default_rng(seed)
+    start, end = np.array([-1.5, 0.0]), np.array([1.5, 0.0])
+    way = detour(start, end, room, PLANE, generator)
+    assert way is not None
+    whole = np.array([start, *way, end])
+    assert sampled(room, whole) >= 0.0
+    assert PLANE.travel(whole[:-1], whole[1:]).sum() < 1.15 * 3.0
+
+
+def test_a_way_out_of_a_pocket() -> None:
+    """A ring of discs with one gap, of 0.35 rad, around the end: several way-points, through the gap."""
+    angles = np.radians(np.arange(30.0, 331.0, 10.0))
+    room = discs(*((float(np.cos(a)), float(np.sin(a)), 0.15) for a in angles))
+    start, end = np.array([-1.8, 0.0]), np.zeros(2)
+    way = detour(start, end, room, PLANE, np.random.default_rng(1))
+    assert way is not None
+    whole = np.array([start, *way, end])
+    assert sampled(room, whole) >= 0.0
+    crossing = [a + s * (b - a) for a, b in pairwise(whole) for s in np.linspace(0.0, 1.0, 500)]
+    ring = min(crossing, key=lambda q: abs(np.linalg.norm(q) - 1.0))
+    assert abs(np.degrees(np.arctan2(ring[1], ring[0]))) < 30.0
+
+
+def test_no_way_out_of_a_closed_ring() -> None:
+    angles = np.radians(np.arange(0.0, 360.0, 10.0))
+    room = discs(*((float(np.cos(a)), float(np.sin(a)), 0.15) for a in angles))
+    assert detour(np.array([-1.8, 0.0]), np.zeros(2), room, PLANE, np.random.default_rng(1)) is None
+
+
+def test_what_is_pulled_stays_free_and_gets_no_longer() -> None:
+    room = discs((0.0, 0.0, 0.5))
+    way = np.array([[-1.0, 0.0], [-1.5, 1.5], [0.0, 1.9], [1.7, 1.0], [1.0, 0.0]])
+    short = pulled(way.copy(), room, PLANE)
+    assert len(short) < len(way)
+    assert sampled(room, short) >= 0.0
+    assert PLANE.travel(short[:-1], short[1:]).sum() < PLANE.travel(way[:-1], way[1:]).sum()
+
+
+# -- orders ------------------------------------------------------------------------------------------------------------
+def whole_way(postures: Array, found: Route) -> Array:
+    return np.concatenate([np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_order_is_the_shortest_of_all_permutations_that_are_free(seed: int) -> None:
+    """Of six postures; where none is free, no order is said to be."""
+    generator = np.random.default_rng(seed)
+    room = discs((0.0, 0.0, 0.6), (1.2, -1.0, 0.4), (-1.1, 1.0, 0.4))
+    postures = generator.uniform(-2.0, 2.0, (60, 2))
+    postures = postures[room.allows(postures)][:6]
+    gap = {
+        (i, k): min(
+            100.0 * (distance_to_segment(np.array(place[:2]), postures[i], postures[k]) - place[2])
+            for place in ((0.0, 0.0, 0.6), (1.2, -1.0, 0.4), (-1.1, 1.0, 0.4))
+        )
+        for i, k in permutations(range(6), 2)
+    }
+    assert not any(0.0 <= each < 0.5 for each in gap.values())  # none so near that it is left open
+    lengths = [
+        sum(np.abs(postures[i] - postures[k]).max() for i, k in pairwise(order))
+        for order in permutations(range(6))
+        if all(gap[pair] > 0.0 for pair in pairwise(order))
+    ]
+    found = route(postures, room, PLANE)
+    way = whole_way(postures, found)
+    assert sorted(found.rows) == list(range(6))
+    assert sampled(room, way) >= 0.0
+    assert found.unreached == []
+    if lengths:
+        assert len(way) == 6
+        assert PLANE.travel(way[:-1], way[1:]).sum() == pytest.approx(min(lengths))
+    else:
+        assert len(way) > 6
+
+
+def test_an_order_that_is_kept_goes_round() -> None:
+    room = discs((0.0, 0.0, 0.5))
+    postures = np.array([[-1.0, 0.0], [1.0, 0.1], [-1.0, 0.2], [1.0, 0.3]])
+    found = route(postures, room, PLANE, keep_order=True)
+    assert found.rows.tolist() == [0, 1, 2, 3]
+    assert [len(way) > 0 for way in found.vias] == [False, True, True, True]
+    assert sampled(room, whole_way(postures, found)) >= 0.0
+
+
+def test_one_posture_that_cannot_be_reached_is_named() -> None:
+    angles = np.radians(np.arange(0.0, 360.0, 10.0))
+    room = discs(*((float(np.cos(a)), float(np.sin(a)), 0.15) for a in angles))
+    postures = np.array([[1.5, 1.5], [-1.5, 1.5], [0.0, 0.0], [-1.5, -1.5], [1.5, -1.5]])
+    for keep_order in (False, True):
+        assert route(postures, room, PLANE, keep_order=keep_order).unreached == [2]
+
+
+def test_one_posture_and_two() -> None:
+    room = discs((0.0, 0.0, 0.5))
+    assert route(np.ones((1, 2)), room, PLANE).rows.tolist() == [0]
+    found = route(np.array([[-1.0, 0.0], [1.0, 0.0]]), room, PLANE)
+    assert sampled(room, whole_way(np.array([[-1.0, 0.0], [1.0, 0.0]]), found)) >= 0.0
+
+
+# -- the side from which a posture is reached --------------------------------------------------------------------------
+def test_every_joint_comes_from_its_side() -> None:
+    generator = np.random.default_rng(2)
+    room = discs((0.0, 0.0, 0.6), (1.2, -1.0, 0.4))
+    postures = generator.uniform(-1.9, 1.9, (40, 2))
+    postures = postures[room.allows(postures)][:12]
+    senses = np.where(generator.random(postures.shape) < 0.5, -1.0, 1.0)
+    entries = approaches(postures, senses, room, PLANE, generator)
+    found = route(postures, room, PLANE, entries=entries)
+    assert sampled(room, whole_way(postures, found)) >= 0.0
+    steps = postures[found.rows] - np.array([way[-1] for way in found.vias])
+    assert np.all(np.sign(steps) == senses[found.rows])
+    assert np.abs(steps).max() < np.radians(10.0)
+
+
+def test_no_side_is_left_at_a_limit_or_against_a_disc() -> None:
+    postures = np.array([[-2.0, 1.0], [1.0, -1.0], [0.0, 0.0]])
+    room = discs((-0.5, -0.5, 0.7))  # 7 mm below the last
+    up = approaches(postures, np.ones((3, 2)), room, PLANE, np.random.default_rng(0))
+    assert np.isnan(up[:, 0]).tolist() == [True, False, True]
+    down = approaches(postures, -np.ones((3, 2)), room, PLANE, np.random.default_rng(0))
+    assert np.isnan(down[:, 0]).tolist() == [False, False, False]

@@ -1,0 +1,195 @@
+"""Clearance against points sampled along axes, differences, and bodies whose distance is known in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from doe.plan.ascent import PlanAscent
+from doe.problem.clearance import FLOOR, SIGHT, Clearance, Slopes, from_box, nearest_to_box, shortest
+from doe.problem.constraints import constraints_of
+from doe.problem.postures import random_postures
+from doe.problem.problem import DesignProblem
+from identification import Arm, Array, Model, design_model
+from identification.bodies import Body, Cell
+from identification.workspace import LineOfSight
+from tests.doe.six_axis import SIX_AXIS
+
+TRACKER = np.array([2000.0, 300.0, 500.0])
+POSTURES = 40
+
+
+def cell_of(arm: Arm) -> Cell:
+    """Links of four crooked capsules each, a table of two boxes, a post, and a floor."""
+    generator = np.random.default_rng(1)
+    ends = [*(joint.origin for joint in arm.chain.joints[1:]), arm.chain.end]
+    bodies = [Body("base", 0, np.array([0.0, 0, 0, 0, 0, 130, 60]))]
+    for j, matrix in enumerate(ends, start=1):
+        axes = np.r_[np.zeros(3), matrix[:3, 3]] + generator.normal(0.0, 5.0, (4, 6))
+        bodies.append(Body(f"link {j}", j, np.column_stack([axes, generator.uniform(40.0, 50.0, 4)])))
+    turn = np.linalg.qr(generator.normal(size=(3, 3)))[0]
+    boxes = [[500.0, 300, 200, *turn.ravel(), 100, 200, 50], [-500.0, 300, 200, *np.eye(3).ravel(), 300, 20, 250]]
+    bodies += [Body("table", boxes=np.array(boxes)), Body("post", 0, np.array([300.0, -500, 0, 300, -500, 400, 30]))]
+    links = ["base", *(body.name for body in bodies[1:-2])]
+    return Cell(tuple(bodies), floor=-50.0, apart=frozenset(map(frozenset, pairwise(links))))
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return replace(SIX_AXIS, cell=cell_of(SIX_AXIS))
+
+
+@pytest.fixture(scope="module")
+def clearance(arm: Arm) -> Clearance:
+    return Clearance(design_model(Model(arm)), [TRACKER])
+
+
+@pytest.fixture(scope="module")
+def postures(arm: Arm) -> Array:
+    return np.random.default_rng(2).uniform(arm.lower, arm.upper, (POSTURES, 6))
+
+
+def samples(arm: Arm, posture: Array, name: str, count: int = 120) -> list[tuple[Array, float]]:
+    """Of each capsule of a body points (count, 3) along its axis, and its radius, from the chain's matrices."""
+    frames = design_model(Model(arm)).joint_frames(posture[None])[0]
+    shares = np.linspace(0.0, 1.0, count)[:, None]
+    if name == SIGHT:
+        return [(TRACKER + shares * (frames[-1, :3, 3] - TRACKER), 0.0)]
+    assert arm.cell is not None
+    body = next(body for body in arm.cell.bodies if body.name == name)
+    frame = np.eye(4) if body.joint == 0 else frames[body.joint - 1]
+    local = [(row[:3] + shares * (row[3:6] - row[:3]), row[6]) for row in body.capsules]
+    return [(points @ frame[:3, :3].T + frame[:3, 3], radius) for points, radius in local]
+
+
+def sampled_distance(arm: Arm, posture: Array, pair: tuple[str, str]) -> float:
+    first = samples(arm, posture, pair[0])
+    if pair[1] == FLOOR:
+        return min(float(points[:, 2].min()) - radius + 50.0 for points, radius in first)
+    if pair[1] != "table":
+        second = samples(arm, posture, pair[1])
+        gaps = [(p[:, None] - q, r + s) for p, r in first for q, s in second]
+        return min(float(np.linalg.norm(gap, axis=2).min()) - radii for gap, radii in gaps)
+    assert arm.cell is not None
+    table, least = next(body for body in arm.cell.bodies if body.name == "table"), np.inf
+    for points, radius in first:
+        for box in table.boxes:
+            beyond = np.abs((points - box[:3]) @ box[3:12].reshape(3, 3)) - box[12:]
+            signed = np.where(beyond.max(axis=1) > 0.0, np.linalg.norm(np.maximum(beyond, 0.0), axis=1), beyond.max(1))
+            least = min(least, float(signed.min()) - radius)
+    return least
+
+
+def test_distances_are_those_of_points_sampled_along_the_axes(arm: Arm, clearance: Clearance, postures: Array) -> None:
+    apart = clearance.distance(postures[:15])
+    for k, pair in enumerate(clearance.pairs):
+        sampled = np.array([sampled_distance(arm, posture, pair) for posture in postures[:15]])
+        assert np.all(apart[:, k] < sampled + 1e-3), pair
+        # the line of sight is sampled every 17 to 30 mm, other axes every 5
+        np.testing.assert_allclose(apart[:, k], sampled, atol=15.0 if pair[0] == SIGHT else 2.5, err_msg=str(pair))
+
+
+def test_which_pairs_are_looked_at(clearance: Clearance) -> None:
+    assert ("link 3", "link 1") in clearance.pairs
+    assert ("link 2", "link 1") not in (*clearance.pairs, *clearance.touching)  # a joint connects them
+    assert ("table", "post") not in clearance.pairs  # both stand still
+    assert not any({SIGHT, FLOOR} <= {*pair} for pair in clearance.pairs)
+
+
+@pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (28.0, 0, [2.0]), (80.0, 0, [10.0])])
+def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: list[float]) -> None:
+    """Two balls of radius 10 at and behind a planar arm's elbow, whose distance no joint changes."""
+    places = ((1, 400.0), (2, place))
+    balls = tuple(Body(f"ball {j}", j, np.array([x, 0.0, 0, x, 0, 0, 10])) for j, x in places)
+    clearance = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls, clearance=10.0)))))
+    assert len(clearance.touching) == touching
+    assert clearance.asked.tolist() == pytest.approx(asked)
+
+
+def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:
+    step = 1e-6
+    slopes = Slopes(clearance, range(6)).first(postures)[1]
+    moved = [(clearance.margin(postures + step * e) - clearance.margin(postures - step * e)) for e in np.eye(6)]
+    differences = np.stack(moved, axis=1) / (2.0 * step)
+    wrong = np.abs(slopes - differences).max(axis=1) > 1e-3 * np.abs(differences).max()
+    # where two pieces are equally near, or an axis runs through the middle of a box, there is no derivative
+    assert wrong.mean() < 0.005
+
+
+def test_bends_are_differences_of_slopes(clearance: Clearance, postures: Array) -> None:
+    weights = np.random.default_rng(3).uniform(size=(POSTURES, len(clearance.pairs)))
+    of_some, joints, step = Slopes(clearance, [1, 4]), np.array([1, 4]), 1e-5
+    bends = of_some.bend(postures, weights)
+    np.testing.assert_allclose(bends, np.swapaxes(bends, 1, 2))
+    ahead = of_some.slope(postures + step * np.eye(6)[joints[1]], weights)
+    behind = of_some.slope(postures - step * np.eye(6)[joints[1]], weights)
+    wrong = np.abs((ahead - behind) / (2.0 * step) - bends[:, 1]).max(axis=1) > 1e-2 * np.abs(bends).max()
+    assert wrong.mean() < 0.1  # kinks, where other pieces become the nearest
+
+
+def test_no_distance_changes_faster_than_the_levers_say(arm: Arm, clearance: Clearance, postures: Array) -> None:
+    others = np.random.default_rng(4).uniform(arm.lower, arm.upper, postures.shape)
+    for step in (0.05, 1.0, np.eye(6)):
+        nearby = postures[:, None] + np.atleast_2d(step) * (others - postures)[:, None]
+        for there in np.moveaxis(nearby, 1, 0):
+            changes = np.abs(clearance.distance(there) - clearance.distance(postures))
+            assert np.all(changes <= np.abs(there - postures) @ clearance.levers().T + 1e-9)
+
+
+def test_a_joint_that_moves_both_bodies_changes_no_distance(clearance: Clearance) -> None:
+    """Links 5 and 2 have joints 3 to 5 between them, the stretched arm of which is at least their links."""
+    levers = clearance.levers()[clearance.pairs.index(("link 5", "link 2"))]
+    assert np.flatnonzero(levers).tolist() == [2, 3, 4]
+    assert levers[2] > 572.3
+    assert np.all(clearance.levers()[[SIGHT in pair for pair in clearance.pairs]][:, 0] > 0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-100, 100), min_size=12, max_size=12))
+def test_shortest_way_between_two_segments(numbers: list[float]) -> None:
+    a, b, c, d = np.array(numbers).reshape(4, 3)
+    first, second, between = shortest(a, b, c, d)
+    np.testing.assert_allclose(between, a + first * (b - a) - c - second * (d - c), atol=1e-9)
+    shares = np.linspace(0.0, 1.0, 41)
+    grid = (a + shares[:, None] * (b - a))[:, None] - (c + shares[:, None] * (d - c))
+    assert np.linalg.norm(between) <= np.linalg.norm(grid, axis=2).min() + 1e-6
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-100, 100), min_size=6, max_size=6), st.lists(st.floats(1, 60), min_size=3, max_size=3))
+def test_nearest_point_of_a_segment_to_a_box(numbers: list[float], sizes: list[float]) -> None:
+    (a, b), half = np.array(numbers).reshape(2, 3, 1), np.array(sizes)[:, None]
+    share = nearest_to_box(a, b, half)
+    grid = a + np.linspace(0.0, 1.0, 401) * (b - a)
+    assert from_box(a + share * (b - a), half)[0] <= from_box(grid, half).min() + 1e-4
+
+
+def test_a_planar_arm_and_spheres() -> None:
+    """Two links of 400 mm that fold: the tip's ball is 2 * 400 * sin(q / 2) from that of the base."""
+    balls = [
+        Body("foot", 0, np.array([0.0, 0, 0, 0, 0, 0, 30])),
+        Body("hand", 2, np.array([400.0, 0, 0, 400, 0, 0, 20])),
+    ]
+    arm = Arm(np.array([400.0, 400.0]), cell=Cell(tuple(balls), clearance=10.0))
+    fold = np.array([0.5, 1.0, 2.0, 3.0])
+    postures = np.column_stack([np.full(4, 0.7), fold])
+    (clearance,) = constraints_of(Model(arm))
+    np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)
+
+
+def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
+    sight = LineOfSight(tuple(TRACKER.tolist()), np.radians(60.0), (0.0, 0.0, 400.0))
+    problem = DesignProblem.of(Model(replace(arm, constraints=(sight,))))
+    judge = next(each for each in problem.constraints if isinstance(each, Clearance))
+    assert any(SIGHT in pair for pair in judge.pairs)
+    start = random_postures(problem, 14, np.random.default_rng(5))
+    climbed = PlanAscent(problem)(start, tolerance=1e-3)
+    assert problem.objective(climbed) > problem.objective(start) + 1.0
+    assert judge.too_near(climbed) == []
+    assert np.all(problem.feasible(climbed))
+    assert judge.too_near(PlanAscent(replace(problem, constraints=()))(start, tolerance=1e-2))
