@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import FLOOR, SIGHT, Clearance, Slopes, from_box, nearest_to_box, shortest
-from doe.problem.constraints import constraints_of
+from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from identification import Arm, Array, Model, design_model
@@ -182,6 +182,7 @@ def test_a_planar_arm_and_spheres() -> None:
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))
+    np.testing.assert_allclose(Walls([clearance], 2, [0, 1]).values(postures), clearance.margin(postures))
     np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)
 
 
