@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
+from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible, verb
 from identification import InputError, Progress, load_sessions, nearest, silent
 from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
@@ -163,6 +163,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
+@verb("armcal design arm.toml --runs 20 --out plan.csv")
 def design_files(
     arm: Path,
     *,
@@ -258,6 +259,7 @@ def design_files(
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
+@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 def score_files(
     arm: Path,
     plan: Path,
@@ -324,6 +326,7 @@ def score_files(
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
 def advise_files(
     arm: Path,
     *,
@@ -350,12 +353,12 @@ def advise_files(
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import Model, load_arm
-    from identification.reuse import only as only_these
+    from identification import Model, design_model, load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm))
     named = [word for text in only for word in words(text) if word]
-    problem = DesignProblem.of(only_these(loaded, named) if named else Model(loaded))
+    model = design_model(Model(loaded))
+    problem = DesignProblem.of(model.only(named) if named else model)
     fewest = problem.fewest_runs
     text = runs or (f"{fewest}:40" if named else "4:40")
     ends = text.split(":")
@@ -376,6 +379,7 @@ def advise_files(
     return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
+@verb("armcal relax arm.toml --grid 9 --solver clarabel")
 def relax_files(
     arm: Path,
     *,
@@ -448,6 +452,7 @@ def relax_files(
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
+@verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
@@ -496,18 +501,18 @@ def compare_files(
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None and not alone:
         from doe.report.page import svg
-        from doe.report.studies import profile_figure, time_figure
+        from doe.report.studies import profile_figure
 
         files: dict[Path, str | bytes] = {
             job.out / "summary.parquet": parquet(summed),
             job.out / "profile.svg": svg(profile_figure(rows)),
-            job.out / "time.svg": svg(time_figure(rows)),
         }
         write_together(files, force=True)
-        shown.append(f"rows, summary and pictures written to {job.out}")
+        shown.append(f"rows, summary and picture written to {job.out}")
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
+@verb("armcal program arm.toml plan.csv --robot ur --out plan.script")
 def program_files(
     arm: Path,
     plan: Path,
@@ -555,6 +560,7 @@ def program_files(
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------
+@verb("armcal discriminate arm.toml data.csv --runs 4 --out next.csv")
 def discriminate_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -580,7 +586,7 @@ def discriminate_files(
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
-    from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm
+    from identification import Model, diagnose, load_arm
 
     loaded, masses = load_arm(arm), None
     if payloads is not None:
@@ -588,7 +594,7 @@ def discriminate_files(
             masses = tuple(float(word) for word in payloads.split(","))
         except ValueError:
             masses = (-1.0,)
-        if not all(0.0 <= mass <= LARGEST_MASS for mass in masses):
+        if not all(0.0 <= mass < math.inf for mass in masses):
             raise InputError(f"--payloads: {payloads!r}, allowed: numbers >= 0 [kg], as in 0,5,10")
         if loaded.gravity is None:
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
@@ -612,13 +618,14 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
-    lines = written({out: csv_text(chosen.columns)}, force, "next postures")
+    lines = written({out: chosen.plan.text(further=chosen.conditions)}, force, "next postures")
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
     shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 
+@verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html")
 def report_files(
     files: tuple[Path, ...],
     *,
@@ -647,19 +654,3 @@ def report_files(
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
     return Answer(data, [*campaign.verdict, f"page written to {out}"])
-
-
-# verb -> what it does, and an example of it
-VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
-    "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
-    "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
-    "program": (program_files, "armcal program arm.toml plan.csv --robot ur --out plan.script"),
-    "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
-    "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
-    "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),
-    "discriminate": (
-        discriminate_files,
-        "armcal discriminate arm.toml data.csv --runs 4 --out next.csv",
-    ),
-    "report": (report_files, "armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html"),
-}

@@ -33,10 +33,7 @@ def cell_of(arm: Arm) -> Cell:
         axes = np.r_[np.zeros(3), matrix[:3, 3]] + generator.normal(0.0, 5.0, (4, 6))
         bodies.append(Body(f"link {j}", j, np.column_stack([axes, generator.uniform(40.0, 50.0, 4)])))
     turn = np.linalg.qr(generator.normal(size=(3, 3)))[0]
-    boxes = [
-        [500.0, 300, 200, *turn.ravel(), 100, 200, 50],
-        [-500.0, 300, 200, *np.eye(3).ravel(), 300, 20, 250],
-    ]
+    boxes = [[500.0, 300, 200, *turn.ravel(), 100, 200, 50], [-500.0, 300, 200, *np.eye(3).ravel(), 300, 20, 250]]
     bodies += [Body("table", boxes=np.array(boxes)), Body("post", 0, np.array([300.0, -500, 0, 300, -500, 400, 30]))]
     links = ["base", *(body.name for body in bodies[1:-2])]
     return Cell(tuple(bodies), floor=-50.0, apart=frozenset(map(frozenset, pairwise(links))))
@@ -104,13 +101,14 @@ def test_which_pairs_are_looked_at(clearance: Clearance) -> None:
     assert not any({SIGHT, FLOOR} <= {*pair} for pair in clearance.pairs)
 
 
-@pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (25.0, 0, [0.0]), (80.0, 0, [10.0])])
+@pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (28.0, 0, [2.0]), (80.0, 0, [10.0])])
 def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: list[float]) -> None:
     """Two balls of radius 10 at and behind a planar arm's elbow, whose distance no joint changes."""
     places = ((1, 400.0), (2, place))
     balls = tuple(Body(f"ball {j}", j, np.array([x, 0.0, 0, x, 0, 0, 10])) for j, x in places)
     clearance = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls, clearance=10.0)))))
-    assert (len(clearance.touching), clearance.asked.tolist()) == (touching, asked)
+    assert len(clearance.touching) == touching
+    assert clearance.asked.tolist() == pytest.approx(asked)
 
 
 def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:
@@ -190,7 +188,7 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     judge = next(each for each in problem.constraints if isinstance(each, Clearance))
     assert any(SIGHT in pair for pair in judge.pairs)
     start = random_postures(problem, 14, np.random.default_rng(5))
-    climbed = PlanAscent(problem)(start, tolerance=1e-2)
+    climbed = PlanAscent(problem)(start, tolerance=1e-3)
     assert problem.objective(climbed) > problem.objective(start) + 1.0
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))

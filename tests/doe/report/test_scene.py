@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ from identification import Plan, design_model, load_plan
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
 from identification.document import Document
+from identification.instruments.library import Distance
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
@@ -39,7 +42,7 @@ ROWS = (
     (0.0, -TURN, 115.7),
     (0.0, 0.0, 92.2),
 )
-ELBOW = Body("upper arm", 2, np.array([[0.0, 0.0, 150.0, 612.0, 0.0, 150.0, 60.0]]))
+ELBOW = Body("upper arm", 2, np.array([[0.0, 0.0, 150.0, -612.0, 0.0, 150.0, 60.0]]))
 TABLE = Body("table", 0, boxes=np.array([[0.0, 0.0, -100.0, *np.eye(3).ravel(), 400.0, 400.0, 90.0]]))
 ARM = Arm(
     replace(chain_of([DHRow(*row) for row in ROWS]), tools={"1": np.array([60.0, 40.0, 100.0])}),
@@ -48,7 +51,8 @@ ARM = Arm(
     cell=Cell((ELBOW, TABLE), floor=-190.0),
 )
 SMALL = {"width": 400, "height": 600}  # pixels that software draws
-POSTURES = RANDOM.uniform(-1.2, 1.2, (14, 6))
+POSTURES = RANDOM.uniform(-1.2, 1.2, (14, 6)) * [1.0, 0.3, 1.0, 1.0, 1.0, 1.0] - [0.0, TURN, 0.0, 0.0, 0.0, 0.0]
+POSTURES[13, 1] = 0.5  # the upper arm in the table
 
 
 def round_body(around: int) -> np.ndarray:
@@ -57,6 +61,13 @@ def round_body(around: int) -> np.ndarray:
     grid = np.stack([np.outer(np.sin(theta), f(phi)) for f in (np.cos, np.sin)] + [np.outer(np.cos(theta), phi**0)], -1)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
     return np.concatenate([np.stack(each, -2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
+
+
+def test_three_js_is_small_licensed_and_asks_for_nothing() -> None:
+    text = files("doe.report").joinpath("three.min.js").read_text("utf-8")
+    assert len(text) <= 700_000
+    assert "The MIT License" in text.partition("*/")[0]
+    assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.w3.org"}  # names of formats
 
 
 # -- data --------------------------------------------------------------------------------------------------------------
@@ -128,9 +139,12 @@ def test_arrows_are_turned_into_the_frame_of_the_base(sessions: int) -> None:
         assert model["rms"] == pytest.approx(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
 
 
-def test_lengths_have_no_arrows() -> None:
-    measured = Measurements(POSTURES, np.full((len(POSTURES), 1), 900.0))
-    assert error_arrows("data.csv", Validation(ARM, measured, "base", (), np.ones((14, 1)), np.ones((14, 1)))) == []
+def test_readings_that_are_no_positions_have_no_arrows() -> None:
+    """Lengths; and what has as many columns as a position."""
+    bar = replace(ARM, chain=replace(ARM.chain, instrument=Distance()))
+    for arm, columns in ((ARM, 1), (bar, 3)):
+        measured, left = Measurements(POSTURES, np.full((len(POSTURES), columns), 900.0)), np.ones((14, columns))
+        assert error_arrows("data.csv", Validation(arm, measured, "base", (), left, left)) == []
 
 
 # -- in a browser ------------------------------------------------------------------------------------------------------
@@ -206,6 +220,12 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     assert changed(picture(seen), first) > 1e-4  # the run that was struck out is not among the others any more
     seen.page.get_by_role("button", name="Undo all").click()
     canvas.focus()
+    keys.press("End")
+    assert "upper arm and table overlap by" in where.inner_text()
+    assert seen.facts()["runs with bodies too near"] == "1"
+    near = picture(seen)
+    assert reddish(near) > reddish(first) + 0.003
+    keys.press("Home")
     before = picture(seen)
     assert changed(before, first) == 0.0
     for key in ("Shift+ArrowLeft", "w", "+"):
@@ -300,17 +320,17 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
     assert seen.page.locator(".plan tbody tr").count() == 3
     seen.page.get_by_role("button", name="Step").click()
     np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[1:], atol=1e-6)
-    files = []
+    saved = []
     for button in ("Earlier", "Undo all", "Step"):
         with seen.page.expect_download() as download:
             seen.page.get_by_role("button", name="Download").click()
-        download.value.save_as(tmp_path / f"{len(files)}.csv")
-        files.append(load_plan(tmp_path / f"{len(files)}.csv", ARM.joint_types, vias=True))
+        download.value.save_as(tmp_path / f"{len(saved)}.csv")
+        saved.append(load_plan(tmp_path / f"{len(saved)}.csv", ARM.joint_types, vias=True))
         new = seen.facts().get("moves that are new, not looked at", "0")
-        assert new == ("0" if len(files) != 2 else "2")  # 2 1 3
+        assert new == ("0" if len(saved) != 2 else "2")  # 2 1 3
         seen.page.get_by_role("button", name=button).click()
     seen.close((tmp_path / "page.html").as_uri())
-    for file, order in zip(files, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
+    for file, order in zip(saved, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
         np.testing.assert_allclose(np.degrees(file.postures), q[order], atol=1e-9)
         assert file.cells["kind"] == [kinds[k] for k in order]
 
