@@ -63,9 +63,7 @@ def test_one_link_without_a_joint_to_choose() -> None:
 
 
 @pytest.mark.parametrize(
-    "case",
-    [of(FOUR, ECCENTRICITY), of(FOUR), of(FOUR, choices=LIST)],
-    ids=["continuous", "proven", "list"],
+    "case", [of(FOUR, ECCENTRICITY), of(FOUR), of(FOUR, choices=LIST)], ids=["continuous", "proven", "list"]
 )
 def test_a_bound_whose_search_is_cut_holds_and_says_so(case: DesignProblem) -> None:
     """Stopped after its first pricing: above the bound of the whole search, by the equivalence theorem."""
