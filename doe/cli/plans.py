@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
+from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible, verb
 from identification import InputError, Progress, load_sessions, nearest, silent
 from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
@@ -163,6 +163,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
+@verb("armcal design arm.toml --runs 20 --out plan.csv")
 def design_files(
     arm: Path,
     *,
@@ -258,6 +259,7 @@ def design_files(
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
+@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 def score_files(
     arm: Path,
     plan: Path,
@@ -324,6 +326,7 @@ def score_files(
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
 def advise_files(
     arm: Path,
     *,
@@ -376,6 +379,7 @@ def advise_files(
     return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
+@verb("armcal relax arm.toml --grid 9 --solver clarabel")
 def relax_files(
     arm: Path,
     *,
@@ -448,6 +452,7 @@ def relax_files(
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
+@verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
@@ -496,18 +501,18 @@ def compare_files(
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None and not alone:
         from doe.report.page import svg
-        from doe.report.studies import profile_figure, time_figure
+        from doe.report.studies import profile_figure
 
         files: dict[Path, str | bytes] = {
             job.out / "summary.parquet": parquet(summed),
             job.out / "profile.svg": svg(profile_figure(rows)),
-            job.out / "time.svg": svg(time_figure(rows)),
         }
         write_together(files, force=True)
-        shown.append(f"rows, summary and pictures written to {job.out}")
+        shown.append(f"rows, summary and picture written to {job.out}")
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
+@verb("armcal program arm.toml plan.csv --robot ur --out plan.script")
 def program_files(
     arm: Path,
     plan: Path,
@@ -555,6 +560,7 @@ def program_files(
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------
+@verb("armcal discriminate arm.toml data.csv --runs 4 --out next.csv")
 def discriminate_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -619,6 +625,7 @@ def discriminate_files(
     return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 
+@verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html")
 def report_files(
     files: tuple[Path, ...],
     *,
@@ -647,19 +654,3 @@ def report_files(
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
     return Answer(data, [*campaign.verdict, f"page written to {out}"])
-
-
-# verb -> what it does, and an example of it
-VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
-    "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
-    "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
-    "program": (program_files, "armcal program arm.toml plan.csv --robot ur --out plan.script"),
-    "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
-    "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
-    "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),
-    "discriminate": (
-        discriminate_files,
-        "armcal discriminate arm.toml data.csv --runs 4 --out next.csv",
-    ),
-    "report": (report_files, "armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html"),
-}

@@ -320,20 +320,6 @@ def test_an_effect_that_the_plan_hides_and_two_that_are_the_same() -> None:
     assert np.all(np.isfinite(made(reference).gradient(plan.T @ plan / RUNS)))
 
 
-def test_an_effect_that_the_base_model_explains_plays_no_part() -> None:
-    """As the compliance of one joint where that of all joints is in the model: the same figures with and without."""
-    reference, plan = columns(9, 60), columns(1)
-    for data in (reference, plan):
-        data[:, OWN + 1] = data[:, :OWN] @ [0.5, -2.0, 1.0]
-    information = plan.T @ plan / RUNS
-    mean = reference.T @ reference / (len(reference) / 2)
-    everything = MisidentificationBound(OWN, BASES[:3], WEIGHTS[:3], mean)
-    without = MisidentificationBound(OWN, (BASES[0], BASES[2]), WEIGHTS[[0, 2]], mean)
-    assert len(everything._drawn[0]) == 5
-    assert float(everything.wrong(information)) == pytest.approx(float(without.wrong(information)), rel=1e-12)
-    np.testing.assert_allclose(everything.gradient(information), without.gradient(information), rtol=1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_gradient_by_finite_differences(seed: int) -> None:
     generator = np.random.default_rng(seed)

@@ -33,10 +33,7 @@ def cell_of(arm: Arm) -> Cell:
         axes = np.r_[np.zeros(3), matrix[:3, 3]] + generator.normal(0.0, 5.0, (4, 6))
         bodies.append(Body(f"link {j}", j, np.column_stack([axes, generator.uniform(40.0, 50.0, 4)])))
     turn = np.linalg.qr(generator.normal(size=(3, 3)))[0]
-    boxes = [
-        [500.0, 300, 200, *turn.ravel(), 100, 200, 50],
-        [-500.0, 300, 200, *np.eye(3).ravel(), 300, 20, 250],
-    ]
+    boxes = [[500.0, 300, 200, *turn.ravel(), 100, 200, 50], [-500.0, 300, 200, *np.eye(3).ravel(), 300, 20, 250]]
     bodies += [Body("table", boxes=np.array(boxes)), Body("post", 0, np.array([300.0, -500, 0, 300, -500, 400, 30]))]
     links = ["base", *(body.name for body in bodies[1:-2])]
     return Cell(tuple(bodies), floor=-50.0, apart=frozenset(map(frozenset, pairwise(links))))

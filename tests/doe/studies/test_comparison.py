@@ -17,7 +17,7 @@ from doe.cli import main
 from doe.design import score
 from doe.jobs import Outcome, RowTable, frame_of
 from doe.problem.problem import DesignProblem
-from doe.report.studies import comparison_parts, performance_profile, profile_figure, time_figure
+from doe.report.studies import comparison_parts, performance_profile, profile_figure
 from doe.solvers import Offer, Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification import Plan
@@ -79,7 +79,6 @@ def test_rows_without_any_success_have_tables_and_pictures() -> None:
     assert summary(failed)["best"].to_list() == [None]
     for rows in (failed, ROWS):
         assert len(comparison_parts(rows)) == 2  # the problem, and the sentence about the hang
-        assert len(time_figure(rows).axes) == 1
         assert profile_figure(rows).axes[0].get_xscale() == "log"
 
 
@@ -207,7 +206,7 @@ def test_verb(tmp_path: Path) -> None:
     answer = json.loads(done.stdout)
     assert [r["best"] for r in answer["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
     written = {f.name for f in (tmp_path / "out").iterdir()}
-    assert written == {"rows.parquet", "summary.parquet", "profile.svg", "time.svg"}
+    assert written == {"rows.parquet", "summary.parquet", "profile.svg"}
     assert pl.read_parquet(tmp_path / "out" / "rows.parquet")["runs"].to_list() == [2, 3]
     refused = CliRunner().invoke(main.commands["compare"], options)
     assert refused.exit_code == 2

@@ -9,12 +9,10 @@ import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.errors import InputError
-from identification.estimation import estimate, estimate_with_prior
+from identification.estimation import estimate_with_prior
 from identification.gap.library_prior import library_prior
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.validate import validate
-from tests.identification.exponentials import Exponentials, drawing
 
 ARM = Arm([300.0, 200.0])
 ORDERS = range(3, 65)
@@ -118,28 +116,6 @@ def test_names_choose_and_unknown_ones_are_refused() -> None:
         library_prior(ARM, names=["gear"])
     with pytest.raises(InputError, match="none of the library's is left"):
         library_prior(ARM, names=["backlash"])
-
-
-def test_what_a_narrow_joint_1_cannot_show_is_not_taken_for_frames() -> None:
-    """Six lines in space with eccentric encoders of typical size, joint 1 within 60 degrees, rows on its other side
-    predicted, base and point found anew: with the effects under their prior, from which they were drawn, the squares
-    that geometry alone leaves are at least halved (the mean of a posterior has the least of all estimates)."""
-    arm, squares = Arm(drawing()), []
-    for seed in range(2):
-        generator = np.random.default_rng([43, seed])
-        real, (a, b) = Exponentials(generator), 5e-4 * generator.standard_normal((2, 6))
-        postures = generator.uniform(-1.5, 1.5, (2, 150, 6)) * [0.35, *np.ones(5)]
-        postures[1, :, 0] += 2.5
-        bent = postures + a * np.cos(postures) + b * np.sin(postures)
-        here, there = (
-            Measurements(q, real.poses(angles)[:, :3, 3] + 0.02 * generator.standard_normal((150, 3)))
-            for q, angles in zip(postures, bent, strict=True)
-        )
-        library = library_prior(arm, names=["encoder_eccentricity"])
-        fits = estimate(Model(arm), here), estimate_with_prior(Model(library.arm), here, library.prior)
-        squares.append([validate(fit.calibrated_arm(), there).model.rms ** 2 for fit in fits])
-    plain, held = np.mean(squares, axis=0)
-    assert held < 0.5 * plain
 
 
 def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
