@@ -23,6 +23,7 @@ from identification import Plan, design_model, load_plan
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
 from identification.document import Document
+from identification.instruments.library import Distance
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
@@ -138,9 +139,12 @@ def test_arrows_are_turned_into_the_frame_of_the_base(sessions: int) -> None:
         assert model["rms"] == pytest.approx(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
 
 
-def test_lengths_have_no_arrows() -> None:
-    measured = Measurements(POSTURES, np.full((len(POSTURES), 1), 900.0))
-    assert error_arrows("data.csv", Validation(ARM, measured, "base", (), np.ones((14, 1)), np.ones((14, 1)))) == []
+def test_readings_that_are_no_positions_have_no_arrows() -> None:
+    """Lengths; and what has as many columns as a position."""
+    bar = replace(ARM, chain=replace(ARM.chain, instrument=Distance()))
+    for arm, columns in ((ARM, 1), (bar, 3)):
+        measured, left = Measurements(POSTURES, np.full((len(POSTURES), columns), 900.0)), np.ones((14, columns))
+        assert error_arrows("data.csv", Validation(arm, measured, "base", (), left, left)) == []
 
 
 # -- in a browser ------------------------------------------------------------------------------------------------------
