@@ -501,15 +501,14 @@ def compare_files(
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None and not alone:
         from doe.report.page import svg
-        from doe.report.studies import profile_figure, time_figure
+        from doe.report.studies import profile_figure
 
         files: dict[Path, str | bytes] = {
             job.out / "summary.parquet": parquet(summed),
             job.out / "profile.svg": svg(profile_figure(rows)),
-            job.out / "time.svg": svg(time_figure(rows)),
         }
         write_together(files, force=True)
-        shown.append(f"rows, summary and pictures written to {job.out}")
+        shown.append(f"rows, summary and picture written to {job.out}")
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 

@@ -174,9 +174,7 @@ class Clearance:
         if near:
             runs = len({run for run, *_ in near})
             lines.append(f"Collisions: {runs} of {len(postures)} postures bring bodies too near to each other:")
-            for run, pair, gap in near:
-                amount = f"overlap by {-gap:.1f} mm" if gap < 0.0 else f"are {gap:.1f} mm apart"
-                lines.append(f"  run {run}: {_and(pair)} {amount}")
+            lines += [f"  run {run}: {distance_in_words(pair, gap)}" for run, pair, gap in near]
         elif apart.size:
             run, k = divmod(int(np.argmin(apart - self.asked)), apart.shape[1])
             kept = f"{len(self.pairs)} pairs of bodies keep {self.usual:g} mm apart in all {len(postures)} postures"
@@ -312,6 +310,11 @@ class Slopes:
             step = STEP * np.eye(postures.shape[1])[joint]
             bend[:, k] = (self.slope(postures + step, weights) - self.slope(postures - step, weights)) / (2.0 * STEP)
         return 0.5 * (bend + np.swapaxes(bend, 1, 2))
+
+
+def distance_in_words(pair: Sequence[str], gap: float) -> str:
+    """Of two bodies;  gap : signed distance [mm]"""
+    return f"{_and(pair)} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
 
 
 def _and(pair: Sequence[str]) -> str:

@@ -268,6 +268,8 @@ class Steps {
       facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
     } else facts["log det M'"] = "not every parameter can be identified";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
+    const near = kept.filter(run => this.plan.near[run].length).length;
+    if (near) facts["runs with bodies too near"] = near;
     const moves = kept.filter((run, place) => place && !this.follows(place)).length;
     if (this.plan.scene && moves) facts["moves that are new, not looked at"] = moves;
     const said = JSON.stringify(facts);
@@ -301,7 +303,7 @@ class Steps {
       const struck = this.struck.has(run), current = place === this.at;
       const states = { role: "row", tabindex: current ? 0 : -1, "aria-selected": current };
       const row = element("tr", this.body, "", states);
-      row.className = (struck ? "struck" : "") + (current ? " current" : "");
+      row.className = (struck ? "struck" : "") + (current ? " current" : "") + (this.plan.near[run].length ? " near" : "");
       row.addEventListener("click", () => { row.focus(); this.at = place; this.show(); });
       const left = struck ? "struck out" : without(run);
       const figures = [place + 1, run + 1, ...this.plan.postures[run].map(angle => angle.toFixed(2)), left];
@@ -343,10 +345,12 @@ class Steps {
     const [x, y] = place(lines[current][0]);
     shape("rect", this.picture, { x: x - 5, y: y - 5, width: 10, height: 10, fill: "var(--ink)" });
     const struck = this.struck.has(current);
+    const near = this.plan.near[current];
     this.where.textContent = `Run ${current + 1}, place ${this.at + 1} of ${this.order.length}${struck ? ", struck out" : ""}`;
+    if (near.length) element("span", this.where, `: ${near.map(one => one.text).join("; ")}`, { class: "near" });
     this.striking.textContent = struck ? "Put back" : "Strike out";
     if (!this.cell) return;
-    this.cell.pose(this.plan.scene.postures[current], struck);
+    this.cell.pose(this.plan.scene.postures[current], struck, near.flatMap(one => one.bodies));
     this.cell.show(this.kept, current, this.way);
   }
 

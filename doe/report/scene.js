@@ -89,6 +89,10 @@ class Cell {
     this.draw();
   }
 
+  skin(body, near = false) {
+    return this.color(near ? "--before" : body.joint ? "--link" : "--cell", THREE.MeshLambertMaterial, { side: THREE.DoubleSide });
+  }
+
   add(thing, parent = this.scene) {
     parent.add(thing);
     return thing;
@@ -112,9 +116,10 @@ class Cell {
     this.lamp = this.add(new THREE.DirectionalLight(0xffffff, 1.7));
     this.joints = this.chain.map(() => this.add(new THREE.Group())).concat(this.add(new THREE.Group()));
     for (const joint of this.joints) joint.matrixAutoUpdate = false;
+    this.meshes = [];
     for (const body of data.bodies) {
-      const skin = this.color(body.joint ? "--link" : "--cell", THREE.MeshLambertMaterial, { side: THREE.DoubleSide });
-      this.add(new THREE.Mesh(solid(body), skin), this.joints[body.joint]);
+      const mesh = this.add(new THREE.Mesh(solid(body), this.skin(body)), this.joints[body.joint]);
+      this.meshes.push({ body, mesh });
     }
     this.rod = new THREE.CylinderGeometry(1, 1, 1, 20);
     this.ball = new THREE.SphereGeometry(1, 24, 16);
@@ -169,15 +174,17 @@ class Cell {
   }
 
   // -- what is shown of the plan ---------------------------------------------------------------------------------------
-  // the arm at q; struck : whether in red
-  pose(q, struck = false) {
+  // the arm at q; in red struck: all of it, near: names of bodies, and of what is a line of sight
+  pose(q, struck = false, near = []) {
     const placed = jointFrames(this.chain, q), at = placed.map(originOf), tip = at[at.length - 1];
     this.joints.forEach((joint, j) => joint.matrix.copy(placed[j]));
     this.rods.forEach((rod, j) => rod && span(rod, at[j], at[j + 1], this.thick));
     this.reflector.position.copy(tip);
     this.sights.forEach((line, k) => through(line, [vector(this.data.trackers[k]), tip]));
-    if (struck === this.struck) this.draw();
-    else { this.struck = struck; this.paint(); }
+    for (const { body, mesh } of this.meshes) mesh.material = this.skin(body, near.includes(body.name));
+    for (const line of this.sights) line.material = this.color(near.includes("line of sight") ? "--before" : "--sight", THREE.LineBasicMaterial);
+    this.struck = struck;
+    this.paint();
   }
 
   // the runs that are kept, in order, and the way from the current one, as joint positions

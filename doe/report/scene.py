@@ -51,7 +51,9 @@ def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, A
         ],
         "postures": np.asarray(postures).round(9).tolist(),
         "via": via,
-        "bodies": [{"joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))],
+        "bodies": [
+            {"name": body.name, "joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))
+        ],
         "floor": None if model.cell is None else model.cell.floor,
         "trackers": [list(tracker) for tracker in trackers(model.arm)],
         "view": side(model.arm),
@@ -140,7 +142,7 @@ def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
     name : of the measurements;  test : their `Validation`
     """
     arm, measured, residuals = test.arm, test.measurements, (test.nominal_residuals, test.residuals)
-    if residuals[0].shape[1] < len("xyz"):
+    if residuals[0].shape[1] < len("xyz") or not arm.chain.instrument.reads_positions:
         return []
     known = {**arm.chain.tools, **(arm.calibration.tools if arm.calibration is not None else {})}
     frames = design_model(Model(arm)).joint_frames(measured.postures)[:, -1]
