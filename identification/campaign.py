@@ -251,8 +251,7 @@ class Campaign:
             corrected = corrected_values(arm)
             rows, places = dh_lines(arm, corrected, Path(name))
             expected = expected_elsewhere(getattr(arm.calibration, "provenance", {}))
-            title, space = f"Corrected values: {name}", not arm.chain.planar
-            sections.append(corrected_section(title, corrected, space, expected, folded=closed))
+            sections.append(corrected_section(f"Corrected values: {name}", corrected, expected, folded=closed))
             sections += [Section(part.title, part.parts, closed) for part in dh_sections(rows, places, name)]
         for name, data in ({} if self.calibrated else self.results["identify"]).items():
             values, dh = (
@@ -260,7 +259,7 @@ class Campaign:
             )
             title, expected = f"Corrected values: {name}", expected_elsewhere(data)
             if values:  # earlier versions have none
-                sections.append(corrected_section(title, values, "geometry" in data, expected))
+                sections.append(corrected_section(title, values, expected))
             sections += dh_sections(dh, data.get("dh_places", ()), name)
         sections += [self.test_section(rows) for rows in self.tests]
         for drawn in [*self.arms.values()][:1]:
