@@ -154,3 +154,26 @@ def test_a_curve_returns_where_both_sessions_have_measured(sign: float, answer: 
         assert curve is not None
         assert curve.to_json()["sessions"][0]["parameters"] == []
     assert (curve.replicates if curve else False) is answer
+
+
+@pytest.mark.parametrize("sides", [(1.0, -1.0), (1.0, 0.5)])
+def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> None:
+    """A bump at angles of joint 2 that the second session never has."""
+    generator = np.random.default_rng(30)
+    q = generator.uniform(-np.pi, np.pi, (80, 2))
+    q[:, 1] = np.repeat(sides, 40) * np.where(q[:, 1] > 0.0, 1.0, 0.9)
+    bent = q.copy()
+    bent[:40, 1] += 0.004 * (q[:40, 1] > 0.95)
+    z = (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1)
+    data = Measurements(
+        q,
+        np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (80, 2)),
+        session=np.repeat(["one", "two"], 40),
+    )
+    fitted = fit(Model(with_sessions(Arm(LENGTHS), data)), Rows.of(data))
+    lever = LENGTHS[1] * np.exp(1j * np.sum(q, axis=1)) * 1j
+    waves = lever[:, None] * np.cos(np.outer(q[:, 1], np.arange(1, 5))) / np.arange(1, 5) / 100.0
+    columns = np.stack([waves.real, waves.imag], axis=1)
+    (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": (2, columns, 1)})
+    assert one.replicates is None
+    assert [there.probability for there in one.sessions] == [0.25, 0.25]
