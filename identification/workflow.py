@@ -141,6 +141,7 @@ def check_files(
     arm: Path,
     data: Path,
     *,
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
     progress: Progress = silent,
 ) -> Answer:
@@ -152,6 +153,8 @@ def check_files(
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
+
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     import numpy as np
 
@@ -162,7 +165,7 @@ def check_files(
     from identification.measurements import load_measurements
     from identification.model import Model
 
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
     if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
         q = load_plan(data, loaded.joint_types).postures
@@ -699,6 +702,7 @@ def compensate_files(
     *,
     out: Written | None = None,
     force: bool = False,
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
 ) -> Answer:
     """Joint commands that reach targets on the real arm.
@@ -710,6 +714,7 @@ def compensate_files(
     targets that need joint angles outside those of the identification, where the model extrapolates.
 
     out : Write the joint commands (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
@@ -717,7 +722,7 @@ def compensate_files(
     from identification.model import Model
     from identification.origin import check_calibrated
 
-    arm = load_arm(calibrated)
+    arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
     wanted = load_targets(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()

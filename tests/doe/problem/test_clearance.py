@@ -194,3 +194,18 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))
     assert judge.too_near(PlanAscent(replace(problem, constraints=()))(start, tolerance=1e-2))
+
+
+def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None:
+    """Every pair that is too near by its run and distance, as counted by hand."""
+    margins = clearance.margin(postures)
+    said = clearance.in_words(postures)
+    near = [line for line in said if line.startswith("  run ")]
+    assert len(near) == len(clearance.to_json(postures)) == int(np.sum(margins < -1e-3))
+    assert f"{int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures" in said[0]
+    free = postures[np.all(margins >= 0.0, axis=1)]
+    assert clearance.to_json(free) == []
+    assert f"stay 20 mm apart in all {len(free)} postures" in clearance.in_words(free)[0]
+    first = clearance.to_json(postures)[0]
+    pair = clearance.pairs.index(tuple(first["bodies"]))
+    assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]
