@@ -237,12 +237,14 @@ def test_bad_input_is_one_line(tmp_path: Path, text: str, old: str, new: str, na
 def test_examples_of_the_page_load(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "identification/files/README.md"
     section = page.read_text().split("### Spatial arms")[1].split("\n## ")[0]
-    by_urdf, by_table, by_lengths, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    by_urdf, by_table, by_cell, by_lengths, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
     shutil.copy(URDF, tmp_path / "robot.urdf")
     arm = load_arm(saved(tmp_path, by_urdf))
     assert (arm.links, len(arm.constraints), list(arm.chain.tools)) == (6, 2, ["top"])
     chain = load_arm(saved(tmp_path, by_table)).chain
     assert (len(chain), chain.settled) == (2, {BASE})
     assert load_arm(saved(tmp_path, f"links_mm = [4, 3, 2, 1]\n{joints}")).counting is not None
+    (tmp_path / "robot.srdf").write_text('<robot name="six"/>')
+    assert load_arm(saved(tmp_path, f"{by_urdf}\n{by_cell}")).cell is not None
     bar = load_arm(saved(tmp_path, f"{by_urdf}\n{by_lengths}")).chain
     assert bar.coordinates == 1
