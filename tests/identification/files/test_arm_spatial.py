@@ -237,7 +237,8 @@ def test_bad_input_is_one_line(tmp_path: Path, text: str, old: str, new: str, na
 def test_examples_of_the_page_load(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "identification/files/README.md"
     section = page.read_text().split("### Spatial arms")[1].split("\n## ")[0]
-    by_urdf, by_table, by_cell, by_lengths, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    blocks = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    by_urdf, by_table, by_cell, by_lengths, joints = blocks
     shutil.copy(URDF, tmp_path / "robot.urdf")
     arm = load_arm(saved(tmp_path, by_urdf))
     assert (arm.links, len(arm.constraints), list(arm.chain.tools)) == (6, 2, ["top"])
