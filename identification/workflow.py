@@ -295,6 +295,7 @@ def identify_files(
         "--no-library-prior": prior is False,
         f"--method {method}": method not in (None, "gauss_newton"),
         "--parameters minimal": minimal,
+        "--only and the effects that ARM has": bool(words and measurements.fit) and _has_all(loaded, measurements),
     }
     prior, missing, planned, lines = _as_planned(data, measurements.fit, prior, missing, against)
     if missing is not None and not prior:
@@ -340,6 +341,17 @@ def identify_files(
     failed = bool(identified.not_identifiable) or refused
     document = identification_document(identified, result, hidden, full=every).plus(*lines)
     return Answer(result, [replace(document, actions=[] if failed else actions)], identified, int(failed), doubts)
+
+
+def _has_all(arm: Arm, measurements: Measurements) -> bool:
+    """Whether an arm has every effect that a plan for the library's prior, and its rows, can be about."""
+    from identification.gap.library_prior import given_by, library_prior
+
+    names = measurements.fit.partition("--missing ")[2]
+    try:
+        return not library_prior(arm, given_by(measurements), names.split(",") if names else None).added
+    except InputError:
+        return True
 
 
 def _as_planned(
