@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,7 @@ MOVING = 0.5  # share of the clearance that is kept while the arm moves
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
 CANDIDATES, ATTEMPTS = 200, 5  # for a posture in the place of one that cannot be reached; rounds of replacing
+FINE = 300  # postures of a move that is looked at to say what collides
 NEXT = 10  # postures to which one is tried to be moved from there
 
 
@@ -32,18 +34,58 @@ NEXT = 10  # postures to which one is tried to be moved from there
 class Drive:
     """A plan of measurements in their order, and how they are driven through.
 
-    plan : the measurements;  moves : the same with way-points;  order : of `ORDERS`
+    plan : the measurements;  moves : the same with way-points, None: they were not asked for, and nothing is in the way
+    order : of `ORDERS`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
     """
 
     plan: Plan
-    moves: Plan
-    order: str
-    travel: float
-    before: float
-    shortest: float
+    moves: Plan | None = None
+    order: str | None = None
+    approach: str = "any"
+    travel: float = 0.0
+    before: float = 0.0
+    shortest: float = 0.0
     replaced: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """By the keys of files; rows as a program has them, joints as the controller counts [deg, mm]."""
+        if self.order is None:
+            return {}
+        before, after, shortest = np.degrees([self.before, self.travel, self.shortest]).tolist()
+        saved = 1.0 - after / before if before > 0.0 else 0.0
+        data: dict[str, Any] = {"travel_deg": {"order": self.order, "before": before, "after": after, "saved": saved}}
+        if self.moves is None or self.moves.via is None:
+            return data
+        runs = np.where(self.moves.via, 0, np.cumsum(~self.moves.via)).tolist()
+        rows = [
+            {"kind": "measure" if run else "via", "run": run or None, "joints": row}
+            for run, row in zip(runs, self.moves.displayed.tolist(), strict=True)
+        ]
+        vias = int(self.moves.via.sum())
+        moves = {"vias": vias, "replaced": self.replaced, "shortest_deg": shortest, "approach": self.approach}
+        return data | {"moves": moves | {"rows": rows}}
+
+    def in_words(self) -> list[str]:
+        """What is to be said of the order, and of the moves."""
+        if self.order is None:
+            return []
+        data = self.to_json()
+        before, after, saved = (data["travel_deg"][key] for key in ("before", "after", "saved"))
+        lines = [f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)"]
+        if moves := data.get("moves"):
+            times = after / moves["shortest_deg"] if moves["shortest_deg"] > 0.0 else 1.0
+            counted = f"{moves['vias']} way-point{'s' * (moves['vias'] != 1)}"
+            lines.append(
+                f"Moves: {counted}, {times:.2f} times the travel of the shortest order with nothing in the way."
+            )
+            if self.approach != "any":
+                how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
+                lines.append(f"every joint comes to each posture {how}")
+            if self.replaced:
+                lines.append(f"{self.replaced} of the postures were replaced: no free way led from the others to them")
+        return lines
 
 
 def drive(
@@ -62,15 +104,14 @@ def drive(
     Raises `JobError` where postures are left that cannot be reached.
     """
     known, generator = room_of(problem.constraints), np.random.default_rng(seed)
-    room = known or Room(
-        lambda q: np.empty((len(q), 0)), np.empty((0, problem.joints)), lambda q: np.ones(len(q), bool)
-    )
-    space = Space(problem.model.lower, problem.model.upper, problem.joint_units)
+    if known is None and approach == "any" and order is None:
+        return Drive(plan)
+    nothing = Room(lambda q: np.empty((len(q), 0)), np.empty((0, problem.joints)), lambda q: np.ones(len(q), bool))
+    room, space = known or nothing, Space(problem.model.lower, problem.model.upper, problem.joint_units)
     order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
     before = float(space.travel(plan.postures[:-1], plan.postures[1:]).sum())
-    given = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
-    postures, replaced = given.copy(), set[int]()
-    senses = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
+    postures = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
+    senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
     for _ in range(ATTEMPTS):
         entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
@@ -87,13 +128,29 @@ def drive(
         raise JobError(f"no free way was found to run {runs}; another --seed, or --candidates, may have more luck")
     ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
-    moves = replace(plan, postures=np.concatenate(ways), via=via)
-    lengths = space.travel(moves.postures[:-1], moves.postures[1:])
-    cost = space.travel(postures[:, None], postures)
-    path = shortest_path(cost) if len(plan) <= MANY else found.rows
-    shortest = float(cost[path[:-1], path[1:]].sum())
+    whole = replace(plan, postures=np.concatenate(ways), via=via)
+    lengths = space.travel(whole.postures[:-1], whole.postures[1:])
+    path = found.rows if len(plan) > MANY else shortest_path(space.travel(postures[:, None], postures))
+    shortest = float(space.travel(postures[path[:-1]], postures[path[1:]]).sum())
+    moves = None if known is None and approach == "any" else whole
     measured = replace(plan, postures=postures[found.rows])
-    return Drive(measured, moves, order, float(lengths.sum()), before, shortest, len(replaced))
+    return Drive(measured, moves, order, approach, float(lengths.sum()), before, shortest, len(replaced))
+
+
+def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, str]]:
+    """Moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads to, and which pair
+    comes how near on the way; none where nothing is known of any body."""
+    if (room := room_of(constraints)) is None:
+        return []
+    clearance = next(each for each in constraints if isinstance(each, Clearance))
+    asked = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
+    found = []
+    for row in np.flatnonzero(~free(postures[:-1], postures[1:], room)).tolist():
+        shares = np.linspace(0.0, 1.0, FINE)[:, None]
+        apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
+        at, k = divmod(int(np.argmin(apart - asked)), len(asked))
+        found.append((row + 2, f"{' and '.join(clearance.pairs[k])} come to {apart[at, k]:.1f} mm of each other"))
+    return found
 
 
 def another(

@@ -175,47 +175,46 @@ def route(
     entries : (m, n) from which each is approached, as the last way-point; None: from anywhere
     keep_order : the postures stay in their order
     """
-    m, generator = len(postures), np.random.default_rng(seed)
+    m, n = postures.shape
+    generator, straight = np.random.default_rng(seed), np.empty((0, n))
     aims = postures if entries is None else entries
-    cost = space.travel(postures[:, None], aims)
+    ways, given_up = dict[tuple[int, int], Array | None](), set[tuple[int, int]]()
+    cost = np.empty((0, 0)) if keep_order else space.travel(postures[:, None], aims)
     cost = np.maximum(cost, cost.T)
     forbidden = cost.sum()  # worse than any order
-    ways, given_up = dict[tuple[int, int], Array | None](), set[tuple[int, int]]()
 
-    def know(pair: tuple[int, int], way: Array | None, length: float) -> None:
+    def know(pair: tuple[int, int], way: Array | None) -> None:
         ways[pair] = way
-        cost[pair] = cost[pair[::-1]] = length
         if entries is None:
             ways[pair[::-1]] = None if way is None else way[::-1]
+        if not keep_order:
+            whole = np.array([postures[pair[0]], *(straight if way is None else way), aims[pair[1]]])
+            length = float(space.travel(whole[:-1], whole[1:]).sum())
+            cost[pair] = cost[pair[::-1]] = length + (forbidden if way is None else 0.0)
 
     def look(pairs: list[tuple[int, int]]) -> None:
         i, k = np.array(pairs, dtype=int).reshape(-1, 2).T
         for pair, good in zip(pairs, free(postures[i], aims[k], room), strict=True):
-            know(pair, np.empty((0, postures.shape[1])) if good else None, cost[pair] + (not good) * forbidden)
+            know(pair, straight if good else None)
 
     while True:
         path = np.arange(m) if keep_order else shortest_path(cost)
-        path = path if path[0] <= path[-1] else path[::-1]
+        if entries is not None and path[0] > path[-1]:  # which way round it is gone matters
+            path = path[::-1]
         pairs = [(int(i), int(k)) for i, k in pairwise(path)]
-        new = [pair for pair in pairs if pair not in ways]
-        if new:
+        if new := [pair for pair in pairs if pair not in ways]:
             look(new)
             # what collides once does so again and again: its neighbours, before the next path asks for them one by one
-            ends = {row for pair in new if ways[pair] is None for row in pair}
-            near = [
-                (i, int(k)) for i in ends for k in np.argsort(cost[i], kind="stable") if k != i and (i, k) not in ways
-            ]
-            look([pair for i in ends for pair in [p for p in near if p[0] == i][:NEIGHBOURS]])
+            for i in () if keep_order else {row for pair in new if ways[pair] is None for row in pair}:
+                near = [(i, k) for k in np.argsort(cost[i], kind="stable").tolist() if k != i and (i, k) not in ways]
+                look(near[:NEIGHBOURS])
             continue
         if not (hard := [pair for pair in pairs if ways[pair] is None and pair not in given_up]):
             break
         for pair in hard:  # there is no order without them
             way = detour(postures[pair[0]], aims[pair[1]], room, space, generator)
-            if way is None:
-                given_up |= {pair, pair[::-1]}
-            else:
-                whole = np.array([postures[pair[0]], *way, aims[pair[1]]])
-                know(pair, way, float(space.travel(whole[:-1], whole[1:]).sum()))
+            given_up |= {pair, pair[::-1]} if way is None else set()
+            know(pair, way)
     breaks = [k + 1 for k, pair in enumerate(pairs) if ways[pair] is None]
     apart = sorted({*path.tolist()} - {*max(np.split(path, breaks), key=len).tolist()})
     if apart and keep_order:  # by way of other postures there may be one to some of them, and to all
@@ -224,9 +223,8 @@ def route(
             for pair in (pair for pair in pairs if ways[pair] is None):
                 whole = np.array([*along(other, postures, *pair), aims[pair[1]]])
                 ways[pair] = pulled(whole, room, space)[1:-1]
-    none = np.empty((0, postures.shape[1]))
-    found = [none, *(ways[pair] for pair in pairs)]
-    vias = [none if way is None else way for way in found]
+    found = [straight, *(ways[pair] for pair in pairs)]
+    vias = [straight if way is None else way for way in found]
     if entries is not None:
         vias = [np.vstack([way, entries[row]]) for way, row in zip(vias, path, strict=True)]
     return Route(path, vias, apart)

@@ -144,6 +144,7 @@ def test_joints_come_from_the_side_that_is_asked_for(approach: str) -> None:
         postures[0] = asked.lower * [0.3, 1.0]
         found = drive(problem, Plan(postures), None, approach, signs)
         assert found.replaced == 0
+        assert found.moves is not None
         assert found.moves.via is not None
         come = np.sign(np.diff(found.moves.postures, axis=0)[~found.moves.via[1:]]) * signs
         assert np.all(come == come[:, :1])
