@@ -6,6 +6,7 @@ A body is made of convex pieces that together contain it, so that a clearance of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -46,13 +47,13 @@ class Body(ByValue):
 class Cell(ByValue):
     """The bodies of an arm and around it, and how far they keep apart.
 
-    bodies : of the arm and of the cell
+    bodies : of the arm and of the cell; those of a file are read and covered when they are first asked for
     floor : [mm] height in the frame of the arm's base below which nothing may reach; None: there is no floor
     clearance : [mm] smallest distance of two bodies, and of the arm from the floor
     apart : pairs of names that are not looked at: links that a joint connects, and what an SRDF file says
     """
 
-    bodies: tuple[Body, ...] = ()
+    bodies: Sequence[Body] = ()
     floor: float | None = None
     clearance: float = CLEARANCE
     apart: frozenset[frozenset[str]] = frozenset()

@@ -70,7 +70,8 @@ class ArmModel(Model):
         for name in {"reference", "missing", "errors", "off"} & set(self._columns):  # none is measured or looked up
             conditions[self._columns[name]] = float(name == "missing")
         for point in range(self.points_read):
-            conditions[self._columns.get("marker", slice(0))] = point
+            if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
+                conditions[self._columns["marker"]] = point
             each.append(self.expressions.position_function(q, ca.DM(conditions), p))
         return ca.vertcat(*each)
 

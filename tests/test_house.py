@@ -34,6 +34,7 @@ LAYERS = {
     "identification.instruments": 1,
     "identification.arm": 1,
     "identification.bodies": 1,
+    "identification.cover": 1,
     "identification.workspace": 1,
     "identification.error_curve": 1,
     "identification.newton": 1,

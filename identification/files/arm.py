@@ -10,7 +10,7 @@ import math
 import re
 import tomllib
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -22,16 +22,20 @@ from pydantic import BaseModel
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
+from identification.bodies import Cell
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, JobError, nearest
+from identification.files.bodies import GivenBody, Shape, ShapedBodies, pairs_apart, segment
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import (
     CONSTRAINTS,
+    POSE,
     GravityTable,
+    PoseTable,
     require_count,
     validated_arm,
 )
-from identification.files.urdf import BASE_LINK, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
+from identification.files.urdf import BASE_LINK, METER, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
 from identification.instruments import kinds
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors, standing_in
@@ -133,15 +137,17 @@ def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-def load_arm(path: PathLike) -> Arm:
+def load_arm(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> Arm:
     """The arm that a TOML file describes.
+
+    package_dirs : folders in which meshes of its URDF file are, besides those beside it, below, and in its package
 
     Raises `InputError`, one line naming file, key, what was found and what is allowed. Warns (`UserWarning`) when the
     joint limits look like radians.
     """
     tables = read_toml(path)
     try:
-        arm = arm_from_tables(tables, Path(path).parent)
+        arm = arm_from_tables(tables, Path(path).parent, package_dirs)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     limits = tables.get("joint_limits_deg") or {}
@@ -152,13 +158,14 @@ def load_arm(path: PathLike) -> Arm:
     return arm
 
 
-def arm_from_tables(tables: Plain, folder: PathLike = ".") -> Arm:
+def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequence[PathLike] = ()) -> Arm:
     """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name.
 
-    folder : where the files are that the tables name
+    folder : where the files are that the tables name;  package_dirs : as of `load_arm`
     """
     file = validated_arm(tables)
-    chain = _drawn_chain(file, folder)
+    urdf = None if file.urdf is None else _urdf(str(file.urdf), folder)
+    chain = _drawn_chain(file, urdf)
     n = len(chain)
     for place in COUNTED:
         table, _, key = place.rpartition(".")
@@ -190,20 +197,95 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".") -> Arm:
         gear_ratios=None if file.gear_ratio is None else readonly(file.gear_ratio),
         machining=Machining() if file.machining is None else Machining(**_in_api(file.machining)),
         counting=counting,
+        cell=_cell(file, urdf, chain, folder, package_dirs),
     )
 
 
-def _drawn_chain(file: Any, folder: PathLike) -> KinematicChain:
-    """The geometry as drawn, with base and measured points where the file gives them; joint limits of the URDF.
+def _cell(
+    file: Any, urdf: Urdf | None, chain: KinematicChain, folder: PathLike, package_dirs: Sequence[PathLike]
+) -> Cell | None:
+    """The bodies of the file, which are read when they are asked for; None: it names none."""
+    given = dict[str, GivenBody]()
+    if file.link_width_mm is not None:
+        for j, length in enumerate(file.links_mm, start=1):
+            place, between = segment((0.0, 0.0), (length, 0.0))
+            sizes = {"radius": np.array([0.5 * file.link_width_mm]), "length": between}
+            given[f"link {j}"] = GivenBody(f"link {j}", j, (Shape("capsule", place, sizes),))
+    for k, table in enumerate(file.cell.bodies if file.cell is not None else (), start=1):
+        joint, name = table.joint or 0, table.name or f"{table.kind} {k}"
+        if joint > len(chain):
+            raise InputError(f"cell.bodies[{k}].joint: found {joint}, allowed: 1 to {len(chain)}, or left out")
+        before = given.get(name, GivenBody(name, joint, ()))
+        if before.joint != joint:
+            raise InputError(
+                f"cell.bodies[{k}].joint: found {joint} for another part of {name!r}, allowed: {before.joint}"
+            )
+        given[name] = replace(before, shapes=(*before.shapes, _shape(table, k, folder)))
+    drawn = urdf is not None and urdf.robot.find("link/collision") is not None
+    wanted = drawn and (file.cell is None or file.cell.bodies_of_urdf is not False)
+    if file.cell is None and not wanted and not given:
+        return None
+    beside = Path(folder) if urdf is None or urdf.text == file.urdf else Path(urdf.path).parent
+    bodies = ShapedBodies(
+        tuple(given.values()),
+        urdf.text if wanted and urdf is not None else "",
+        "" if urdf is None else urdf.path,
+        (str(file.base_link), str(file.tip_link)),
+        tuple(dict.fromkeys(str(each) for each in (beside, folder, *package_dirs))),
+        chain.reach,
+    )
+    apart = set(urdf.neighbours()) if wanted and urdf is not None else set[frozenset[str]]()
+    if file.link_width_mm is not None:
+        apart |= {frozenset((f"link {j}", f"link {j + 1}")) for j in range(1, len(chain))}
+    if file.cell is None:
+        return Cell(bodies, apart=frozenset(apart))
+    if file.cell.srdf is not None:
+        apart |= pairs_apart(named_file(folder, file.cell.srdf, "cell.srdf", "the arm file"))
+    apart |= set(map(frozenset, file.cell.apart))
+    return Cell(bodies, file.cell.floor_z_mm, file.cell.clearance_mm, frozenset(apart))
 
-    folder : where the URDF file is
-    """
+
+def _shape(table: Any, k: int, folder: PathLike) -> Shape:
+    """What an entry of `[[cell.bodies]]` says, the k-th from 1."""
+    values, file = {key: value for key, value in table.model_dump().items() if value is not None}, ""
+    if table.kind in ("capsule", "cylinder"):
+        place, length = segment(table.start_mm, table.end_mm)
+        return Shape(table.kind, place, {"radius": np.array([table.radius_mm]), "length": length})
+    if table.kind == "sphere":
+        return Shape("sphere", segment(table.center_mm, table.center_mm)[0], {"radius": np.array([table.radius_mm])})
+    place = _pose(PoseTable(**{key: values[key] for key in PoseTable.model_fields.keys() & values.keys()}))
+    if table.kind == "box":  # as thick as long in the plane, in which its middle is
+        return Shape("box", place, {"size": np.array([*table.size_mm, max(table.size_mm)][:3])})
+    file = str(named_file(folder, table.file, f"cell.bodies[{k}].file", "the arm file"))
+    return Shape("mesh", place, {"scale": np.full(3, METER if table.unit == "m" else 1.0)}, file)
+
+
+def _cell_tables(cell: Cell, dimension: int) -> Plain:
+    """`[cell]` of its bodies as they are covered, without what they look like."""
+    tables: Plain = {} if cell.floor is None else {"floor_z_mm": float(cell.floor)}
+    tables["clearance_mm"] = float(cell.clearance)
+    tables |= {"apart": sorted(map(sorted, cell.apart))} if cell.apart else {}
+    entries = []
+    for body in cell.bodies:
+        named: Plain = {"name": body.name} | ({"joint": body.joint} if body.joint else {})
+        for start, end, (radius,) in (np.split(capsule, [3, 6]) for capsule in body.capsules):
+            ends = {"start_mm": _in_file(start[:dimension]), "end_mm": _in_file(end[:dimension])}
+            entries.append({"kind": "capsule", **named, **ends, "radius_mm": float(radius)})
+        for middle, turn, half in (np.split(box, [3, 12]) for box in body.boxes):
+            place = pose_table(pose(middle, turn.reshape(3, 3)))
+            kept = {key: place[key] for key in POSE[dimension].replace("?", "").split()}
+            entries.append({"kind": "box", **named, "size_mm": _in_file(2.0 * half[:dimension]), **kept})
+    return tables | ({"bodies": entries} if entries else {})
+
+
+def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
+    """The geometry as drawn, with base and measured points where the file gives them; joint limits of the URDF."""
     if file.links_mm is not None:
         chain = planar_chain(file.links_mm)
-    elif file.dh is None:
+    elif urdf is not None:
         tables = {REVOLUTE: file.joint_limits_deg, PRISMATIC: file.joint_limits_mm}
         limited = [kind for kind, table in tables.items() if table is not None]
-        chain = _urdf(str(file.urdf), folder).chain(str(file.base_link), str(file.tip_link), limited)
+        chain = urdf.chain(str(file.base_link), str(file.tip_link), limited)
     else:
         conventions = dict.fromkeys(row.convention for row in file.dh if row.convention)
         if len(conventions) > 1:
@@ -447,6 +529,7 @@ def dump_arm(arm: Arm) -> str:
         if "facing" not in entries:
             entries.pop("acceptance_deg", None)
         tables.setdefault("constraints", []).append({"kind": kind, **entries})
+    tables |= {} if arm.cell is None else {"cell": _cell_tables(arm.cell, arm.dimension)}
     # where base and measured points are if they are somewhere without being known
     somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
     named = TOOL not in chain.settled and (

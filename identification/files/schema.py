@@ -36,6 +36,7 @@ from identification.arm import (
     SIGMA_RANGE,
 )
 from identification.arrays import Array
+from identification.bodies import CLEARANCE
 from identification.errors import InputError, nearest
 from identification.instruments import KINDS, kinds
 
@@ -59,6 +60,15 @@ CONSTRAINTS = {  # kind -> keys in the plane and in space, those with ? may be l
         2: "tracker_mm half_angle_deg toward_mm",
         3: "tracker_mm half_angle_deg toward_mm range_mm? facing? acceptance_deg?",
     },
+}
+
+POSE = {2: "x_mm? y_mm? rz_deg?", 3: "x_mm? y_mm? z_mm? rx_deg? ry_deg? rz_deg?"}
+BODIES = {  # kind -> keys in the plane and in space, besides name and joint
+    "box": {dimension: f"size_mm {keys}" for dimension, keys in POSE.items()},
+    "sphere": dict.fromkeys((2, 3), "center_mm radius_mm"),
+    "capsule": dict.fromkeys((2, 3), "start_mm end_mm radius_mm"),
+    "cylinder": {3: "start_mm end_mm radius_mm"},
+    "mesh": {3: f"file unit? {POSE[3]}"},
 }
 
 
@@ -190,6 +200,15 @@ def _constraint(table: Any, info: ValidationInfo) -> Any:
     return table
 
 
+def _body(table: Any, info: ValidationInfo) -> Any:
+    dimension = _dimension(info)
+    keys = {kind: f"name? joint? {of[dimension]}".split() for kind, of in BODIES.items() if dimension in of}
+    _has_keys_of_its_kind(table, keys, dimension)
+    if table.kind == "cylinder" and table.end_mm == table.start_mm:
+        _refuse("end_mm", f"found {table.end_mm}, allowed: another point than start_mm")
+    return table
+
+
 def _instrument(table: Any, info: ValidationInfo) -> Any:
     of_arm = kinds("xyz"[: _dimension(info)])
     keys = {kind: [f"{key}?" for key in each.keys] for kind, each in of_arm.items()}
@@ -231,6 +250,9 @@ def _together(file: Any) -> Any:
     for key in ("base_link", "tip_link"):
         if (getattr(file, key) is None) != (file.urdf is None):
             _refuse(key, f"{'is missing' if file.urdf else 'found without urdf'}, allowed: with urdf, a link of it")
+    for key in ("bodies_of_urdf", "srdf"):
+        if file.urdf is None and getattr(file.cell, key, None) is not None:
+            _refuse(f"cell.{key}", "found without urdf, allowed: with urdf")
     for place, table in (
         ("measurement.sigma_deg", "instrument"),
         ("instrument.center_mm", "base"),
@@ -311,6 +333,30 @@ ConstraintTable = _table(
     range_mm=Annotated[list[NotNegative], Rising],
     facing=Direction,
 )
+BodyTable = _table(
+    "BodyTable",
+    "kind",
+    _body,
+    kind=Annotated[str, Field(json_schema_extra={"enum": [*BODIES]})],
+    name=Annotated[str, Field(min_length=1)],
+    joint=Annotated[int, Field(ge=1, le=MAX_LINKS)],
+    size_mm=Annotated[list[Length], PerAxis],
+    **dict.fromkeys(("center_mm", "start_mm", "end_mm"), Annotated[list[Coordinate], PerAxis]),
+    radius_mm=Length,
+    file=str,
+    unit=Literal["mm", "m"],
+    **{f"{axis}_mm": Coordinate for axis in "xyz"},
+    **{f"r{axis}_deg": Angle for axis in "xyz"},
+)
+CellTable = _table(
+    "CellTable",
+    floor_z_mm=_only(3, Coordinate),
+    clearance_mm=(Annotated[float, Field(ge=0, le=LARGEST_LENGTH)], CLEARANCE),
+    bodies_of_urdf=_only(3, bool),
+    srdf=_only(3, str),
+    apart=(list[Annotated[tuple[str, str], Field(strict=False)]], []),
+    bodies=(Tables[BodyTable], []),
+)
 InstrumentTable = _table(
     "InstrumentTable",
     "kind",
@@ -347,6 +393,7 @@ ArmFile = _table(
     base_link=_only(3, str),
     tip_link=_only(3, str),
     dh=_only(3, Annotated[Tables[RowTable], Field(min_length=1, max_length=MAX_LINKS)]),
+    link_width_mm=_only(2, Length),
     joint_limits_deg=LimitsTable,
     joint_limits_mm=_only(3, LimitsTable),
     joints=JointsTable,
@@ -358,6 +405,7 @@ ArmFile = _table(
     gravity=GravityTable,
     gear_ratio=list[NotNegative],
     constraints=(Tables[ConstraintTable], []),
+    cell=CellTable,
     effects=(list[EffectTable], []),
     calibration=CalibrationTable,
 )

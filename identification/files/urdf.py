@@ -21,12 +21,19 @@ from identification.arrays import Array
 from identification.errors import InputError, nearest, printable
 from identification.files.io import PathLike, decode, read_bytes
 from identification.kinematics.chain import Joint, KinematicChain
-from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
+from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw, rotation_about
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 
 METER = 1000.0  # [mm]
 MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 FIXED = "fixed"
+SIZES = {  # of a `<collision>` -> how many numbers each has
+    "box": {"size": 3},
+    "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "mesh": {"scale": 3},
+}
 BASE_LINK, TIP = "base_link", "tip"  # of files written here
 
 
@@ -62,6 +69,87 @@ class Urdf:
             if masses and mass is not None:
                 masses[-1] += self._number("mass", str(mass.get("value")))
         return tuple(masses)
+
+    def links_on(self, base: str, tip: str) -> dict[str, tuple[int, Array, bool]]:
+        """Link -> number of the joint of a chain that it moves with, 0: none; its pose (4, 4) [mm] in the frame of that
+        joint after it moved, of joint 0 in that of the base; whether a joint that is not of the chain lies between,
+        which then stands at zero, or in the middle of limits that leave zero out."""
+        places, number, before = {base: (0, np.eye(4), False)}, 0, np.eye(4)
+        for element in self.elements(base, tip):
+            before = before @ self.origin(element)
+            if element.get("type") != FIXED:
+                number, before = number + 1, np.eye(4)
+            places[self.link(element, "child")] = number, before, False
+        link = base
+        while link in self.by_child:  # up to the root, which no joint of the chain moves
+            element, (_, place, loose) = self.by_child[link], places[link]
+            link = self.link(element, "parent")
+            if link in places:  # in a circle
+                break
+            places[link] = 0, place @ np.linalg.inv(self._at_rest(element)), loose or element.get("type") != FIXED
+        todo = list(places)
+        while todo:
+            parent = todo.pop()
+            for child, element in self.by_child.items():
+                if child not in places and self.link(element, "parent") == parent:
+                    joint, place, loose = places[parent]
+                    loose = loose or element.get("type") != FIXED
+                    places[child] = joint, place @ self._at_rest(element), loose
+                    todo.append(child)
+        return places
+
+    def neighbours(self) -> frozenset[frozenset[str]]:
+        """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of links without
+        bodies."""
+        solid = {str(link.get("name")) for link in self.robot.findall("link") if link.find("collision") is not None}
+        pairs = set[frozenset[str]]()
+        for link in solid & self.by_child.keys():
+            above, moving = link, 0
+            while above in self.by_child and (above == link or above not in solid):
+                moving += self.by_child[above].get("type") != FIXED
+                above = self.link(self.by_child[above], "parent")
+                if moving > 1 or above == link:
+                    break
+            if moving <= 1 and above in solid:
+                pairs.add(frozenset((link, above)))
+        return frozenset(pairs)
+
+    def _at_rest(self, element: ElementTree.Element) -> Array:
+        """(4, 4) [mm] of a joint that is not of the chain."""
+        kind, limit, at = MOVING.get(str(element.get("type"))), element.find("limit"), 0.0
+        if kind is not None and limit is not None and limit.get("lower") and limit.get("upper"):
+            where = f"joint {element.get('name')!r}: limit"
+            lower, upper = (self._number(where, str(limit.get(end))) for end in ("lower", "upper"))
+            at = 0.0 if lower <= 0.0 <= upper else 0.5 * (lower + upper)
+        if not at:
+            return self.origin(element)
+        axis = self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
+        axis = axis / max(float(np.linalg.norm(axis)), np.finfo(float).tiny)
+        motion = pose(rotation=rotation_about(axis, at)) if kind == REVOLUTE else pose(axis * at * METER)
+        return self.origin(element) @ motion
+
+    def collisions(self, link: str) -> list[tuple[str, Mapping[str, Array], str, Array]]:
+        """Of the `<collision>` elements of a link: the kind (`box`, `sphere`, `cylinder`, `capsule`, `mesh`), its
+        sizes [mm] by their names (of a mesh its `scale`), the name of its file, its pose (4, 4) [mm] in the link."""
+        found: list[tuple[str, Mapping[str, Array], str, Array]] = []
+        of_link = (each for each in self.robot.findall("link") if each.get("name") == link)
+        for element in next(of_link).findall("collision"):
+            where = f"link {link!r}: collision"
+            shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
+            if len(shapes) != 1 or shapes[0].tag not in SIZES:
+                state = " and ".join(f"<{shape.tag}>" for shape in shapes) or "nothing"
+                raise InputError(f"{self.path}: {where} of {state}, allowed: one of {', '.join(SIZES)}")
+            shape, sizes = shapes[0], {}
+            for key, count in SIZES[shape.tag].items():
+                words = shape.get(key, "1 1 1" if key == "scale" else "").split()
+                sizes[key] = np.array([self._number(f"{where} {key}", word) for word in words]) * METER
+                if len(words) != count or not np.all(sizes[key] if key == "scale" else sizes[key] > 0.0):
+                    allowed = f"allowed: {count} number{'s' if count > 1 else ''} > 0"
+                    raise InputError(f"{self.path}: {where} {key} has {shape.get(key)!r}, {allowed}")
+            if shape.tag == "mesh" and not shape.get("filename"):
+                raise InputError(f"{self.path}: {where} of a mesh without filename, allowed: the name of a file")
+            found.append((shape.tag, sizes, shape.get("filename", ""), self.origin(element, where)))
+        return found
 
     def elements(self, base: str, tip: str) -> list[ElementTree.Element]:
         """The joints from a base link to a tip link. Raises `InputError` where there is no such way."""
@@ -115,22 +203,24 @@ class Urdf:
         unit = METER if kind == "prismatic" else 1.0
         return Joint(name, origin, axis, MOVING[kind], lower * unit, upper * unit)
 
-    def origin(self, element: ElementTree.Element) -> Array:
-        """(4, 4) [mm] of a joint."""
-        place = self._numbers(element, "origin", "xyz", (0.0, 0.0, 0.0)) * METER
-        return pose(place, from_roll_pitch_yaw(*self.angles(element)))
+    def origin(self, element: ElementTree.Element, where: str = "") -> Array:
+        """(4, 4) [mm] of a joint, or of another element;  where : its name in messages"""
+        place = self._numbers(element, "origin", "xyz", (0.0, 0.0, 0.0), where) * METER
+        return pose(place, from_roll_pitch_yaw(*self.angles(element, where)))
 
-    def angles(self, element: ElementTree.Element) -> Array:
+    def angles(self, element: ElementTree.Element, where: str = "") -> Array:
         """(3,) roll, pitch and yaw [rad] of a joint."""
-        return self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0))
+        return self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0), where)
 
-    def _numbers(self, element: ElementTree.Element, tag: str, key: str, default: Sequence[float]) -> Array:
+    def _numbers(
+        self, element: ElementTree.Element, tag: str, key: str, default: Sequence[float], where: str = ""
+    ) -> Array:
         """(3,) numbers of an attribute."""
         part = element.find(tag)
         text = None if part is None else part.get(key)
         if text is None:
             return np.asarray(default)
-        where = f"joint {element.get('name')!r}: {tag} {key}"
+        where = f"{where or 'joint ' + repr(element.get('name')) + ':'} {tag} {key}"
         if len(words := text.split()) != 3:
             raise InputError(f"{self.path}: {where} has {text!r}, allowed: three numbers")
         return np.array([self._number(where, word) for word in words])
@@ -166,12 +256,7 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     Raises `InputError` for text that is no XML or has a document type, links or joints of equal names, links with two
     parents.
     """
-    if declared := re.search(r"<!(DOCTYPE|ENTITY)", text):
-        raise InputError(f"{path}: found {declared.group()}, allowed: XML without document types and entities")
-    try:
-        root = ElementTree.fromstring(_declared_first(text))
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: not XML: {error}, allowed: a URDF file") from None
+    root = xml_root(text, path, "a URDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
     links = tuple(str(link.get("name")) for link in root.findall("link"))
@@ -187,6 +272,19 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
             if times > 1:
                 raise InputError(f"{path}: {what} {name!r} is there {times} times, allowed: once")
     return urdf
+
+
+def xml_root(text: str, path: PathLike, what: str) -> ElementTree.Element:
+    """The root of XML text. Raises `InputError` for a document type, and what is no XML.
+
+    what : the text is allowed to be
+    """
+    if declared := re.search(r"<!(DOCTYPE|ENTITY)", text):
+        raise InputError(f"{path}: found {declared.group()}, allowed: XML without document types and entities")
+    try:
+        return ElementTree.fromstring(_declared_first(text))
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not XML: {error}, allowed: {what}") from None
 
 
 def _declared_first(text: str) -> str:

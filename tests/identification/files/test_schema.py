@@ -30,9 +30,51 @@ PLACED = (
     '[calibration.values]\n"joint_offset:2" = 0.1\n'
     "[calibration.base]\nx_mm = 1.0\n[calibration.tools.1]\nz_mm = 2.0\n"
 )
+BODIES = """
+[cell]
+floor_z_mm = -10.0
+clearance_mm = 5.0
+bodies_of_urdf = true
+apart = [["wall", "sphere 3"]]
+
+[[cell.bodies]]
+kind = "box"
+name = "wall"
+size_mm = [20.0, 300.0, 10.0]
+x_mm = 400.0
+rz_deg = 30.0
+
+[[cell.bodies]]
+kind = "cylinder"
+joint = 2
+start_mm = [180.0, 0.0, 0.0]
+end_mm = [200.0, 10.0, 0.0]
+radius_mm = 8.0
+
+[[cell.bodies]]
+kind = "sphere"
+center_mm = [210.0, 0.0, 1.0]
+radius_mm = 9.0
+
+[[cell.bodies]]
+kind = "mesh"
+file = "part.stl"
+unit = "m"
+"""
+PLANAR_BODIES = """
+[cell]
+
+[[cell.bodies]]
+kind = "capsule"
+joint = 2
+start_mm = [180.0, 0.0]
+end_mm = [200.0, 10.0]
+radius_mm = 8.0
+"""
 FILES = {
-    "planar": FULL.replace("# what was found", f"{CURVE}{JOINTS}\n# what was found"),
-    "urdf": BY_URDF,
+    "planar": "link_width_mm = 30.0\n"
+    + FULL.replace("# what was found", f"{CURVE}{JOINTS}{PLANAR_BODIES}\n# what was found"),
+    "urdf": BY_URDF + BODIES,
     "rows": f"{BY_TABLE}{PLACED}",
     "probe": f"{BY_TABLE}{PLANE}",
     "ball": f'{BY_TABLE}[instrument]\nkind = "sphere"\nradius_mm = 10.0\n',
@@ -129,7 +171,7 @@ def test_a_misspelt_key(tables: dict[str, Any], tmp_path: Path) -> None:
 def test_a_list_that_is_too_long(tables: dict[str, Any], tmp_path: Path) -> None:
     lists = [path for path in places(tables) if isinstance(at(tables, path), list) and type(path[-1]) is str]
     for path in lists:
-        if path[-1] not in ("dh", "constraints", "effects", "values_deg", "links_mm", "parameters"):
+        if path[-1] not in ("dh", "constraints", "bodies", "apart", "effects", "values_deg", "links_mm", "parameters"):
             message = refused(tables, tmp_path, path, [*at(tables, path), at(tables, path)[-1]])
             assert message.startswith(f"{dotted(path)}: found "), message
 

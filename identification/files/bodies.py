@@ -1,0 +1,239 @@
+"""Bodies of the arm and its cell: shapes of an arm file and of a URDF file -> `Body`.
+
+Shapes are read and covered by capsules and boxes when the bodies are first asked for: most commands never do. A mesh is
+read from the folder of the arm file or below, from the package of its URDF file, or from folders that the user names,
+and from nowhere else, by no link either.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identification.arrays import SHOWN, Array, ByValue
+from identification.bodies import Body
+from identification.errors import InputError
+from identification.files.io import PathLike, decode, read_bytes
+from identification.files.meshes import READERS, read_mesh
+from identification.files.urdf import parse_urdf, xml_root
+from identification.kinematics.frames import pose, rotation_to_z
+
+FARTHEST, NEAREST = 20.0, 1e-3  # of the arm's reach: sizes of a mesh beyond which its unit is another one
+_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+_SIDES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])  # of a box
+_FACES = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]])
+SAME = 0.1  # [mm] the end of a cylinder and the center of a sphere
+SIDES = 32  # of the prism that stands for a cylinder, around it
+
+
+@dataclass(frozen=True, eq=False)
+class Shape(ByValue):
+    """Of a body that is read from a file.
+
+    kind : box, sphere, cylinder, capsule or mesh
+    place : (4, 4) [mm] pose of its center, of a mesh of its origin, in the frame of the joint; z is the axis of a
+        cylinder or capsule
+    sizes : [mm] `size` (3) of a box, `radius` (1) and `length` (1) between the centers of the two ends, of a mesh
+        `scale` (3), the millimetres of its unit
+    file : of a mesh
+    """
+
+    kind: str
+    place: Array
+    sizes: Mapping[str, Array]
+    file: str = ""
+
+    @property
+    def capsule(self) -> Array:
+        """(7,) of a sphere or capsule; of a cylinder that which has its ends as centers."""
+        half = self.place[:3, 2] * 0.5 * self.sizes.get("length", np.zeros(1))[0]
+        return np.r_[self.place[:3, 3] - half, self.place[:3, 3] + half, self.sizes["radius"]]
+
+    def triangles(self) -> Array:
+        """(t, 3, 3) [mm] of the surface in its own frame, of a cylinder that of a prism around it; of what a capsule
+        is exactly, none. Raises `InputError` for a mesh that cannot be read."""
+        if self.kind == "mesh":
+            return read_mesh(self.file) * self.sizes["scale"]
+        if self.kind == "box":
+            return (0.5 * self.sizes["size"] * _CORNERS)[_FACES]
+        if self.kind == "cylinder":
+            turn = 2.0 * np.pi / SIDES * np.arange(SIDES)
+            across = self.sizes["radius"] / np.cos(np.pi / SIDES)
+            ring = np.stack([across * np.cos(turn), across * np.sin(turn), np.zeros(SIDES)], axis=1)
+            up = np.array([0.0, 0.0, 0.5 * self.sizes["length"][0]])
+            a, b, c, d = ring - up, np.roll(ring, -1, axis=0) - up, ring + up, np.roll(ring, -1, axis=0) + up
+            ends = [
+                np.stack([a, b, np.broadcast_to(-up, a.shape)], 1),
+                np.stack([d, c, np.broadcast_to(up, a.shape)], 1),
+            ]
+            return np.concatenate([np.stack([a, d, b], 1), np.stack([a, c, d], 1), *ends])
+        return np.empty((0, 3, 3))
+
+
+def placed_by(place: Array, triangles: Array) -> Array:
+    """Points (..., 3) of a frame (4, 4) in the frame that it is placed in."""
+    return triangles @ place[:3, :3].T + place[:3, 3]
+
+
+def segment(start: Sequence[float], end: Sequence[float]) -> tuple[Array, Array]:
+    """(4, 4) pose with its origin in the middle between two points and z along, and (1,) their distance."""
+    a, b = (np.r_[point, 0.0][:3] for point in (start, end))  # in the plane z = 0 of a planar arm
+    length = float(np.linalg.norm(b - a))
+    return pose(0.5 * (a + b), rotation_to_z((b - a) / length) if length else None), np.array([length])
+
+
+def covered(body: GivenBody, reach: float) -> Body:
+    """The body of its shapes, covered: by capsules if it moves, by boxes if it stands still.
+
+    reach : [mm] of the arm. Raises `InputError` for a mesh that cannot be read, or whose unit must be another
+    """
+    from identification.cover import boxes_around, capsules_around
+
+    shapes = body.shapes
+    triangles = [shape.triangles() for shape in shapes]
+    for shape, own in zip(shapes, triangles, strict=True):
+        if shape.kind != "mesh":
+            continue
+        long = float(np.ptp(own, axis=(0, 1)).max())
+        if not NEAREST * reach < long < FARTHEST * reach:
+            unit = "millimetres as metres" if long > reach else "metres as millimetres"
+            compared = f"{long:.4g} mm long beside an arm that reaches {reach:.4g} mm"
+            raise InputError(
+                f"{shape.file}: body {body.name} is {compared}, like {unit}, allowed: another unit or scale"
+            )
+    drawn = [placed_by(shape.place, own) for shape, own in zip(shapes, triangles, strict=True)]
+    exact, rest = _exact(shapes)
+    boxes = np.empty((0, 15))
+    if body.joint and rest:
+        exact = np.concatenate([exact, capsules_around(np.concatenate([drawn[k] for k in rest]))])
+    elif rest:
+        boxes = np.concatenate([boxes_around(triangles[k], shapes[k].place) for k in rest])
+    return Body(body.name, body.joint, exact, boxes, np.concatenate(drawn))
+
+
+def _exact(shapes: Sequence[Shape]) -> tuple[Array, list[int]]:
+    """(k, 7) capsules that are exact, and the numbers of the other shapes. A cylinder with spheres at both ends is a
+    capsule, which URDF does not have."""
+    spheres = [k for k, shape in enumerate(shapes) if shape.kind == "sphere"]
+    exact = [k for k, shape in enumerate(shapes) if shape.kind == "capsule"]
+    for k in (k for k, shape in enumerate(shapes) if shape.kind == "cylinder"):
+        start, end, radius = np.split(shapes[k].capsule, [3, 6])
+        at = [
+            [j for j in spheres if np.allclose(shapes[j].capsule, [*c, *c, *radius], 0.0, SAME)] for c in (start, end)
+        ]
+        if all(at):
+            exact.append(k)
+            spheres = [j for j in spheres if j not in at[0] + at[1]]
+    exact += spheres
+    capsules = np.array([shapes[k].capsule for k in sorted(exact)]).reshape(-1, 7)
+    return capsules, [k for k, shape in enumerate(shapes) if shape.kind not in ("sphere", "capsule") and k not in exact]
+
+
+@dataclass(frozen=True, eq=False)
+class GivenBody(ByValue):
+    """What a file says of a body."""
+
+    name: str
+    joint: int
+    shapes: tuple[Shape, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ShapedBodies(ByValue, Sequence[Body]):
+    """The bodies of an arm file and of its URDF file, which are read when they are first asked for.
+
+    given : those of the arm file
+    urdf : text of the URDF file, "": it has none, or they are not wanted;  path : its name
+    ends : links at base and tip
+    folders : that meshes may be read from, that of the URDF file first
+    reach : [mm] of the arm
+    """
+
+    given: tuple[GivenBody, ...]
+    urdf: str
+    path: str
+    ends: tuple[str, str]
+    folders: tuple[str, ...]
+    reach: float
+
+    @cached_property
+    def _bodies(self) -> tuple[Body, ...]:
+        drawn = self._of_urdf() if self.urdf else []
+        for name in {body.name for body in drawn} & {body.name for body in self.given}:
+            raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")
+        return tuple(covered(body, self.reach) for body in (*drawn, *self.given))
+
+    def __len__(self) -> int:
+        return len(self._bodies)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._bodies[index]
+
+    def _of_urdf(self) -> list[GivenBody]:
+        urdf, found, missing, loose = parse_urdf(self.urdf, self.path), [], dict[str, str](), []
+        for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
+            shapes = []
+            for kind, sizes, name, origin in urdf.collisions(link):
+                file = mesh_file(name, self.folders) if kind == "mesh" else Path()
+                if file is None:
+                    missing[link] = name
+                else:
+                    shapes.append(Shape(kind, place @ origin, sizes, str(file)))
+            if shapes:
+                found.append(GivenBody(link, joint, tuple(shapes)))
+                loose += [link] if aside else []
+        if missing:
+            links = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"
+            found_none = (
+                f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not looked at"
+            )
+            ways = f"{' or '.join(READERS)} files beside the arm file or below, or in a folder of --package-dir"
+            warnings.warn(f"{self.path}: {found_none}, allowed: {ways}", UserWarning, stacklevel=2)
+        if loose:
+            drawn = "drawn where joints that are not the arm's stand at zero"
+            warnings.warn(f"{self.path}: {', '.join(loose)}: {drawn}", UserWarning, stacklevel=2)
+        return found
+
+
+def mesh_file(name: str, folders: Sequence[str]) -> Path | None:
+    """The file that a URDF file names; None: it is not there, in none of the folders, or of another type.
+
+    folders : in which it may be, that of the URDF file first; the package that this is in is another
+    """
+    beside = Path(folders[0])
+    package = next((above for above in (beside / "x").resolve().parents if (above / "package.xml").is_file()), None)
+    if (words := re.fullmatch(r"(?:package|model)://([^/]+)/(.+)", name)) is not None:
+        places = [(root, Path(root, *rest)) for root in folders for rest in (words.groups(), words.groups()[1:])]
+        if package is not None and words[1] in (package.name, _package_name(package)):
+            places.append((str(package), package / words[2]))
+    else:
+        roots = [*folders, *([] if package is None else [str(package)])]
+        places = [(root, beside / re.sub(r"^file://", "", name)) for root in roots]
+    for root, path in places:
+        inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root))
+        if inside and path.suffix.lower() in READERS and path.is_file():
+            return path
+    return None
+
+
+def _package_name(folder: Path) -> str:
+    """Of a ROS package, from its `package.xml`."""
+    path = folder / "package.xml"
+    return (xml_root(decode(path, read_bytes(path)), path, "a ROS package").findtext("name") or "").strip()
+
+
+def pairs_apart(path: PathLike) -> frozenset[frozenset[str]]:
+    """Pairs of links that a SRDF file disables collisions of. Raises `InputError` for what is no such file."""
+    root = xml_root(decode(path, read_bytes(path)), path, "an SRDF file")
+    pairs = [(each.get("link1"), each.get("link2")) for each in root.iter("disable_collisions")]
+    if root.tag != "robot" or any(None in pair for pair in pairs):
+        raise InputError(f"{path}: found <{root.tag}>, allowed: an SRDF file, <robot> with pairs of link1 and link2")
+    return frozenset(frozenset(map(str, pair)) for pair in pairs)

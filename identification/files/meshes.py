@@ -1,0 +1,68 @@
+"""Triangles of STL and OBJ files; nothing that they name, materials and textures, is read.
+
+STL (3D Systems, 1989): binary with a header of 80 bytes, a count, and 50 bytes a triangle, or text with `vertex x y z`
+lines, three a triangle. OBJ (Wavefront): `v x y z` lines and `f a b c ..` lines of vertices counted from 1, or from the
+end, -1 the last.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import PurePath
+
+import numpy as np
+
+from identification.arrays import Array
+from identification.errors import InputError
+from identification.files.io import PathLike, read_bytes
+
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])  # of a binary STL file
+HEADER = 84  # bytes before the first of them
+
+
+def _stl(content: bytes) -> Array:
+    count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
+    if len(content) == HEADER + count * RECORD.itemsize or not content.lstrip().startswith(b"solid"):
+        return np.frombuffer(content, RECORD, count, HEADER)["corners"].astype(float)  # ValueError: cut off
+    numbers = re.findall(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
+    return np.array(numbers, dtype=float).reshape(-1, 3, 3)
+
+
+def _obj(content: bytes) -> Array:
+    places = np.array(re.findall(rb"^\s*v\s+(\S+)\s+(\S+)\s+(\S+)", content, re.MULTILINE), dtype=float).reshape(-1, 3)
+    triangles = []
+    seen = 0  # vertices before the face
+    for line in re.findall(rb"^\s*(v\s|f\s.*)", content.replace(b"\\\n", b" "), re.MULTILINE):
+        if line.startswith(b"v"):
+            seen += 1
+        else:
+            corners = [int(word.partition(b"/")[0]) for word in line.split()[1:]]
+            corners = [corner - 1 if corner > 0 else seen + corner for corner in corners]
+            if min(corners) < 0:
+                raise IndexError
+            triangles += [(corners[0], *pair) for pair in pairwise(corners[1:])]
+    return places[np.array(triangles, dtype=int).reshape(-1, 3)]
+
+
+READERS: dict[str, Callable[[bytes], Array]] = {".stl": _stl, ".obj": _obj}
+
+
+def read_mesh(path: PathLike) -> Array:
+    """(t, 3, 3) corners of the triangles of a file, in its unit.
+
+    Raises `InputError` for a file that is missing, unreadable, of another type, damaged or without triangles.
+    """
+    if (suffix := PurePath(path).suffix.lower()) not in READERS:
+        raise InputError(f"{path}: a mesh of type {suffix or 'unknown'}, allowed: {', '.join(READERS)}")
+    allowed = f"allowed: a whole {suffix[1:].upper()} file"
+    try:
+        triangles = READERS[suffix](read_bytes(path))
+    except (ValueError, IndexError):
+        raise InputError(f"{path}: a damaged mesh, {allowed}") from None
+    if not len(triangles):
+        raise InputError(f"{path}: a mesh without triangles, {allowed}")
+    if not np.all(np.isfinite(triangles)):
+        raise InputError(f"{path}: a mesh with corners that are no finite numbers, {allowed}")
+    return triangles
