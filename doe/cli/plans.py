@@ -288,6 +288,7 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
+    from doe.plan.driving import in_sentences, unproven
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
@@ -324,14 +325,12 @@ def score_files(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    moves = load_plan(plan, loaded.joint_types, vias=True)
-    collide = unproven(problem.constraints, moves.postures)
-    if any(isinstance(each, Clearance) for each in problem.constraints):
-        data["moves"] = {"not_free": [{"row": row, "bodies": [*pair], "distance_mm": gap} for row, pair, gap in collide]}
+    if (moves := unproven(problem.constraints, load_plan(plan, loaded.joint_types, vias=True).postures)) is not None:
+        data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
     written(pictures, force)
-    document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
+    document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 

@@ -137,20 +137,25 @@ def drive(
     return Drive(measured, moves, order, approach, float(lengths.sum()), before, shortest, len(replaced))
 
 
-def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, str]]:
-    """Moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads to, and which pair
-    comes how near on the way; none where nothing is known of any body."""
+def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, tuple[str, str], float]] | None:
+    """Moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads to, the pair of
+    bodies that comes nearest to what is kept, and how near [mm]; None where nothing is known of any body."""
     if (room := room_of(constraints)) is None:
-        return []
+        return None
     clearance = next(each for each in constraints if isinstance(each, Clearance))
-    asked = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
-    found = []
+    kept = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
+    found, shares = [], np.linspace(0.0, 1.0, FINE)[:, None]
     for row in np.flatnonzero(~free(postures[:-1], postures[1:], room)).tolist():
-        shares = np.linspace(0.0, 1.0, FINE)[:, None]
         apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
-        at, k = divmod(int(np.argmin(apart - asked)), len(asked))
-        found.append((row + 2, f"{' and '.join(clearance.pairs[k])} come to {apart[at, k]:.1f} mm of each other"))
+        at, k = divmod(int(np.argmin(apart - kept)), len(kept))
+        found.append((row + 2, clearance.pairs[k], float(apart[at, k])))
     return found
+
+
+def in_sentences(moves: Sequence[tuple[int, tuple[str, str], float]]) -> list[str]:
+    """What is to be said of moves that are not proven to be free."""
+    lines = [f"Moves: {len(moves)} may collide on the way:"] if moves else []
+    return lines + [f"  to row {row}: {one} and {other} come to {gap:.0f} mm" for row, (one, other), gap in moves]
 
 
 def another(

@@ -129,7 +129,7 @@ def pulled(way: Array, room: Room, space: Space) -> Array:
             straight = before + come / (come + go) * (after - before)
             moved = here + np.array([0.8, 0.4, 0.2])[:, None] * (straight - here)
             ends = np.broadcast_to(before, moved.shape), np.broadcast_to(after, moved.shape)
-            good = free(ends[0], moved, room) & free(moved, ends[1], room)
+            good = free(ends[0], moved, room) & free(moved, ends[1], room) & room.allows(moved)
             way[k] = moved[np.argmax(good)] if good.any() else here
     return way
 
