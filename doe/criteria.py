@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, nearest, readonly, rounding_share, significant
+from identification import Array, InputError, log_determinants, nearest, readonly
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
 Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R
@@ -509,27 +509,6 @@ def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
     rows = jacobian if weights is None else jacobian * np.sqrt(np.asarray(weights))[:, None, None]
     rows = rows.reshape(*batch, m * d, p)
     return np.swapaxes(rows, -1, -2) @ rows
-
-
-def log_determinants(information: Array) -> Array:
-    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule of ranks calls them
-    singular.
-
-    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
-    eigenvalues.
-    """
-    p = information.shape[-1]
-    lengths = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
-    usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))
-    usable &= np.all(significant(np.where(usable[..., None], lengths, 1.0)), axis=-1)
-    lengths = np.where(usable[..., None], lengths, 1.0)
-    unit = np.where(usable[..., None, None], information / lengths[..., :, None] / lengths[..., None, :], np.eye(p))
-    signs, logs = np.linalg.slogdet(unit)
-    usable &= signs > 0
-    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
-    if np.any(close):
-        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
-    return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
 
 
 def inverses(information: Array) -> Array:

@@ -19,7 +19,7 @@ from doe.plan.accuracy import ExpectedDeviations, error_at_poses, expected_devia
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import EnsembleModel
-from identification import Array, InputError, Plan, Status, identifiability
+from identification import Array, InputError, Plan, Status, spectrum
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
 
@@ -64,7 +64,8 @@ class Design:
         cannot tell it from none, and `value` is -inf all the same."""
         parameters = self.problem.model.parameters
         jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
-        return identifiability(jacobians, parameters.names, np.ones(len(parameters))).combinations
+        ones = np.ones(len(parameters))
+        return spectrum(jacobians, ones).identifiability(parameters.names, ones).combinations
 
     @cached_property
     def outside(self) -> tuple[int, ...]:

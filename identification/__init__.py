@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from identification.simulate import simulate
     # an arm, its model, its measurements
-    "arm": "LARGEST_MASS Arm Calibration EffectSpec Gravity",
+    "arm": "Arm Calibration EffectSpec Gravity",
     "model": "Model",
     "effects": "library",
     "measurements": "Conditions Measurements load_measurements rms_distance",
     "kinematics.parameters": "EFFECT GEOMETRY JOINT_OFFSET LENGTH_ERROR PRISMATIC REVOLUTE Parameter ParameterSet",
     "kinematics.counting": "turned_into",
     "kinematics.chain": "DHRow chain_of planar_chain",
-    "files.arm": "arm_from_tables dump_arm load_arm with_effects",
+    "files.arm": "dump_arm load_arm with_effects",
     "files": "formats",
-    "files.csv": "csv_text",
     "files.measurement": "Plan load_plan",
     "workflow": "load_sessions",
     "campaign": "Campaign",
@@ -32,7 +31,7 @@ _CONTENTS = {  # module -> names; `simulate` and `compensate` are modules: from 
     "gap.detectability": "Detectability detectability",
     # what designs need
     "for_design": "ArmModel design_model with_points without_prior",
-    "information": "identifiability rounding_share significant spectrum",
+    "information": "log_determinants spectrum",
     # errors, progress, arrays
     "errors": "ArmcalError InputError JobError nearest",
     "vectorized": "vectorize",
@@ -45,7 +44,7 @@ __all__ = sorted(_PLACES)
 
 if TYPE_CHECKING:  # the same for type checkers
     from doe.criteria import information_matrix
-    from identification.arm import LARGEST_MASS, Arm, Calibration, EffectSpec, Gravity
+    from identification.arm import Arm, Calibration, EffectSpec, Gravity
     from identification.arrays import Array, readonly
     from identification.campaign import Campaign
     from identification.documents.pictures import Compared
@@ -53,8 +52,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.errors import ArmcalError, InputError, JobError, nearest
     from identification.estimation import Identification, estimate, estimate_batch, estimate_each
     from identification.files import formats
-    from identification.files.arm import arm_from_tables, dump_arm, load_arm, with_effects
-    from identification.files.csv import csv_text
+    from identification.files.arm import dump_arm, load_arm, with_effects
     from identification.files.measurement import Plan, load_plan
     from identification.for_design import (
         ArmModel,
@@ -66,7 +64,7 @@ if TYPE_CHECKING:  # the same for type checkers
     from identification.gap.diagnose import diagnose
     from identification.gap.fit import fitted_arm
     from identification.gap.result import Diagnosis
-    from identification.information import identifiability, rounding_share, significant, spectrum
+    from identification.information import log_determinants, spectrum
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
     from identification.kinematics.counting import turned_into
     from identification.kinematics.parameters import (

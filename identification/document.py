@@ -68,6 +68,10 @@ class Section:
     parts: Sequence[Part]
     folded: bool = False
 
+    def html(self, picture: Callable[[Figure], str]) -> str:
+        """As a page has it;  picture : a figure as HTML"""
+        return html(self, picture)
+
 
 @dataclass(frozen=True)
 class Action:

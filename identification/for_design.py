@@ -209,6 +209,12 @@ class ArmModel(Model):
         nothing else is known."""
         return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
 
+    def only(self, words: Sequence[str]) -> ArmModel:
+        """The same of which only these parameters are estimated, see `identification.reuse.only`."""
+        from identification.reuse import only
+
+        return design_model(only(self.arm, words))
+
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property
     def complete(self) -> bool:

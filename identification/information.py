@@ -56,6 +56,27 @@ def rounding_share(p: int) -> float:
     return (8 + p) * float(np.finfo(float).eps)
 
 
+def log_determinants(information: Array) -> Array:
+    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule of ranks calls them
+    singular.
+
+    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
+    eigenvalues.
+    """
+    p = information.shape[-1]
+    lengths = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
+    usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))
+    usable &= np.all(significant(np.where(usable[..., None], lengths, 1.0)), axis=-1)
+    lengths = np.where(usable[..., None], lengths, 1.0)
+    unit = np.where(usable[..., None, None], information / lengths[..., :, None] / lengths[..., None, :], np.eye(p))
+    signs, logs = np.linalg.slogdet(unit)
+    usable &= signs > 0
+    close = usable & (logs <= 1.0 + np.log(p * rounding_share(p)))
+    if np.any(close):
+        usable[close] = np.all(significant(np.linalg.eigvalsh(unit[close]), rounding_share(p)), axis=-1)
+    return np.where(usable, logs + 2.0 * np.sum(np.log(lengths), axis=-1), -np.inf)
+
+
 def product_inverse(product: Array) -> Array:
     """(p, p) pseudo-inverse of a product: of a normal matrix or a covariance, whatever its units."""
     sizes = np.sqrt(np.maximum(np.diagonal(product), 0.0))
@@ -119,6 +140,15 @@ class Spectrum:
     def root(self) -> Array:
         """(p, rank) whose product with its transpose is the covariance; J @ root has orthonormal columns."""
         return self.directions[:, : self.rank] / self.values[: self.rank] / self.lengths[:, None]
+
+    def identifiability(self, names: Sequence[str], scales: Array) -> Identifiability:
+        """Which of the parameters of these names are estimable, and the combinations that cannot be distinguished;
+        scales : (p,) `Model.scales` [mm/unit]"""
+        identifiable = np.linalg.norm(self.null_space, axis=1) <= TOUCHED
+        identifiable.setflags(write=False)
+        basis = sparse_basis(self.null_space) / self.lengths[:, None] * scales[:, None]
+        basis /= np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
+        return Identifiability(self.rank, identifiable, readonly(basis), tuple(describe(v, names) for v in basis.T))
 
     def determined(self, jacobian: Array) -> float:
         """How many of p parameters the data determine, a prior the rest: tr J (J^T J + R^T R)^-1 J^T.
@@ -184,17 +214,6 @@ class Identifiability(NamedTuple):
     identifiable: NDArray[np.bool_]
     null_space: Array
     combinations: tuple[str, ...]
-
-
-def identifiability(jacobian: Array | Spectrum, names: Sequence[str], scales: Array) -> Identifiability:
-    """Rank of a Jacobian (m, d, p), decomposed already or not, and the combinations of parameters that it cannot
-    distinguish."""
-    decomposed = jacobian if isinstance(jacobian, Spectrum) else spectrum(jacobian, scales)
-    identifiable = np.linalg.norm(decomposed.null_space, axis=1) <= TOUCHED
-    identifiable.setflags(write=False)
-    basis = sparse_basis(decomposed.null_space) / decomposed.lengths[:, None] * scales[:, None]
-    basis /= np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
-    return Identifiability(decomposed.rank, identifiable, readonly(basis), tuple(describe(v, names) for v in basis.T))
 
 
 def describe(direction: Array, names: Sequence[str]) -> str:

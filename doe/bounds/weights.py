@@ -26,7 +26,7 @@ import numpy as np
 
 from doe.criteria import Criterion, InverseTrace, log_determinants
 from doe.problem.problem import PriorInformation, Stop, information_of_each, never
-from identification import Array, InputError, JobError, significant
+from identification import Array, InputError, JobError
 
 POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
 # of each solver, tried in turn: Clarabel fails on some programs with its own scaling of the rows, on others without it
@@ -173,7 +173,7 @@ def solve_program(
     entries = (root @ posture_information @ root.T)[:, rows, columns]
     # a basis of their span, and their coordinates in it, by the smaller of the two normal matrices
     values, vectors = np.linalg.eigh(entries @ entries.T if n < len(rows) else entries.T @ entries)
-    seen = significant(values, 1e-12)  # of a product: below, too few digits are left
+    seen = values > 1e-12 * values.max()  # of a product: below, too few digits are left
     basis = vectors[:, seen] if n >= len(rows) else entries.T @ (vectors[:, seen] / np.sqrt(values[seen]))
     coordinates = entries @ basis
     square = np.zeros((p, p, basis.shape[1]))

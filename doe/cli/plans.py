@@ -360,12 +360,12 @@ def advise_files(
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import Model, load_arm
-    from identification.reuse import only as only_these
+    from identification import Model, design_model, load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm))
     named = [word for text in only for word in words(text) if word]
-    problem = DesignProblem.of(only_these(loaded, named) if named else Model(loaded))
+    model = design_model(Model(loaded))
+    problem = DesignProblem.of(model.only(named) if named else model)
     fewest = problem.fewest_runs
     text = runs or (f"{fewest}:40" if named else "4:40")
     ends = text.split(":")
@@ -590,7 +590,7 @@ def discriminate_files(
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
-    from identification import LARGEST_MASS, Model, csv_text, diagnose, load_arm
+    from identification import Model, diagnose, load_arm
 
     loaded, masses = load_arm(arm), None
     if payloads is not None:
@@ -598,7 +598,7 @@ def discriminate_files(
             masses = tuple(float(word) for word in payloads.split(","))
         except ValueError:
             masses = (-1.0,)
-        if not all(0.0 <= mass <= LARGEST_MASS for mass in masses):
+        if not all(0.0 <= mass < math.inf for mass in masses):
             raise InputError(f"--payloads: {payloads!r}, allowed: numbers >= 0 [kg], as in 0,5,10")
         if loaded.gravity is None:
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
@@ -622,7 +622,7 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
-    lines = written({out: csv_text(chosen.columns)}, force, "next postures")
+    lines = written({out: chosen.plan.text(further=chosen.conditions)}, force, "next postures")
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
     shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}

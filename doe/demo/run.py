@@ -28,9 +28,7 @@ from identification import (
     Model,
     Plan,
     Progress,
-    arm_from_tables,
     load_arm,
-    load_measurements,
     rms_distance,
     silent,
     with_effects,
@@ -72,7 +70,7 @@ class Scenario:
 def planar() -> Scenario:
     """The paper's arm, with the paper's errors and an encoder that sits off centre."""
     truth = f"{PLANAR_ARM}\n{TRUTH}"
-    model = Model(arm_from_tables(tomllib.loads(truth)))
+    model = Model(load_arm(tomllib.loads(truth)))
     hidden = {p.name: model.best_known[p.name] * p.to_file for p in model.all_parameters}
     files = {"arm.toml": PLANAR_ARM, "truth.toml": truth}
     return Scenario("the paper's 4-link arm", files, model.position, hidden, runs=20)
@@ -181,8 +179,9 @@ def run_demo(
         """Simulated measurements as the commands read them from the file, rounding included."""
         exact = scenario.real(postures)
         noise = (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
-        write(name, Measurements(postures, exact + noise).to_frame(joint_types=arm.joint_types).write_csv())
-        return load_measurements(directory / name, arm)
+        table = Measurements(postures, exact + noise).to_frame(joint_types=arm.joint_types)
+        write(name, table.write_csv())
+        return Measurements.from_frame(table, arm)
 
     begin()
     for name, text in scenario.files.items():

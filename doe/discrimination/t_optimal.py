@@ -47,10 +47,14 @@ class NextPostures:
     @property
     def columns(self) -> dict[str, Any]:
         """Columns of the plan file: run, angles, and payload and directions where they matter."""
-        columns: dict[str, Any] = {"run": np.arange(1, len(self.plan) + 1)} | self.plan.columns
-        columns |= {} if self.payload is None else {"payload_kg": self.payload}
+        return {"run": np.arange(1, len(self.plan) + 1), **self.plan.columns, **self.conditions}
+
+    @property
+    def conditions(self) -> dict[str, Array]:
+        """Those columns of it that say how to measure."""
+        payload = {} if self.payload is None else {"payload_kg": self.payload}
         sides = () if self.directions is None else self.directions.T
-        return columns | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
+        return payload | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `armcal discriminate` beside those of the diagnosis."""

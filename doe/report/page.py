@@ -21,7 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from identification.document import Document, Pictures, Section, Sheet, html
+from identification.document import Document, Pictures, Section, Sheet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,7 +79,7 @@ def page(document: Document, *more: Section) -> str:
         verdict=[sentence for sentence in document.verdict if sentence],
         sections=sections,
         steps=steps,
-        html=lambda section: html(section, page_picture),
+        html=lambda section: section.html(page_picture),
         style=style,
         scripts=scripts,
     )

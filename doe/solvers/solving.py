@@ -38,9 +38,9 @@ from identification import (
     Progress,
     Status,
     additions,
-    identifiability,
     nearest,
     silent,
+    spectrum,
 )
 
 AGREEMENT = 10  # independent local searches that end at the best value
@@ -266,7 +266,8 @@ def _reason(design: Design) -> str:
         many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
     else:
         many = listed_candidates(problem, problem.choices)
-    aliases = identifiability(plan_jacobians(problem, many), problem.model.parameters.names, np.ones(p)).combinations
+    seen, names = spectrum(plan_jacobians(problem, many), np.ones(p)), problem.model.parameters.names
+    aliases = seen.identifiability(names, np.ones(p)).combinations
     if aliases and problem.choices is not None:
         return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"

@@ -26,16 +26,7 @@ from doe.bounds.planar_theorem import pair_means
 from doe.criteria import information_matrix
 from doe.jobs import Row, frame_of
 from doe.studies.monte_carlo import Study, dft_postures, run_study
-from identification import (
-    Arm,
-    Array,
-    InputError,
-    Model,
-    Plan,
-    Progress,
-    arm_from_tables,
-    silent,
-)
+from identification import Arm, Array, InputError, Model, Plan, Progress, load_arm, silent
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())
 LENGTHS, SIGMA = np.array(PAPER["lengths_mm"]), PAPER["sigma_mm"]
@@ -48,9 +39,9 @@ def paper_arm(links: int = 4, limited: bool = False) -> Arm:
     """The first links of the paper's arm; `limited`: within the joint limits of doe/README.md, "Planar theorem"."""
     tables = {"name": f"{links} links", "links_mm": PAPER["lengths_mm"][:links], "measurement": {"sigma_mm": SIGMA}}
     if not limited:
-        return arm_from_tables(tables)
+        return load_arm(tables)
     limits = {side: PAPER["joint_limits_deg"][side][:links] for side in ("lower", "upper")}
-    return arm_from_tables(tables | {"name": f"{links} links within joint limits", "joint_limits_deg": limits})
+    return load_arm(tables | {"name": f"{links} links within joint limits", "joint_limits_deg": limits})
 
 
 def paper_truth(links: int = 4) -> dict[str, Any]:

@@ -31,13 +31,7 @@ from identification.estimation.problem import (
 )
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, limit_of, outlying, robust_squares, together, uncertainty
-from identification.information import (
-    RANK_TOLERANCE,
-    Spectrum,
-    covariances,
-    identifiability,
-    spectrum,
-)
+from identification.information import RANK_TOLERANCE, Spectrum, covariances, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import joint_range
@@ -241,7 +235,7 @@ def _identification(
     made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
-    told = identifiability(decomposed, model.names, model.scales)
+    told = decomposed.identifiability(model.names, model.scales)
     # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least
     # squares (one Gauss-Newton step from the closed form)
     was, after = problem.start, problem.residuals(x)[0]
@@ -321,7 +315,7 @@ def estimate_batch(
     prior = Prior(model.prior) if model.prior else None
     problem = replace(Problem.of(model, plan, sigma if prior is None else "given", weights, prior), positions=measured)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
-    if undetermined := identifiability(decomposed, model.names, model.scales).combinations:
+    if undetermined := decomposed.identifiability(model.names, model.scales).combinations:
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
     solution = _not_fitted(len(measured), model)
     x, rss, status = solution.parameters, solution.rss, solution.status

@@ -137,14 +137,16 @@ def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-def load_arm(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> Arm:
-    """The arm that a TOML file describes.
+def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike] = ()) -> Arm:
+    """The arm that a TOML file describes, or the tables of one.
 
     package_dirs : folders in which meshes of its URDF file are, besides those beside it, below, and in its package
 
     Raises `InputError`, one line naming file, key, what was found and what is allowed. Warns (`UserWarning`) when the
     joint limits look like radians.
     """
+    if isinstance(path, Mapping):
+        return arm_from_tables(dict(path))
     tables = read_toml(path)
     try:
         arm = arm_from_tables(tables, Path(path).parent, package_dirs)

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, frame_of_columns, readonly
@@ -407,7 +407,7 @@ class Plan(ByValue):
         with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
             return str(self.to_frame()._repr_html_())
 
-    def text(self, joint_types: JointTypes = None, further: Mapping[str, Sequence[str]] | None = None) -> str:
+    def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
         """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad).
 
         joint_types : None: those of the plan;  further : columns of names, one for each run
@@ -423,9 +423,10 @@ class Plan(ByValue):
             signs = directions_from_order(np.round(in_columns(self.postures, types), 9))  # a joint that stays does so
             signs = np.where((signs == 0.0) | ~measured[:, None], np.nan, signs)
             columns |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
-        for name, texts in (further or {}).items():
-            columns[name] = np.full(len(self), "", dtype=f"<U{max(map(len, texts), default=1)}")
-            columns[name][measured] = texts
+        for name, values in (further or {}).items():
+            column = np.asarray(values)
+            columns[name] = np.full(len(self), "" if column.dtype.kind == "U" else np.nan, dtype=column.dtype)
+            columns[name][measured] = column
         return csv_text(columns if self.weights is None else columns | {"weight": self.weights}, self.fit)
 
 

@@ -9,15 +9,7 @@ from hypothesis import strategies as st
 
 from doe.criteria import information_matrix
 from identification.arm import Arm, EffectSpec
-from identification.information import (
-    Identifiability,
-    column_space_of,
-    covariances,
-    describe,
-    identifiability,
-    sparse_basis,
-    spectrum,
-)
+from identification.information import Identifiability, column_space_of, covariances, describe, sparse_basis, spectrum
 from identification.model import Model
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
@@ -25,7 +17,7 @@ LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 
 def found(effects: list[str], postures: np.ndarray) -> tuple[Model, Identifiability]:
     model = Model(Arm(LENGTHS, effects=tuple(EffectSpec(name) for name in effects)))
-    return model, identifiability(model.jacobian(postures), model.names, model.scales)
+    return model, spectrum(model.jacobian(postures), model.scales).identifiability(model.names, model.scales)
 
 
 def postures(m: int = 20, seed: int = 0) -> np.ndarray:
@@ -65,10 +57,12 @@ def test_combinations_are_null_directions() -> None:
 def test_units_do_not_matter(factor: float) -> None:
     model, told = found(["tool_offset"], postures())
     units = np.where(np.arange(10) % 2, factor, 1.0)
-    scaled = identifiability(model.jacobian(postures()) * units, model.names, model.scales * units)
+    scaled = spectrum(model.jacobian(postures()) * units, model.scales * units).identifiability(
+        model.names, model.scales * units
+    )
     assert scaled.combinations == told.combinations
     # even a scale that is wrong by six orders does not change what is told
-    wrong = identifiability(model.jacobian(postures()) * units, model.names, model.scales)
+    wrong = spectrum(model.jacobian(postures()) * units, model.scales).identifiability(model.names, model.scales)
     np.testing.assert_array_equal(wrong.identifiable, told.identifiable)
 
 

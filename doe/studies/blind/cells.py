@@ -31,7 +31,7 @@ from doe.studies.blind.simulator import (
     turn,
     wound_up,
 )
-from identification import Arm, Array, EffectSpec, Measurements, arm_from_tables
+from identification import Arm, Array, EffectSpec, Measurements, load_arm
 
 EVERY_JOINT = "joint_compliance*"  # stands for the compliance of all joints at once
 COMMON = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "gear_ratio", "joint_coupling")
@@ -190,9 +190,9 @@ def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
     tables = {"joint_limits_deg": limits, "measurement": {"sigma_mm": truth.sigma}, "gravity": gravity}
     effects = [EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled]
     if truth.in_plane:
-        return arm_from_tables(tables | {"links_mm": truth.lengths.tolist()}).with_effects(*effects)
+        return load_arm(tables | {"links_mm": truth.lengths.tolist()}).with_effects(*effects)
     rows = [{"a_mm": a, "alpha_deg": float(np.degrees(alpha)), "d_mm": d} for a, alpha, d in truth.table.tolist()]
-    arm = arm_from_tables(tables | {"kind": "spatial", "dh": rows})
+    arm = load_arm(tables | {"kind": "spatial", "dh": rows})
     arm = replace(arm, chain=replace(arm.chain, tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))}))
     return arm.with_effects(*effects, *([EffectSpec("tool_mass")] if spec.wrong == "tool" else []))
 
