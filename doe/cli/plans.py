@@ -325,7 +325,9 @@ def score_files(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    if (moves := unproven(problem.constraints, load_plan(plan, loaded.joint_types, vias=True).postures)) is not None:
+    driven = load_plan(plan, loaded.joint_types, vias=True).postures
+    moves = None if judged.weights is not None else unproven(problem.constraints, driven)
+    if moves is not None:
         data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
