@@ -37,7 +37,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
         for k, view in enumerate(((up, around), (up, around + 90.0)), start=1):
             draw_side(top.add_subplot(1, 2, k, projection="3d"), arm, shown, view)
         first = "" if arm.cell is None else "; bodies as in the first"
-        top.subplots_adjust(left=0.03, right=0.93, bottom=0.06, top=0.94, wspace=0.3)
+        top.subplots_adjust(left=0.09, right=0.9, bottom=0.06, top=0.94, wspace=0.3)
         top.suptitle(f"{count}, from two sides; light to dark in order of measurement{first}", fontsize=9)
         bottom.subplots_adjust(left=0.06, right=0.97, bottom=0.2)
         draw_joints(bottom.subplots(), arm, postures)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 from base64 import b64decode
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +59,13 @@ def round_body(around: int) -> np.ndarray:
     grid = np.stack([np.outer(np.sin(theta), f(phi)) for f in (np.cos, np.sin)] + [np.outer(np.cos(theta), phi**0)], -1)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
     return np.concatenate([np.stack(each, -2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
+
+
+def test_three_js_is_small_licensed_and_asks_for_nothing() -> None:
+    text = files("doe.report").joinpath("three.min.js").read_text("utf-8")
+    assert len(text) <= 700_000
+    assert "The MIT License" in text.partition("*/")[0]
+    assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.w3.org"}  # names of formats
 
 
 # -- data --------------------------------------------------------------------------------------------------------------
@@ -300,17 +309,17 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
     assert seen.page.locator(".plan tbody tr").count() == 3
     seen.page.get_by_role("button", name="Step").click()
     np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[1:], atol=1e-6)
-    files = []
+    saved = []
     for button in ("Earlier", "Undo all", "Step"):
         with seen.page.expect_download() as download:
             seen.page.get_by_role("button", name="Download").click()
-        download.value.save_as(tmp_path / f"{len(files)}.csv")
-        files.append(load_plan(tmp_path / f"{len(files)}.csv", ARM.joint_types, vias=True))
+        download.value.save_as(tmp_path / f"{len(saved)}.csv")
+        saved.append(load_plan(tmp_path / f"{len(saved)}.csv", ARM.joint_types, vias=True))
         new = seen.facts().get("moves that are new, not looked at", "0")
-        assert new == ("0" if len(files) != 2 else "2")  # 2 1 3
+        assert new == ("0" if len(saved) != 2 else "2")  # 2 1 3
         seen.page.get_by_role("button", name=button).click()
     seen.close((tmp_path / "page.html").as_uri())
-    for file, order in zip(files, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
+    for file, order in zip(saved, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
         np.testing.assert_allclose(np.degrees(file.postures), q[order], atol=1e-9)
         assert file.cells["kind"] == [kinds[k] for k in order]
 
