@@ -90,18 +90,17 @@ class Conditions(ByValue):
 
         postures : (m, n) for 12 n columns more with the past, where there is none the posture itself; None: without
         """
-        shape = (m,) if isinstance(m, int) else m
-        plain = (self.payload, payload), (self.temperature, 0.0), (self.time, 0.0), (self.session, 0.0)
-        columns = [np.broadcast_to(neutral if given is None else given, shape)[..., None] for given, neutral in plain]
-        columns.append(np.broadcast_to(1.0 if self.directions is None else self.directions, (*shape, n)))
+        shape = np.atleast_1d(m)
+        table = np.empty((*shape, 4 + n + (0 if postures is None else n * REMEMBERED)))
+        given = (self.payload, payload), (self.temperature, 0.0), (self.time, 0.0), (self.session, 0.0)
+        for column, (values, neutral) in enumerate(given):
+            table[..., column] = neutral if values is None else values
+        table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
         if postures is not None:
-            past = np.broadcast_to(
-                postures[..., None] if self.past is None else np.asarray(self.past), (*postures.shape, REMEMBERED)
-            )
-            columns.append(
-                np.broadcast_to(past.reshape(*postures.shape[:-1], n * REMEMBERED), (*shape, n * REMEMBERED))
-            )
-        return np.concatenate(columns, axis=-1)
+            past = postures[..., None] if self.past is None else np.asarray(self.past)
+            whole = np.broadcast_to(past, (*postures.shape, REMEMBERED))
+            table[..., 4 + n :] = whole.reshape(*postures.shape[:-1], n * REMEMBERED)
+        return table
 
     @property
     def follow(self) -> bool:

@@ -97,10 +97,5 @@ def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple
     x = np.clip((angles - start) * (count - 1) / (stop - start), -2.0, count + 1.0)
     first = np.clip(np.floor(x).astype(int) - 1, -3, count - 1)
     place = first[:, None] + np.arange(4)
-    return place, spline(x[:, None] - place)
-
-
-def spline(x: Array) -> Array:
-    """The cubic B-spline around 0 with nodes at whole numbers, zero beyond -2 and 2."""
-    t = np.abs(x)
-    return (np.maximum(2.0 - t, 0.0) ** 3 - 4.0 * np.maximum(1.0 - t, 0.0) ** 3) / 6.0
+    t = np.abs(x[:, None] - place)  # from the middle of the spline, in nodes
+    return place, (np.maximum(2.0 - t, 0.0) ** 3 - 4.0 * np.maximum(1.0 - t, 0.0) ** 3) / 6.0

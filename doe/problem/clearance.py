@@ -14,7 +14,7 @@ differences of these.
 
 Pieces contain their bodies, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
 joint connects are not looked at (`Cell.apart`), nor those that touch wherever the arm goes, which random postures tell;
-of a pair that hardly anywhere comes as far apart as is asked, it is asked only that it does not touch.
+of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from doe.problem.model import turns
 from identification import Array
 
-SAMPLES, SELDOM = 1000, 0.02  # random postures that tell what pairs do, and the share of them that is hardly any
+SAMPLES, SELDOM = 1000, 0.02  # random postures that tell how far apart pairs come, but for this share of them
+SHARE = 0.25  # of the largest distance of a pair: the clearance that is asked at most
 SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
 STEP = 1e-4  # [rad] of a joint, for second derivatives
 PART = 2**18  # pairs of pieces at once: 2 MB an array
@@ -75,6 +76,7 @@ class Clearance:
         trackers : (3,) [mm] in the frame of the base, from which the measured point must be seen
         """
         self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
+        self.usual = cell.clearance
         # a line of sight is a capsule from the base's frame to that of the measured point
         none, no_box = np.empty((0, 7)), np.empty((0, 15))
         sights = [(SIGHT, tip, np.r_[place, np.zeros(4)][None], no_box) for place in trackers]
@@ -104,10 +106,11 @@ class Clearance:
         self._set_pieces(np.array(pieces, dtype=int).reshape(-1, 3))
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, tip - 1))
         apart = self.distance(drawn)
-        never, hardly = (np.mean(apart > least, axis=0) < SELDOM for least in (0.0, cell.clearance))
+        largest = np.quantile(apart, 1.0 - SELDOM, axis=0)
+        never = largest <= 0.0
         self.touching = tuple(pair for pair, always in zip(pairs, never, strict=True) if always)
         self.pairs = tuple(pair for pair, always in zip(pairs, never, strict=True) if not always)
-        self.asked = np.where(hardly, 0.0, cell.clearance)[~never]
+        self.asked = np.minimum(cell.clearance, SHARE * largest)[~never]
         self._set_pieces(self._pieces[~never[self._pieces[:, 0]]])
 
     def _set_pieces(self, pieces: np.ndarray) -> None:
@@ -176,17 +179,19 @@ class Clearance:
                 lines.append(f"  run {run}: {_and(pair)} {amount}")
         elif apart.size:
             run, k = divmod(int(np.argmin(apart - self.asked)), apart.shape[1])
-            kept = f"{len(self.pairs)} pairs of bodies keep their distance in all {len(postures)} postures"
+            kept = f"{len(self.pairs)} pairs of bodies keep {self.usual:g} mm apart in all {len(postures)} postures"
             nearest = f"{_and(self.pairs[k])} come nearest, to {apart[run, k]:.0f} mm in run {run + 1}"
             lines.append(f"Collisions: {kept}; {nearest}.")
-        narrow = [pair for pair, gap in zip(self.pairs, self.asked, strict=True) if gap == 0.0]
+        narrow = [
+            f"{_and(pair)} {gap:.0f} mm" for pair, gap in zip(self.pairs, self.asked, strict=True) if gap < self.usual
+        ]
         for why, pairs in (
-            ("Hardly anywhere as far apart as the clearance, so only kept from touching", narrow),
-            ("Not looked at, since they touch wherever the arm goes", self.touching),
+            ("Kept apart by less, since they are near wherever the arm goes", narrow),
+            ("Not looked at, since they touch wherever the arm goes", [*map(_and, self.touching)]),
         ):
             if pairs:
                 rest = f" and {len(pairs) - SHOWN} more pairs" if len(pairs) > SHOWN else ""
-                lines.append(f"{why}: {', '.join(map(_and, pairs[:SHOWN]))}{rest}.")
+                lines.append(f"{why}: {', '.join(pairs[:SHOWN])}{rest}.")
         return lines
 
     def _seen(self, postures: Array) -> Seen:

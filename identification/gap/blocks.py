@@ -273,9 +273,11 @@ def untested_joints(at: At) -> frozenset[int]:
 
     These are prismatic joints, since joint effects describe rotary encoders and gears, and joints with an RMS lever
     below a thousandth of the reach: a reflector on the last axis does not move with that joint, and a fraction of a
-    micrometre would correspond to degrees.
+    micrometre would correspond to degrees. Levers are those of the arm as best known: a fit that is nonsense may shrink
+    the arm to nothing.
     """
-    sizes = np.sqrt(np.mean(np.sum(at.levers**2, axis=1), axis=0))
+    levers = at.model.joint_levers(at.rows.postures, None, at.rows.conditions)
+    sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     sliding = np.array([kind == PRISMATIC for kind in at.model.joint_types])
     return frozenset((np.flatnonzero(sliding | (sizes < 1e-3 * at.model.reach)) + 1).tolist())
 

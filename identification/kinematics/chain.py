@@ -161,14 +161,14 @@ class KinematicChain(ByValue):
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
-    def _links(self) -> list[Array]:
+    def _links(self) -> tuple[Array, ...]:
         """(n + 1) poses (4, 4) of each joint's frame in the one before, and of the tip's."""
-        return [*(joint.origin for joint in self.joints), self.end]
+        return *(joint.origin for joint in self.joints), self.end
 
     @cached_property
-    def link_vectors(self) -> list[Array]:
+    def link_vectors(self) -> tuple[Array, ...]:
         """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
-        return [matrix[:3, 3] for matrix in self._links[1:]]
+        return tuple(matrix[:3, 3] for matrix in self._links[1:])
 
     @cached_property
     def lengths(self) -> Array:
@@ -348,7 +348,7 @@ class KinematicChain(ByValue):
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
         *frames, _, measured = self._in_base(q, self._named(values))
-        return [frame.origin for frame in (*frames, measured)]
+        return [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
 
     def _named(self, values: ArrayLike) -> dict[str, float]:
         return self.parameters().mapping(values)

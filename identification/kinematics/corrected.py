@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -223,40 +223,33 @@ def drawn_links(rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[Link
 
 def corrected_links(chain: KinematicChain, drawn: Sequence[Link]) -> tuple[tuple[Link, ...], Array, Array]:
     """The n - 1 links of a chain of n revolute joints about their z axes (as `corrected`), nearest to those drawn; the
-    pose (4, 4) of the first axis's frame in that of the base, and of the tip's in that of the last axis."""
-    at, places = np.eye(4), []
-    for joint in chain.joints:
-        at = at @ joint.origin
-        places.append(at)
-    frame, links = places[0], list[Link]()
+    pose (4, 4) of the first axis's frame in that of the base, and of the tip's in that of the last axis.
+
+    By the common normal of two axes; where they are drawn parallel by the point in which the second axis meets the
+    plane of d as drawn.
+    """
+    *places, tip = np.array(list(accumulate([joint.origin for joint in chain.joints] + [chain.end], np.matmul)))
+    first = frame = places[0]
+    links = list[Link]()
     for link, following in zip(drawn, places[1:], strict=True):
-        between = _between(frame, following, link)
+        z, w, away, d = frame[:3, 2], following[:3, 2], following[:3, 3] - frame[:3, 3], link.d
+        parallel = link.beta is not None
+        away = away - d * z if parallel else away
+        away = away - w * float(away @ z) / float(w @ z) if parallel else away
+        normal = away if parallel else np.cross(z, w)
+        normal = normal / np.linalg.norm(normal)
+        normal = normal if normal @ (frame[:3, :3] @ rotation_about(Z, link.theta) @ X) >= 0.0 else -normal
+        x, y, _ = frame[:3, :3].T @ normal
+        theta, alpha = np.arctan2(y, x), float(np.arctan2(-np.cross(z, normal) @ w, z @ w))
+        beta = float(np.arcsin(np.clip(normal @ w, -1.0, 1.0))) if parallel else None
+        d = d if parallel else float(np.cross(away, w) @ normal / np.sin(alpha))
+        between = Link(_near(theta, link.theta), d, float(away @ normal), _near(alpha, link.alpha), beta)
         if not links:  # where the first frame stands on its axis is free: theta and d as drawn
             frame = frame @ pose((0.0, 0.0, between.d - link.d), rotation_about(Z, between.theta - link.theta))
             between, first = between._replace(theta=link.theta, d=link.d), frame
         frame = frame @ between.matrix
         links.append(between)
-    return tuple(links), first if links else places[0], np.linalg.inv(frame) @ at @ chain.end
-
-
-def _between(frame: Array, following: Array, drawn: Link) -> Link:
-    """By the common normal of two axes, the z axes of both frames (4, 4); where they are drawn parallel by the point in
-    which the second axis meets the plane of d as drawn."""
-    z, w, away = frame[:3, 2], following[:3, 2], following[:3, 3] - frame[:3, 3]
-    normal, d = np.cross(z, w), drawn.d
-    if drawn.beta is not None:
-        away = away - d * z
-        away = away - w * float(away @ z) / float(w @ z)
-        normal = away
-    normal = normal / np.linalg.norm(normal)
-    normal = normal if normal @ (frame[:3, :3] @ rotation_about(Z, drawn.theta) @ X) >= 0.0 else -normal
-    x, y, _ = frame[:3, :3].T @ normal
-    alpha, beta = float(np.arctan2(-np.cross(z, normal) @ w, z @ w)), None
-    if drawn.beta is not None:
-        beta = float(np.arcsin(np.clip(normal @ w, -1.0, 1.0)))
-    else:
-        d = float(np.cross(away, w) @ normal / np.sin(alpha))
-    return Link(_near(np.arctan2(y, x), drawn.theta), d, float(away @ normal), _near(alpha, drawn.alpha), beta)
+    return tuple(links), first, np.linalg.inv(frame) @ tip
 
 
 def _near(angle: float, drawn: float) -> float:

@@ -396,6 +396,8 @@ class Model:
         arm, at, shape = self.arm, self._columns, postures.shape[:-1]
         payload = 0.0 if arm.gravity is None else arm.gravity.payload
         plain = conditions.table(shape, arm.links, payload, postures if "past" in at else None)
+        if {"marker", "reference", "errors"}.isdisjoint(at):
+            return plain
         table = np.zeros((*shape, max(place.stop for place in at.values())))
         table[..., : plain.shape[-1]] = plain
         unsaid = arm.chain.instrument.unsaid if conditions.marker is None else conditions.marker

@@ -163,18 +163,22 @@ def one_unnamed(chain: KinematicChain, measurements: Measurements) -> KinematicC
 
 
 # -- positions where something else is read ----------------------------------------------------------------------------
+def _as_tracker(arm: Arm) -> Arm:
+    """The arm as if positions were read in the frame of its instrument, without effects of that."""
+    offers = arm.chain.instrument.offers
+    effects = [spec for spec in arm.effects if not library()[spec.name].needs & offers]
+    return replace(arm, chain=replace(arm.chain, instrument=TRACKER)).with_effects(*effects)
+
+
 def of_positions(model: Model) -> Model:
     """The model of the measured point's position with the same parameters, without those of the reading; of an
     instrument that reads positions as it is."""
-    chain = model.arm.chain
-    if chain.instrument.reads_positions:
+    if (chain := model.arm.chain).instrument.reads_positions:
         return model
-    arm = replace(model.arm, chain=replace(chain, instrument=TRACKER))
-    own = {parameter.name for parameter in chain.instrument.parameters}
-    held = {*Model(arm).geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
-    held |= {p.name for effect in model.effects if effect.needs & chain.instrument.offers for p in effect.parameters}
-    kept = {name: value for name, value in (model.held or {}).items() if name not in own}
-    return Model(arm, {**kept, **dict.fromkeys(held, 0.0)})
+    shown = Model(_as_tracker(model.arm))
+    unseen = {*shown.geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
+    held = {name: value for name, value in (model.held or {}).items() if name in shown.all_parameters.names}
+    return replace(shown, held={**held, **dict.fromkeys(unseen, 0.0)})
 
 
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
@@ -207,15 +211,15 @@ def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None
 def in_own_frame(arm: Arm) -> Arm:
     """An arm whose readings do not say where it stands as if its positions were measured in the frame of its base, of
     another instrument as if positions were read; one that reads them as it is."""
-    chain, calibration = replace(arm.chain, instrument=TRACKER), arm.calibration
     if (instrument := arm.chain.instrument).reads_positions:
         return arm
-    if not instrument.places:
-        chain = replace(chain, base=np.eye(4), settled=chain.settled | {BASE})
-        if calibration is not None:
-            calibration = replace(calibration, values=_without(calibration.values, (BASE,)), base=None)
-    effects = [spec for spec in arm.effects if not library()[spec.name].needs & instrument.offers]
-    return replace(arm, chain=chain, calibration=calibration).with_effects(*effects)
+    shown = _as_tracker(arm)
+    if instrument.places:
+        return shown
+    chain, calibration = replace(shown.chain, base=np.eye(4), settled=shown.chain.settled | {BASE}), arm.calibration
+    if calibration is not None:
+        calibration = replace(calibration, values=_without(calibration.values, (BASE,)), base=None)
+    return replace(shown, chain=chain, calibration=calibration)
 
 
 def led_to_contact(

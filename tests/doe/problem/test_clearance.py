@@ -104,13 +104,14 @@ def test_which_pairs_are_looked_at(clearance: Clearance) -> None:
     assert not any({SIGHT, FLOOR} <= {*pair} for pair in clearance.pairs)
 
 
-@pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (25.0, 0, [0.0]), (80.0, 0, [10.0])])
+@pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (28.0, 0, [2.0]), (80.0, 0, [10.0])])
 def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: list[float]) -> None:
     """Two balls of radius 10 at and behind a planar arm's elbow, whose distance no joint changes."""
     places = ((1, 400.0), (2, place))
     balls = tuple(Body(f"ball {j}", j, np.array([x, 0.0, 0, x, 0, 0, 10])) for j, x in places)
     clearance = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls, clearance=10.0)))))
-    assert (len(clearance.touching), clearance.asked.tolist()) == (touching, asked)
+    assert len(clearance.touching) == touching
+    assert clearance.asked.tolist() == pytest.approx(asked)
 
 
 def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:
@@ -190,7 +191,7 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     judge = next(each for each in problem.constraints if isinstance(each, Clearance))
     assert any(SIGHT in pair for pair in judge.pairs)
     start = random_postures(problem, 14, np.random.default_rng(5))
-    climbed = PlanAscent(problem)(start, tolerance=1e-2)
+    climbed = PlanAscent(problem)(start, tolerance=1e-3)
     assert problem.objective(climbed) > problem.objective(start) + 1.0
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))
