@@ -107,7 +107,8 @@ class Walls:
     def __init__(self, constraints: Sequence[Constraint], n: int, joints: Sequence[int]) -> None:
         q = ca.SX.sym("q", n)
         walls = ca.SX(ca.vertcat(*(each.symbolic(q) for each in constraints if isinstance(each, Expression))))
-        self._parts: list[Derivatives | Slopes] = [Derivatives(q, walls, joints, (walls.numel(),))]
+        shape = (walls.numel(),)
+        self._parts: list[Derivatives | Slopes] = [Derivatives(q, walls, joints, shape)] if walls.numel() else []
         self._parts += [Slopes(each, joints) for each in constraints if isinstance(each, Clearance)]
 
     def values(self, postures: Array) -> Array:

@@ -135,6 +135,16 @@ def test_bends_are_differences_of_slopes(clearance: Clearance, postures: Array) 
     assert wrong.mean() < 0.1  # kinks, where other pieces become the nearest
 
 
+def test_walls_of_bodies_alone(arm: Arm, postures: Array) -> None:
+    """Without any expression beside them."""
+    (clearance,) = constraints_of(Model(arm))
+    walls = DesignProblem.of(Model(arm)).wall_derivatives([1, 4])
+    margins, slopes = walls.first(postures)
+    np.testing.assert_allclose(margins, clearance.margin(postures))
+    weights = np.ones_like(margins)
+    np.testing.assert_allclose(walls.slope(postures, weights), slopes.sum(axis=2), atol=1e-9)
+
+
 def test_no_distance_changes_faster_than_the_levers_say(arm: Arm, clearance: Clearance, postures: Array) -> None:
     others = np.random.default_rng(4).uniform(arm.lower, arm.upper, postures.shape)
     for step in (0.05, 1.0, np.eye(6)):
