@@ -5,11 +5,13 @@ A posture to which no free way leads is replaced by the best, by the criterion, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
 from doe.plan.plan import ordered, shortest_path
@@ -106,8 +108,7 @@ def drive(
     known, generator = room_of(problem.constraints), np.random.default_rng(seed)
     if known is None and approach == "any" and order is None:
         return Drive(plan)
-    nothing = Room(lambda q: np.empty((len(q), 0)), np.empty((0, problem.joints)), lambda q: np.ones(len(q), bool))
-    room, space = known or nothing, Space(problem.model.lower, problem.model.upper, problem.joint_units)
+    room, space = known or nothing(problem.joints), Space(problem.model.lower, problem.model.upper, problem.joint_units)
     order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
     before = float(space.travel(plan.postures[:-1], plan.postures[1:]).sum())
     postures = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
@@ -185,6 +186,15 @@ def another(
     return postures
 
 
+def nothing(joints: int) -> Room:
+    """The room of an arm that nothing is in the way of."""
+
+    def none(postures: Array) -> Array:
+        return np.empty((len(postures), 0))
+
+    return Room(none, np.empty((0, joints)), lambda postures: np.ones(len(postures), dtype=bool), lambda _: none)
+
+
 def room_of(constraints: Sequence[Constraint]) -> Room | None:
     """What the moves of an arm with these constraints keep free; None where nothing is known of any body.
 
@@ -194,18 +204,31 @@ def room_of(constraints: Sequence[Constraint]) -> Room | None:
     if (clearance := next((each for each in constraints if isinstance(each, Clearance)), None)) is None:
         return None
     walls = [each for each in constraints if each.kind in KINDS]
-    solid, model = np.array([SIGHT not in pair for pair in clearance.pairs], dtype=bool), clearance.model
-    kept, levers = MOVING * clearance.asked[solid] - ROUNDING, clearance.levers()[solid]
+    solid, model = [k for k, pair in enumerate(clearance.pairs) if SIGHT not in pair], clearance.model
+    kept = MOVING * clearance.asked[solid] - ROUNDING
 
-    def margin(postures: Array, beyond: float = WALL) -> Array:
-        apart = clearance.distance(postures)[:, solid] - kept
-        return np.concatenate([apart, *(wall.margin(postures) + beyond for wall in walls)], axis=1)
+    def beside(postures: Array, beyond: float) -> Array:
+        return np.concatenate([np.empty((len(postures), 0)), *(w.margin(postures) + beyond for w in walls)], axis=1)
+
+    def margin(postures: Array) -> Array:
+        return np.concatenate([clearance.distance(postures)[:, solid] - kept, beside(postures, WALL)], axis=1)
+
+    def allows(postures: Array) -> NDArray[np.bool_]:
+        apart, inside = clearance.distance(postures)[:, solid] - kept, beside(postures, 0.0)
+        return np.asarray(np.all(apart >= 0.0, axis=1) & np.all(inside >= 0.0, axis=1))
+
+    @cache
+    def alone(k: int) -> Callable[[Array], Array]:
+        if k >= len(solid):
+            return lambda postures: beside(postures, WALL)[:, [k - len(solid)]]
+        pair = clearance.of_pair(solid[k])
+        return lambda postures: pair.distance(postures) - kept[k]
 
     # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
     longest = np.where(turns(model), model.reach, 1.0)
-    rest = margin(np.zeros((1, len(longest)))).shape[1] - len(levers)
-    of_all = np.concatenate([levers, np.broadcast_to(longest, (rest, len(longest)))])
-    return Room(margin, of_all, lambda postures: np.asarray(np.all(margin(postures, 0.0) >= 0.0, axis=1)))
+    count = beside(np.zeros((1, len(longest))), 0.0).shape[1]
+    levers = np.concatenate([clearance.levers()[solid], np.broadcast_to(longest, (count, len(longest)))])
+    return Room(margin, levers, allows, alone)
 
 
 def check_approach(approach: str) -> None:

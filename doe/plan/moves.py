@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from doe.plan.plan import shortest_path
 from identification import Array
 
+COARSE = 4  # levels at which all margins are looked at together: up to 16 stretches of a move
 NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
 CLOUD, GROWTHS = 60, 10  # postures by which trees grow at once, and how often before a move is given up
 ALONE = 3  # growths after which an end from which nothing was reached is given up
@@ -45,11 +46,13 @@ class Room(NamedTuple):
     margin : of postures (m, n) the margins (m, k) [mm], which are to be >= 0
     levers : (k, n) [mm/rad, 1] how much at most each margin changes by a unit of each joint
     allows : whether postures (m, n) may be way-points
+    alone : number of a margin -> what gives it alone, (m, 1)
     """
 
     margin: Callable[[Array], Array]
     levers: Array
     allows: Callable[[Array], NDArray[np.bool_]]
+    alone: Callable[[int], Callable[[Array], Array]]
 
 
 class Space(NamedTuple):
@@ -64,24 +67,60 @@ class Space(NamedTuple):
         return np.asarray(np.abs((ends - starts) / self.units).max(axis=-1))
 
 
+class Stretches(NamedTuple):
+    """Parts of moves: numbers (s,) of the moves, ends (s, n), and margins (s, k) at both ends."""
+
+    move: NDArray[np.intp]
+    first: Array
+    last: Array
+    before: Array
+    after: Array
+
+
 def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
     """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free."""
-    proven = np.ones(len(starts), dtype=bool)
-    move, first, last = np.arange(len(starts)), np.asarray(starts), np.asarray(ends)
-    before, after = np.split(room.margin(np.concatenate([first, last])), 2)
-    proven &= np.all(before >= 0.0, axis=1) & np.all(after >= 0.0, axis=1)
+    starts, ends = np.asarray(starts), np.asarray(ends)
+    before, after = np.split(room.margin(np.concatenate([starts, ends])), 2)
+    proven = np.all((before >= 0.0) & (after >= 0.0), axis=1)
+    left = Stretches(np.arange(len(starts)), starts, ends, before, after)
+    left = halved(left, proven, room.margin, room.levers, COARSE)
+    for k in range(len(room.levers)):  # few pairs are near each other for long, and one takes less time than all
+        here = np.s_[:, k : k + 1]
+        near = left.before[here] + left.after[here] < np.abs(left.last - left.first) @ room.levers[k][:, None]
+        rows = near[:, 0] & proven[left.move]
+        if rows.any():
+            pair = Stretches(*(part[rows] for part in left[:3]), left.before[here][rows], left.after[here][rows])
+            halved(pair, proven, room.alone(k), room.levers[k : k + 1])
+    return proven
+
+
+def halved(
+    left: Stretches,
+    proven: NDArray[np.bool_],
+    margin: Callable[[Array], Array],
+    levers: Array,
+    levels: int | None = None,
+) -> Stretches:
+    """The stretches of which nothing is proven yet after so many levels, None: after all; moves that collide, or whose
+    stretches become too short, are no longer `proven`."""
+    level = 0
     while True:
-        ways = np.abs(last - first) @ room.levers.T
-        proven[move[np.any((before + after < ways) & (ways < NARROWEST), axis=1)]] = False
-        going = np.any(before + after < ways, axis=1) & proven[move]
-        if not going.any():
-            return proven
-        move, first, last, before, after = (part[going] for part in (move, first, last, before, after))
-        middle = 0.5 * (first + last)
-        margin = room.margin(middle)
-        proven[move[np.any(margin < 0.0, axis=1)]] = False
-        first, last, move = np.concatenate([first, middle]), np.concatenate([middle, last]), np.tile(move, 2)
-        before, after = np.concatenate([before, margin]), np.concatenate([margin, after])
+        ways = np.abs(left.last - left.first) @ levers.T
+        near = left.before + left.after < ways
+        proven[left.move[np.any(near & (ways < NARROWEST), axis=1)]] = False
+        left = Stretches(*(part[np.any(near, axis=1) & proven[left.move]] for part in left))
+        if not len(left.move) or level == levels:
+            return left
+        middle = 0.5 * (left.first + left.last)
+        between, level = margin(middle), level + 1
+        proven[left.move[np.any(between < 0.0, axis=1)]] = False
+        left = Stretches(
+            np.tile(left.move, 2),
+            np.concatenate([left.first, middle]),
+            np.concatenate([middle, left.last]),
+            np.concatenate([left.before, between]),
+            np.concatenate([between, left.after]),
+        )
 
 
 def detour(start: Array, end: Array, room: Room, space: Space, generator: np.random.Generator) -> Array | None:

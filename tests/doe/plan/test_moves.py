@@ -3,6 +3,7 @@ bodies; every move sampled a hundred times finer than it was proven, and all ord
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -25,7 +26,11 @@ def discs(*places: tuple[float, float, float]) -> Room:
 
     # by Cauchy and Schwarz a distance changes by at most the way, and that is at most |dq_1| + |dq_2|
     levers = np.full((len(places), 2), 100.0)
-    return Room(margin, levers, lambda q: np.all(margin(q) >= 0.0, axis=1))
+    return room_with(margin, levers)
+
+
+def room_with(margin: Callable[[Array], Array], levers: Array) -> Room:
+    return Room(margin, levers, lambda q: np.all(margin(q) >= 0.0, axis=1), lambda k: lambda q: margin(q)[:, [k]])
 
 
 def sampled(room: Room, way: Array, count: int = 4000) -> float:
@@ -70,8 +75,7 @@ def test_a_move_along_a_wall_is_not_proven_and_ends_all_the_same() -> None:
 
 
 def test_nothing_in_the_way_and_no_move() -> None:
-    nothing = Room(lambda q: np.empty((len(q), 0)), np.empty((0, 2)), lambda q: np.ones(len(q), dtype=bool))
-    assert free(np.zeros((3, 2)), np.ones((3, 2)), nothing).all()
+    assert free(np.zeros((3, 2)), np.ones((3, 2)), room_with(lambda q: np.empty((len(q), 0)), np.empty((0, 2)))).all()
     here = np.array([[0.7, 0.0]])
     assert free(here, here, discs((0.0, 0.0, 0.5))).all()
     assert not free(0.5 * here, 0.5 * here, discs((0.0, 0.0, 0.5))).any()
