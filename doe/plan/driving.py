@@ -25,6 +25,7 @@ from identification import Array, InputError, JobError, Plan, nearest
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (0.0, 0.0), "positive": (1.0, 0.0), "negative": (0.0, 1.0), "alternate": (1.0, 1.0)}
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
+SPARE = 0.02  # share that planned moves keep besides: they are found free again when they are read
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
 CANDIDATES, ATTEMPTS = 200, 5  # for a posture in the place of one that cannot be reached; rounds of replacing
@@ -105,12 +106,12 @@ def drive(
 
     Raises `JobError` where postures are left that cannot be reached.
     """
-    known, generator = room_of(problem.constraints), np.random.default_rng(seed)
+    known, generator = room_of(problem.constraints, SPARE), np.random.default_rng(seed)
     if known is None and approach == "any" and order is None:
         return Drive(plan)
     room, space = known or nothing(problem.joints), Space(problem.model.lower, problem.model.upper, problem.joint_units)
     order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
-    before = float(space.travel(plan.postures[:-1], plan.postures[1:]).sum())
+    before = space.length(plan.postures)
     postures = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
     senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
@@ -130,12 +131,11 @@ def drive(
     ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
     whole = replace(plan, postures=np.concatenate(ways), via=via)
-    lengths = space.travel(whole.postures[:-1], whole.postures[1:])
     path = found.rows if len(plan) > MANY else shortest_path(space.travel(postures[:, None], postures))
-    shortest = float(space.travel(postures[path[:-1]], postures[path[1:]]).sum())
+    shortest = space.length(postures[path])
     moves = None if known is None and approach == "any" else whole
     measured = replace(plan, postures=postures[found.rows])
-    return Drive(measured, moves, order, approach, float(lengths.sum()), before, shortest, len(replaced))
+    return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, tuple[str, str], float]] | None:
@@ -195,8 +195,10 @@ def nothing(joints: int) -> Room:
     return Room(none, np.empty((0, joints)), lambda postures: np.ones(len(postures), dtype=bool), lambda _: none)
 
 
-def room_of(constraints: Sequence[Constraint]) -> Room | None:
+def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | None:
     """What the moves of an arm with these constraints keep free; None where nothing is known of any body.
+
+    spare : share of the clearance, and of the distance of walls, that is kept besides
 
     Of the clearance that postures keep it is half, beyond which a body may be where it is not thought to be; and the
     walls of the arm file to 10 mm, since many postures are on one. A line of sight may be blocked between measurements.
@@ -205,13 +207,13 @@ def room_of(constraints: Sequence[Constraint]) -> Room | None:
         return None
     walls = [each for each in constraints if each.kind in KINDS]
     solid, model = [k for k, pair in enumerate(clearance.pairs) if SIGHT not in pair], clearance.model
-    kept = MOVING * clearance.asked[solid] - ROUNDING
+    kept, wall = (MOVING + spare) * clearance.asked[solid] - ROUNDING, (1.0 - spare) * WALL
 
     def beside(postures: Array, beyond: float) -> Array:
-        return np.concatenate([np.empty((len(postures), 0)), *(w.margin(postures) + beyond for w in walls)], axis=1)
+        return np.concatenate([np.empty((len(postures), 0)), *(each.margin(postures) + beyond for each in walls)], axis=1)
 
     def margin(postures: Array) -> Array:
-        return np.concatenate([clearance.distance(postures)[:, solid] - kept, beside(postures, WALL)], axis=1)
+        return np.concatenate([clearance.distance(postures)[:, solid] - kept, beside(postures, wall)], axis=1)
 
     def allows(postures: Array) -> NDArray[np.bool_]:
         apart, inside = clearance.distance(postures)[:, solid] - kept, beside(postures, 0.0)
@@ -220,7 +222,7 @@ def room_of(constraints: Sequence[Constraint]) -> Room | None:
     @cache
     def alone(k: int) -> Callable[[Array], Array]:
         if k >= len(solid):
-            return lambda postures: beside(postures, WALL)[:, [k - len(solid)]]
+            return lambda postures: beside(postures, wall)[:, [k - len(solid)]]
         pair = clearance.of_pair(solid[k])
         return lambda postures: pair.distance(postures) - kept[k]
 

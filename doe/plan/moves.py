@@ -10,12 +10,13 @@ stretch keeps (r + r' - sum_j L_kj |q_j - q'_j|) / 2 all along it; where that is
 IEEE Trans. Robotics 21 (2005) 338-353). The stretches of all moves are evaluated at once, level by level. What becomes
 too short to go on counts as not free: nothing here is sampled and hoped for.
 
-*The order* is the shortest open path (`doe.plan.plan`) whose moves are free. Most moves are never looked at: those of
-the shortest path are, the ones that collide are forbidden, and again, until none does.
+*The order* is the shortest open path (`doe.plan.plan`). Most moves are never looked at: those of the shortest path are,
+the ones that collide count more, and again, until none does, or those that do are worth a way round.
 
-*Where no order is free* a random tree grows from each end of a move, a cloud of postures at a time, until one of them
+*A way round* is found by a random tree from each end of a move, which grow a few postures at a time, until one of them
 can be reached from both (J. J. Kuffner, S. M. LaValle, "RRT-Connect", ICRA 2000); what lies on the way becomes
-way-points, pulled straight as far as they can be.
+way-points, pulled straight as far as they can be. From then on the move counts as long as that is, so that no order of
+straight moves is shorter than what is found.
 """
 
 from __future__ import annotations
@@ -32,12 +33,13 @@ from identification import Array
 
 COARSE = 4  # levels at which all margins are looked at together: up to 16 stretches of a move
 NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
-CLOUD, GROWTHS = 60, 10  # postures by which trees grow at once, and how often before a move is given up
+CLOUD, FEW, GROWTHS = 60, 12, 10  # postures of a cloud, those tried at once, and clouds before a move is given up
 ALONE = 3  # growths after which an end from which nothing was reached is given up
-NEAR = 0.1  # of the joints' ranges: how far about a straight move the first cloud lies; each next one twice as far
+NEAR = 0.2  # of the joints' ranges: how far about a straight move the first cloud lies; each next one twice as far
 APPROACH, TRIES = float(np.radians(3.0)), 40  # more than any backlash; how many others are tried, 0.2 to 3 times as far
 NEIGHBOURS = 5  # of a posture with a move that collides, to which moves are looked at in advance
-PULLS = 6  # times that the way-points of a detour are pulled straight
+DETOUR = 1.6  # times the travel of a straight move that collides, till the way round is known: few are asked for
+PULLS = 3  # times that the way-points of a detour are pulled straight
 
 
 class Room(NamedTuple):
@@ -66,6 +68,10 @@ class Space(NamedTuple):
         """(...) [rad] what the joint that moves most has to go from postures (..., n) to others."""
         return np.asarray(np.abs((ends - starts) / self.units).max(axis=-1))
 
+    def length(self, way: Array) -> float:
+        """[rad] travel along a way (v, n)."""
+        return float(self.travel(way[:-1], way[1:]).sum())
+
 
 class Stretches(NamedTuple):
     """Parts of moves: numbers (s,) of the moves, ends (s, n), and margins (s, k) at both ends."""
@@ -89,8 +95,8 @@ def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
         near = left.before[here] + left.after[here] < np.abs(left.last - left.first) @ room.levers[k][:, None]
         rows = near[:, 0] & proven[left.move]
         if rows.any():
-            pair = Stretches(*(part[rows] for part in left[:3]), left.before[here][rows], left.after[here][rows])
-            halved(pair, proven, room.alone(k), room.levers[k : k + 1])
+            pair = left._replace(before=left.before[here], after=left.after[here])
+            halved(Stretches(*(part[rows] for part in pair)), proven, room.alone(k), room.levers[k : k + 1])
     return proven
 
 
@@ -131,17 +137,19 @@ def detour(start: Array, end: Array, room: Room, space: Space, generator: np.ran
         cloud = start + generator.random((CLOUD, 1)) * (end - start)
         cloud = np.clip(cloud + spread * generator.uniform(-0.5, 0.5, cloud.shape), space.lower, space.upper)
         cloud = cloud[room.allows(cloud)]
-        nearest = [np.argmin(space.travel(tree[:, None], cloud), axis=0) for tree in nodes]
-        reached = [free(tree[near], cloud, room) for tree, near in zip(nodes, nearest, strict=True)]
-        if (both := np.flatnonzero(reached[0] & reached[1])).size:
+        cloud = cloud[np.argsort(space.travel(start, cloud) + space.travel(cloud, end))]
+        for few in np.split(cloud, range(FEW, len(cloud), FEW)):
+            nearest = [np.argmin(space.travel(tree[:, None], few), axis=0) for tree in nodes]
+            reached = [free(tree[near], few, room) for tree, near in zip(nodes, nearest, strict=True)]
             ways = []
-            for joint in both:
+            for joint in np.flatnonzero(reached[0] & reached[1]):
                 halves = [traced(t, p, n[joint]) for t, p, n in zip(nodes, parents, nearest, strict=True)]
-                ways.append(np.array([*halves[0][::-1], cloud[joint], *halves[1]]))
-            return pulled(min(ways, key=lambda way: float(space.travel(way[:-1], way[1:]).sum())), room, space)[1:-1]
-        for k in (0, 1):
-            nodes[k] = np.concatenate([nodes[k], cloud[reached[k]]])
-            parents[k] += nearest[k][reached[k]].tolist()
+                ways.append(np.array([*halves[0][::-1], few[joint], *halves[1]]))
+            if ways:
+                return pulled(min(ways, key=space.length), room, space)[1:-1]
+            for k in (0, 1):
+                nodes[k] = np.concatenate([nodes[k], few[reached[k]]])
+                parents[k] += nearest[k][reached[k]].tolist()
         if growth >= ALONE and min(map(len, nodes)) == 1:  # nothing near or far is reached from there
             return None
     return None
@@ -161,15 +169,20 @@ def pulled(way: Array, room: Room, space: Space) -> Array:
     for _ in range(PULLS):
         for k in range(len(way) - 2, 0, -1):
             before, here, after = way[k - 1 : k + 2]
-            if free(before[None], after[None], room)[0]:
-                way = np.delete(way, k, axis=0)
-                continue
             come, go = space.travel(before, here), space.travel(here, after)
+            if come + go <= (1.0 + 1e-9) * space.travel(before, after):  # no way is shorter
+                continue
             straight = before + come / (come + go) * (after - before)
-            moved = here + np.array([0.8, 0.4, 0.2])[:, None] * (straight - here)
-            ends = np.broadcast_to(before, moved.shape), np.broadcast_to(after, moved.shape)
-            good = free(ends[0], moved, room) & free(moved, ends[1], room) & room.allows(moved)
-            way[k] = moved[np.argmax(good)] if good.any() else here
+            moved = here + np.array([1.0, 0.8, 0.4, 0.2])[:, None] * (straight - here)
+            good = (
+                room.allows(moved)
+                & free(np.tile(before, (4, 1)), moved, room)
+                & free(moved, np.tile(after, (4, 1)), room)
+            )
+            if good[0]:
+                way = np.delete(way, k, axis=0)
+            elif good.any():
+                way[k] = moved[np.argmax(good)]
     return way
 
 
@@ -228,8 +241,10 @@ def route(
             ways[pair[::-1]] = None if way is None else way[::-1]
         if not keep_order:
             whole = np.array([postures[pair[0]], *(straight if way is None else way), aims[pair[1]]])
-            length = float(space.travel(whole[:-1], whole[1:]).sum())
-            cost[pair] = cost[pair[::-1]] = length + (forbidden if way is None else 0.0)
+            length = space.length(whole)
+            if way is None:
+                length = forbidden if pair in given_up else DETOUR * length + 0.1
+            cost[pair] = cost[pair[::-1]] = length
 
     def look(pairs: list[tuple[int, int]]) -> None:
         i, k = np.array(pairs, dtype=int).reshape(-1, 2).T
