@@ -66,11 +66,12 @@ class Campaign:
     kinds : of every file, in words;  results : command -> name -> its JSON object
     tests : measurements -> calibrated arm -> what it leaves of them
     show_plan : the section of a plan of an arm, its name, and what the chosen model leaves of measurements
-    judge : a design in a sentence
+    judge : a design in a sentence;  package_dirs : as of `load_arm`
     """
 
     show_plan: Callable[..., Section] | None = None
     judge: Callable[[Mapping[str, Any]], str] | None = None
+    package_dirs: Sequence[Path] = ()
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
     plans: dict[str, Plan] = field(default_factory=dict)
@@ -100,7 +101,7 @@ class Campaign:
         """Reads a file and returns its kind."""
         name, ending = str(path), path.suffix.lower()
         if ending == ".toml":
-            self.arms[name] = arm = load_arm(path)
+            self.arms[name] = arm = load_arm(path, self.package_dirs)
             first, other = next(iter(self.arms.items()))
             if not same_drawing(other, arm):
                 raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")
@@ -251,8 +252,7 @@ class Campaign:
             corrected = corrected_values(arm)
             rows, places = dh_lines(arm, corrected, Path(name))
             expected = expected_elsewhere(getattr(arm.calibration, "provenance", {}))
-            title, space = f"Corrected values: {name}", not arm.chain.planar
-            sections.append(corrected_section(title, corrected, space, expected, folded=closed))
+            sections.append(corrected_section(f"Corrected values: {name}", corrected, expected, folded=closed))
             sections += [Section(part.title, part.parts, closed) for part in dh_sections(rows, places, name)]
         for name, data in ({} if self.calibrated else self.results["identify"]).items():
             values, dh = (
@@ -260,13 +260,28 @@ class Campaign:
             )
             title, expected = f"Corrected values: {name}", expected_elsewhere(data)
             if values:  # earlier versions have none
-                sections.append(corrected_section(title, values, "geometry" in data, expected))
+                sections.append(corrected_section(title, values, expected))
             sections += dh_sections(dh, data.get("dh_places", ()), name)
         sections += [self.test_section(rows) for rows in self.tests]
         for drawn in [*self.arms.values()][:1]:
             show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
             sections += [show(drawn, plan, name, tests=left) for name, plan in self.plans.items()] if show else []
-            sections += [commands_section(name, table, drawn) for name, table in self.commands.items()]
+            joints = [
+                f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(drawn.joint_types, start=1)
+            ]
+            axes = [f"{axis}_mm" for axis in "xyz"[: drawn.dimension]]
+            for name, table in self.commands.items():
+                targets = np.column_stack([table.floats(key) for key in axes])
+                angles = np.column_stack([table.floats(key, empty=np.nan) for key in joints])
+                commanded = command_rows(targets, angles, table.floats("error_mm", empty=np.nan))
+                reasons = table.frame["message"].fill_null("").to_list() if "message" in table else [""] * len(table)
+                lines = [[*row, str(reason)] for row, reason in zip(commanded, reasons, strict=True)]
+                lead = (
+                    f"{commanded_in_words(name, table)} The miss is the calibrated model's, not the robot's accuracy."
+                )
+                heads = ["row", *axes, *joints, "miss [mm]", "why there is none"]
+                sheet = Sheet(heads, lines, "", 24, "the file has all")
+                sections.append(Section(f"Joint commands: {name}", [lead, sheet]))
         sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
         return sections + [part for part in parts if part.folded]
 
@@ -319,17 +334,3 @@ def commanded_in_words(name: str, commands: Table) -> str:
     missing = (np.flatnonzero(~reached) + 1).tolist()
     none = f"; {rows_listed(missing)} {'have' if len(missing) > 1 else 'has'} none" if missing else ""
     return f"{name} has commands for {np.count_nonzero(reached)} of {len(commands)} targets{none}."
-
-
-def commands_section(name: str, commands: Table, arm: Arm) -> Section:
-    """The part of a page about a file that `armcal compensate` wrote."""
-    joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(arm.joint_types, start=1)]
-    axes = [f"{axis}_mm" for axis in "xyz"[: arm.dimension]]
-    targets = np.column_stack([commands.floats(key) for key in axes])
-    angles = np.column_stack([commands.floats(key, empty=np.nan) for key in joints])
-    rows = command_rows(targets, angles, commands.floats("error_mm", empty=np.nan))
-    messages = commands.frame["message"].fill_null("").to_list() if "message" in commands else [""] * len(commands)
-    cells = [[*row, str(message)] for row, message in zip(rows, messages, strict=True)]
-    lead = f"{commanded_in_words(name, commands)} The miss is the calibrated model's, not the robot's accuracy."
-    table = Sheet(["row", *axes, *joints, "miss [mm]", "why there is none"], cells, "", 24, "the file has all")
-    return Section(f"Joint commands: {name}", [lead, table])

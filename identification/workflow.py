@@ -14,8 +14,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, TypeVar
 
 from identification.document import Answer, Document
 from identification.errors import InputError, nearest
@@ -34,6 +33,18 @@ Written = NewType("Written", Path)  # a file that a verb writes
 Picture = NewType("Picture", Written)  # .png, .svg, .pdf
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[str, "NAMES"]
+Verb = TypeVar("Verb", bound=Callable[..., Answer])
+VERBS: dict[str, tuple[Callable[..., Answer], str]] = {}  # name -> what it does, and an example of it
+
+
+def declares(example: str) -> Callable[[Verb], Verb]:
+    """The function below is the verb of its example, `armcal NAME ...`."""
+
+    def declare(function: Verb) -> Verb:
+        VERBS[example.split()[1]] = function, example
+        return function
+
+    return declare
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -64,6 +75,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
 
 # -- the first files ---------------------------------------------------------------------------------------------------
+@declares("armcal init --urdf robot.urdf --out calibration")
 def init_files(
     *,
     links: Annotated[str, "N|LENGTHS"] | None = None,
@@ -124,10 +136,12 @@ def init_files(
 
 
 # -- check, simulate ---------------------------------------------------------------------------------------------------
+@declares("armcal check arm.toml measurements.csv")
 def check_files(
     arm: Path,
     data: Path,
     *,
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
     progress: Progress = silent,
 ) -> Answer:
@@ -139,6 +153,8 @@ def check_files(
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
+
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     import numpy as np
 
@@ -149,7 +165,7 @@ def check_files(
     from identification.measurements import load_measurements
     from identification.model import Model
 
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
     if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
         q = load_plan(data, loaded.joint_types).postures
@@ -169,6 +185,7 @@ def check_files(
     return answer
 
 
+@declares("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
 def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
     """Simulate the measurements of a plan.
 
@@ -212,6 +229,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
 
 # -- identify ----------------------------------------------------------------------------------------------------------
+@declares("armcal identify arm.toml data.csv --out calibrated.toml")
 def identify_files(
     arm: Path,
     data: Path,
@@ -558,6 +576,7 @@ def _write_calibrated(
 
 
 # -- diagnose ----------------------------------------------------------------------------------------------------------
+@declares("armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html")
 def diagnose_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -639,6 +658,7 @@ def diagnose_files(
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
+@declares("armcal validate calibrated.toml other_session.csv --picture transfer.png")
 def validate_files(
     model: Path,
     data: Path,
@@ -675,12 +695,14 @@ def validate_files(
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 
 
+@declares("armcal compensate calibrated.toml targets.csv --out commands.csv")
 def compensate_files(
     calibrated: Path,
     targets: Path,
     *,
     out: Written | None = None,
     force: bool = False,
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
 ) -> Answer:
     """Joint commands that reach targets on the real arm.
@@ -692,6 +714,7 @@ def compensate_files(
     targets that need joint angles outside those of the identification, where the model extrapolates.
 
     out : Write the joint commands (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
@@ -699,7 +722,7 @@ def compensate_files(
     from identification.model import Model
     from identification.origin import check_calibrated
 
-    arm = load_arm(calibrated)
+    arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
     wanted = load_targets(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
@@ -714,6 +737,7 @@ def compensate_files(
 
 
 # -- the library -------------------------------------------------------------------------------------------------------
+@declares("armcal effects joint_compliance")
 def effects(name: str | None = None) -> Answer:
     """The physical effects that armcal knows, and the data that each needs.
 
@@ -733,18 +757,3 @@ def effects(name: str | None = None) -> Answer:
         return Answer(effect.to_json(), [entry_document(effect)])
     listed = entries()
     return Answer({"effects": [effect.to_json() for effect in listed]}, [library_document(listed)])
-
-
-# verb -> what it does, and an example of it
-VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = MappingProxyType(
-    {
-        "init": (init_files, "armcal init --urdf robot.urdf --out calibration"),
-        "simulate": (simulate_files, "armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv"),
-        "check": (check_files, "armcal check arm.toml measurements.csv"),
-        "identify": (identify_files, "armcal identify arm.toml data.csv --out calibrated.toml"),
-        "diagnose": (diagnose_files, "armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html"),
-        "validate": (validate_files, "armcal validate calibrated.toml other_session.csv --picture transfer.png"),
-        "compensate": (compensate_files, "armcal compensate calibrated.toml targets.csv --out commands.csv"),
-        "effects": (effects, "armcal effects joint_compliance"),
-    }
-)

@@ -16,7 +16,6 @@ from threadpoolctl import threadpool_limits
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.bounds.planar_theorem import closed_form_bound
-from doe.criteria import information_matrix
 from doe.problem.postures import listed_candidates
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, JobError
@@ -110,18 +109,5 @@ def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = nev
             made.append(best_design(problem, m, also=also, stop=stop))
     except (JobError, np.linalg.LinAlgError):
         return dict.fromkeys(runs)
-    lowest = {m: _at(made, problem, m) for m in runs}
-    return {m: None if of.bound is None else replace(of.bound, value=upper) for m, (_, upper, of) in lowest.items()}
-
-
-def _at(made: Sequence[ApproximateDesign], problem: DesignProblem, runs: int) -> tuple[float, float, ApproximateDesign]:
-    """For another number of runs the best value of the designs, their lowest bound, and the design that gives it."""
-    values, bounds, prior = [], [], problem.prior.per_new_run(runs)
-    for one in made:
-        fixed = np.sum(one.gradient * one.prior.total)
-        alone = (one.level + max(one.gap, 0.0)) * (1.0 + one.prior.runs) - fixed  # max tr(G B^T B)
-        bounds.append(problem.criterion.upper_bound(one.information, float(prior.mixed(alone, one.gradient))))
-        new = information_matrix(problem.scaled_jacobians(one.plan.postures), one.plan.shares)
-        values.append(float(problem.criterion.value(prior.information(new))))
-    least = int(np.argmin(bounds))
-    return max(values), bounds[least], made[least]
+    tightest = {m: min(made, key=lambda one: one.upper_at(m)) for m in runs}
+    return {m: None if d.bound is None else replace(d.bound, value=d.upper_at(m)) for m, d in tightest.items()}

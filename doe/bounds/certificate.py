@@ -172,6 +172,12 @@ class ApproximateDesign:
         """No design of the space has a greater value, whatever these weights."""
         return self.problem.criterion.upper_bound(self.information, self.largest) if self.proves else np.inf
 
+    def upper_at(self, runs: int) -> float:
+        """The same for another number of new runs (doe/README.md, "Exact plans")."""
+        prior, fixed = self.problem.prior.per_new_run(runs), float(np.sum(self.gradient * self.prior.total))
+        alone = (self.level + max(self.gap, 0.0)) * (1.0 + self.prior.runs) - fixed  # max tr(G B^T B)
+        return self.problem.criterion.upper_bound(self.information, float(prior.mixed(alone, self.gradient)))
+
     @property
     def efficiency_lower_bound(self) -> float:
         """Fraction 0..1 of an optimum that the weights reach at least, recomputed from them alone."""

@@ -7,34 +7,20 @@ import re
 import sys
 from collections.abc import Sequence
 from errno import ENOSPC
-from importlib import import_module
 from typing import Any
 
 import click
 
 from doe import SINGLE_THREAD
-from doe.cli.plans import VERBS as PLANS
+from doe.cli import demo, plans, study
 from doe.cli.verb import in_one_line, no_output, verb
 from identification import InputError, nearest
 from identification.document import Answer
-from identification.workflow import VERBS as DATA
+from identification.workflow import VERBS
 
-ORDER = (  # of the work; demo and study have modules here
-    *(
-        "demo",
-        "init",
-        "design",
-        "score",
-        "program",
-        "advise",
-        "compare",
-        "relax",
-        "study",
-        "simulate",
-        "check",
-        "identify",
-    ),
-    *("diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
+ORDER = (  # of the work
+    *("demo", "init", "design", "score", "program", "advise", "compare", "relax", "study", "simulate", "check"),
+    *("identify", "diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
 )
 OTHER_VERBS = {  # words for the same -> verb
     **dict.fromkeys(("calibrate", "fit", "estimate", "regress"), "identify"),
@@ -133,6 +119,7 @@ def main() -> None:
         os.environ.setdefault(variable, number)
 
 
+@verb("armcal help formats")
 def help_of(topic: str = FORMATS) -> Answer:
     """The help of a verb, or the file formats.
 
@@ -152,9 +139,7 @@ def help_of(topic: str = FORMATS) -> Answer:
     return Answer({"topic": topic, "text": text}, [text])
 
 
-FUNCTIONS = {**PLANS, **DATA, "help": (help_of, "armcal help formats")}
-for name in ORDER:
-    if name in FUNCTIONS:
-        main.add_command(verb(FUNCTIONS[name][1], name)(FUNCTIONS[name][0]))
-    else:
-        main.add_command(import_module(f"doe.cli.{name}").command)
+here = [each for part in (demo, plans, study) for each in vars(part).values() if isinstance(each, click.Command)]
+commands = [*here, *(verb(example)(function) for function, example in VERBS.values())]
+for command in sorted([*commands, help_of], key=lambda command: ORDER.index(command.name or "")):
+    main.add_command(command)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible
+from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible, verb
 from identification import InputError, Progress, load_sessions, nearest, silent
 from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
@@ -163,6 +163,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
+@verb("armcal design arm.toml --runs 20 --out plan.csv")
 def design_files(
     arm: Path,
     *,
@@ -183,6 +184,7 @@ def design_files(
     draws: Annotated[int, range(1, 51)] | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -207,6 +209,7 @@ def design_files(
     draws : Arms drawn for --uncertain; left out: 5.
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.driving import check_approach, drive, with_approach
@@ -224,7 +227,7 @@ def design_files(
             raise InputError(f"{option}: found without {other}, allowed: with {other}")
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     check_order(order)
     check_approach(approach)
     if approach != "any" and loaded.chain.instrument.contact:
@@ -265,6 +268,7 @@ def design_files(
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
+@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
 def score_files(
     arm: Path,
     plan: Path,
@@ -274,6 +278,7 @@ def score_files(
     robust: bool = False,
     missing: Names | None = None,
     picture: Picture | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
 ) -> Answer:
     """Judge a plan of your own against the bound.
@@ -285,6 +290,7 @@ def score_files(
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
     picture : Draw the postures (.png, .svg, .pdf).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
@@ -294,7 +300,7 @@ def score_files(
     from doe.report.design import criteria_lines, design_document
     from identification import Model, design_model, load_arm, load_plan
 
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     judged = load_plan(plan, loaded.joint_types)
     bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing))
     if robust or bounded.choices is not None:
@@ -336,6 +342,7 @@ def score_files(
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
 def advise_files(
     arm: Path,
     *,
@@ -344,6 +351,7 @@ def advise_files(
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
     picture: Picture | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -358,13 +366,14 @@ def advise_files(
     target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
     picture : Write the curve as .png, .svg or .pdf.
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
     from identification import Model, design_model, load_arm
 
-    loaded, given_sigma = with_scatter(load_arm(arm))
+    loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
     named = [word for text in only for word in words(text) if word]
     model = design_model(Model(loaded))
     problem = DesignProblem.of(model.only(named) if named else model)
@@ -388,6 +397,7 @@ def advise_files(
     return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
+@verb("armcal relax arm.toml --grid 9 --solver clarabel")
 def relax_files(
     arm: Path,
     *,
@@ -399,6 +409,7 @@ def relax_files(
     seconds: Seconds | None = None,
     criterion: CriterionOptions,
     out: Written | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -414,6 +425,7 @@ def relax_files(
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
@@ -421,7 +433,7 @@ def relax_files(
     from doe.report.design import relax_document
     from identification import load_arm, load_plan
 
-    loaded, robust = load_arm(arm), criterion.robust
+    loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
     held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
@@ -460,6 +472,7 @@ def relax_files(
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
+@verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
@@ -508,18 +521,18 @@ def compare_files(
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None and not alone:
         from doe.report.page import svg
-        from doe.report.studies import profile_figure, time_figure
+        from doe.report.studies import profile_figure
 
         files: dict[Path, str | bytes] = {
             job.out / "summary.parquet": parquet(summed),
             job.out / "profile.svg": svg(profile_figure(rows)),
-            job.out / "time.svg": svg(time_figure(rows)),
         }
         write_together(files, force=True)
-        shown.append(f"rows, summary and pictures written to {job.out}")
+        shown.append(f"rows, summary and picture written to {job.out}")
     return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
+@verb("armcal program arm.toml plan.csv --robot ur --out plan.script")
 def program_files(
     arm: Path,
     plan: Path,
@@ -528,6 +541,7 @@ def program_files(
     speed: Annotated[int, range(1, 101), "PERCENT"] = 20,
     settle: Annotated[float, "S"] = 2.0,
     template: Path | None = None,
+    package_dir: tuple[Path, ...] = (),
     out: Written,
     force: bool = False,
 ) -> Answer:
@@ -540,12 +554,13 @@ def program_files(
     speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
     settle : Seconds from the arrival to the measurement, up to 300.
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     out : Write the program, which takes the name of the file.
     """
     from doe.program.program import program
     from identification import load_arm, load_plan
 
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     file = load_plan(plan, loaded.joint_types, vias=True)
     if file.weights is not None:
         raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
@@ -567,6 +582,7 @@ def program_files(
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------
+@verb("armcal discriminate arm.toml data.csv --runs 4 --out next.csv")
 def discriminate_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -575,6 +591,7 @@ def discriminate_files(
     payloads: str | None = None,
     seconds: Seconds = 30.0,
     out: Written | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -588,13 +605,14 @@ def discriminate_files(
     payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
     seconds : Time budget of the choice, after the diagnosis [s].
     out : Write the next postures (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
     from identification import Model, diagnose, load_arm
 
-    loaded, masses = load_arm(arm), None
+    loaded, masses = load_arm(arm, package_dir), None
     if payloads is not None:
         try:
             masses = tuple(float(word) for word in payloads.split(","))
@@ -631,10 +649,12 @@ def discriminate_files(
     return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 
+@verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html")
 def report_files(
     files: tuple[Path, ...],
     *,
     out: Written,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     page: Callable[[Document, Sequence[Path]], str],
 ) -> Answer:
@@ -646,12 +666,13 @@ def report_files(
     edited; it is one file that needs no network.
 
     out : Write the page.
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict)
+    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict, package_dirs=package_dir)
     write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
@@ -659,19 +680,3 @@ def report_files(
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
     return Answer(data, [*campaign.verdict, f"page written to {out}"])
-
-
-# verb -> what it does, and an example of it
-VERBS: Mapping[str, tuple[Callable[..., Answer], str]] = {
-    "design": (design_files, "armcal design arm.toml --runs 20 --out plan.csv"),
-    "score": (score_files, "armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png"),
-    "program": (program_files, "armcal program arm.toml plan.csv --robot ur --out plan.script"),
-    "advise": (advise_files, "armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png"),
-    "relax": (relax_files, "armcal relax arm.toml --grid 9 --solver clarabel"),
-    "compare": (compare_files, "armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs"),
-    "discriminate": (
-        discriminate_files,
-        "armcal discriminate arm.toml data.csv --runs 4 --out next.csv",
-    ),
-    "report": (report_files, "armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html"),
-}

@@ -6,18 +6,14 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from doe.cli.verb import Count, JobOptions, interruptible, verb
 from identification import InputError, JobError, Progress, nearest, silent
 from identification.document import Answer
 from identification.files.io import check_writable, write_together
 
-if TYPE_CHECKING:
-    from doe.jobs import Workers
-
 BUILT_IN = ("blind", "blind-spatial", "paper")
-Options = dict[str, Any]  # seed, resume, force, progress
 
 EXAMPLE = """armcal study study.toml --workers 4
 
@@ -97,7 +93,7 @@ def command(
         return _tables_answer(found, passed(found), folder, paper_parts(found))
     where = job.where()
     with interruptible(folder):
-        options: Options = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
+        options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             from doe.report.studies import blind_parts, blind_pictures
             from doe.studies.blind.study import blind_study, reported_cells
@@ -106,28 +102,23 @@ def command(
             result = blind_study(named, replications, folder, where, **options)
             blind_pictures(folder, result)
             return _tables_answer(result.tables, result.passed, folder, blind_parts(result))
-        return _from_file(Path(study), replications, folder, where, options)
+        from doe.report.studies import monte_carlo_parts
+        from doe.studies.monte_carlo import BLOCKS, CELLS, PLANS, load_study, run_study
 
-
-def _from_file(path: Path, replications: int | None, folder: Path, workers: Workers, options: Options) -> Answer:
-    """A Monte Carlo study that a file describes. One without a result leaves nothing."""
-    from doe.report.studies import monte_carlo_parts
-    from doe.studies.monte_carlo import BLOCKS, CELLS, PLANS, load_study, run_study
-
-    study, before = load_study(path, replications), None
-    if os.path.isdir(folder):
-        before = {name.removesuffix(".journal") for name in os.listdir(folder)}
-    result = run_study(study, folder, workers, **options)
-    if "done" not in set(result.blocks["status"]):
-        for name in {PLANS, BLOCKS, CELLS}.difference(before or () if options["resume"] else ()):
-            (folder / name).unlink(missing_ok=True)
-        if before is None:
-            folder.rmdir()
-        reason = re.sub(r"\b[A-Z]\w*Error: ", "", result.blocks["error"][0])  # users need no exception types
-        raise JobError(f"no cell could be done: {reason}")
-    failed = result.cells.filter(result.cells["status"] != "done")
-    data = {"out": folder, "cells": result.cells.to_dicts(), "failed": len(failed)}
-    return Answer(data, [*monte_carlo_parts(result), f"{len(result.cells)} rows written to {folder / CELLS}"])
+        loaded, before = load_study(Path(study), replications), None
+        if os.path.isdir(folder):
+            before = {name.removesuffix(".journal") for name in os.listdir(folder)}
+        made = run_study(loaded, folder, where, **options)
+        if "done" not in set(made.blocks["status"]):  # one without a result leaves nothing
+            for name in {PLANS, BLOCKS, CELLS}.difference(before or () if job.resume else ()):
+                (folder / name).unlink(missing_ok=True)
+            if before is None:
+                folder.rmdir()
+            reason = re.sub(r"\b[A-Z]\w*Error: ", "", made.blocks["error"][0])  # users need no exception types
+            raise JobError(f"no cell could be done: {reason}")
+        failed = made.cells.filter(made.cells["status"] != "done")
+        data = {"out": folder, "cells": made.cells.to_dicts(), "failed": len(failed)}
+        return Answer(data, [*monte_carlo_parts(made), f"{len(made.cells)} rows written to {folder / CELLS}"])
 
 
 def _tables_answer(tables: Mapping[str, Any], passed: bool, folder: Path, shown: list[Any]) -> Answer:

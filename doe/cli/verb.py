@@ -127,8 +127,8 @@ class JobOptions:
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
-def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], click.Command]:
-    """Turn `function(argument, .., *, option, ..) -> Answer` into a click command of its module's name, or another.
+def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
+    """Turn `function(argument, .., *, option, ..) -> Answer` into the click command of its example, `armcal NAME ...`.
 
     Positional parameters are arguments, the others options, those of a dataclass a group of them. Their types are those
     of Python, with `Written` and `Picture` for files to write and `Folder` for where, or `Annotated` with a type of
@@ -142,7 +142,7 @@ def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], clic
     """
 
     def decorate(function: Callable[..., Answer]) -> click.Command:
-        called = name or function.__module__.rpartition(".")[2]
+        called = example.split()[1]
         text, helps = documented(function)
         hints, parameters = get_type_hints(function, include_extras=True), list[click.Parameter]()
         groups: dict[str, Any] = {}
@@ -170,7 +170,9 @@ def verb(example: str, name: str = "") -> Callable[[Callable[..., Answer]], clic
             with warnings_as_lines(quiet), shown_progress(called, quiet) as progress:
                 provided = dict(zip(PROVIDED, (seed, progress, made_page, made_constraints), strict=True))
                 values |= {key: value for key, value in provided.items() if key in signature}
-                answer = guarded(function, values)
+                with errors_as_lines():
+                    check_outputs(click.get_current_context())
+                    answer = function(**values)
                 for sentence in answer.warnings if as_json else ():
                     warnings.warn(sentence, UserWarning, stacklevel=2)
             if answer.failure is not None:
@@ -313,8 +315,9 @@ def check_outputs(context: click.Context) -> None:
     provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
 
 
-def guarded(function: Callable[..., Answer], options: dict[str, Any]) -> Answer:
-    """The answer of a function; where there is none, one line says why and the command ends."""
+@contextmanager
+def errors_as_lines() -> Iterator[None]:
+    """Where there is no answer, one line says why and the command ends."""
     try:
         with stoppable():
             if sys.stdout is None:
@@ -323,8 +326,8 @@ def guarded(function: Callable[..., Answer], options: dict[str, Any]) -> Answer:
                 os.getcwd()
             except FileNotFoundError:
                 raise JobError("the working directory is no longer there; change into another one") from None
-            check_outputs(click.get_current_context())
-            return function(**options)
+            yield
+        return
     except (InputError, JobError) as error:
         say(str(error))
         sys.exit(error.exit_code)

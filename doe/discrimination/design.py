@@ -263,14 +263,7 @@ def discrimination_design(
     budget = Budget(1, None if seconds is None else began + seconds)
     half = None if seconds is None else seconds / 2.0
     best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)
-
-    def seen(postures: Array) -> Any:
-        """What these postures and those measured already could show."""
-        every = np.vstack([problem.kept, postures])
-        return None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
-
-    best_sees, generator = seen(best.plan.postures), np.random.default_rng(seed)
-    state = Swaps(problem, library)
+    generator, state = np.random.default_rng(seed), Swaps(problem, library)
     chosen, status = np.array(best.plan.postures), best.status
     if status is not Status.interrupted:
         allowed, status, bound = problem.parameters * float(-np.log1p(-loss)), Status.local_optimum, np.inf
@@ -297,56 +290,64 @@ def discrimination_design(
         scores.append(float(log_determinants(information[base:, base:] - explained)))
     plan = replace(best.plan, postures=chosen[shuffles[int(np.argmax(scores or [0.0]))]])
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
-    bounds = state.wrong(chosen), state.wrong(best.plan.postures), state.at_random(runs)
-    return DiscriminationDesign(design, best, seen(plan.postures), best_sees, *(min(1.0, bound) for bound in bounds))
+    sees = [  # what the postures and those measured already could show
+        None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
+        for every in (np.vstack([problem.kept, each.plan.postures]) for each in (design, best))
+    ]
+    # as many random postures, the median of many plans; effort: fewer plans of thousands of runs, which are much alike
+    dice, many = np.random.default_rng(0), max(1, min(25, 100_000 // runs))
+    cloud = pool_of(state.extended, many * runs, dice)
+    at_random = float(np.median([state.wrong(dice.permutation(cloud)[:runs]) for _ in range(many)]))
+    bounds = state.wrong(chosen), state.wrong(best.plan.postures), at_random
+    return DiscriminationDesign(design, best, sees[0], sees[1], *(min(1.0, bound) for bound in bounds))
 
 
 # -- where swaps start -------------------------------------------------------------------------------------------------
 def initial_plans(
     state: Swaps, best: Design, allowed: float, generator: Generator, budget: Budget
 ) -> Iterator[tuple[Array, Budget]]:
-    """Plans from which swaps start, each with its part of the time.
+    """Plans from which swaps start, each with its part of the time: the best plan or one from theory, whichever
+    distinguishes effects best, off the limits.
 
     Under joint limits a D-optimal plan stands in the corners, far from plans that distinguish effects: there is a
     second beginning with as many random postures as three quarters of the loss allow.
-    """
-    narrow = state.narrow
-    yield _start(state, best, best.value - allowed / 2.0, generator, budget), budget.part(0.5) if narrow else budget
-    if not narrow or budget.out_of_time:
-        return
-    plan = _start(state, best, best.value - allowed / 8.0, generator, budget)
-    rows = generator.permutation(len(plan))
-    for row, drawn in zip(rows, pool_of(state.problem, len(plan), generator), strict=True):
-        trial = np.array(plan)
-        trial[row] = drawn
-        plan = trial if allowed_value(state.problem, trial) >= best.value - 0.75 * allowed else plan
-    yield plan, budget
 
-
-def _start(state: Swaps, best: Design, least: float, generator: Generator, budget: Budget) -> Array:
-    """(m, n) the best plan or one from theory, whichever distinguishes effects best, off the limits down to `least`;
-    as many from theory as there is time for, off the grid, with joints that play no part at random angles.
-
+    Plans from theory, as many as there is time for, are taken off the grid, joints that play no part at random angles.
     Joints that turn all the way round are moved by up to half a step of the grid they are on: on N equal steps of a
     turn, k and N - k periods are the same, and with N = 50 a gear ripple of order 49 would be an eccentric encoder.
     D-optimality asks for sums over all postures (doe/README.md, "Information matrix"), which hardly change.
     """
     problem, runs = state.problem, len(best.plan.postures)
     free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
-    round_joints, plans = np.flatnonzero(turning(problem)), [np.array(best.plan.postures)]
+    round_joints = np.flatnonzero(turning(problem))
     origin, step = problem.lower[round_joints], TURN / runs
-    theory = optimal_plans(problem, runs, generator) if problem.choices is None else iter(())
-    for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, 64)):  # effort: plans to choose from
-        moved = np.array(plan)
-        angles = moved[:, round_joints] + step * generator.uniform(-0.5, 0.5, (runs, len(round_joints)))
-        moved[:, round_joints] = origin + np.mod(angles - origin, TURN)
-        postures = problem.clip(moved)
-        postures[:, free] = generator.uniform(problem.lower[free], problem.upper[free], (runs, len(free)))
-        if allowed_value(problem, postures) >= least:
-            plans.append(postures)
-    chosen = min(plans, key=state.wrong)
-    moved = off_the_limits(problem, chosen, least, generator) if state.narrow else chosen
-    return spread_free_joints(problem, moved, generator) if has_repeats(problem, moved) else moved
+
+    def start(least: float) -> Array:
+        """(m, n) of no less than this value."""
+        plans = [np.array(best.plan.postures)]
+        theory = optimal_plans(problem, runs, generator) if problem.choices is None else iter(())
+        for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, 64)):  # effort: plans to choose from
+            moved = np.array(plan)
+            angles = moved[:, round_joints] + step * generator.uniform(-0.5, 0.5, (runs, len(round_joints)))
+            moved[:, round_joints] = origin + np.mod(angles - origin, TURN)
+            postures = problem.clip(moved)
+            postures[:, free] = generator.uniform(problem.lower[free], problem.upper[free], (runs, len(free)))
+            if allowed_value(problem, postures) >= least:
+                plans.append(postures)
+        chosen = min(plans, key=state.wrong)
+        moved = off_the_limits(problem, chosen, least, generator) if state.narrow else chosen
+        return spread_free_joints(problem, moved, generator) if has_repeats(problem, moved) else moved
+
+    yield start(best.value - allowed / 2.0), budget.part(0.5) if state.narrow else budget
+    if not state.narrow or budget.out_of_time:
+        return
+    plan = start(best.value - allowed / 8.0)
+    rows = generator.permutation(len(plan))
+    for row, drawn in zip(rows, pool_of(problem, len(plan), generator), strict=True):
+        trial = np.array(plan)
+        trial[row] = drawn
+        plan = trial if allowed_value(problem, trial) >= best.value - 0.75 * allowed else plan
+    yield plan, budget
 
 
 def turning(problem: DesignProblem) -> NDArray[np.bool_]:
@@ -397,10 +398,10 @@ def has_repeats(problem: DesignProblem, plan: Array, run: int | slice = slice(No
 
 # -- swaps -------------------------------------------------------------------------------------------------------------
 class Swaps:
-    """A design space with every effect in the model that postures alone can show, and a plan in it.
+    """A design space with every effect in the model that postures alone can show, and the bound on wrong names there.
 
     problem : for the model that is to be identified;  extended : with the effects, whose parameters come last
-    postures : (m, n);  jacobians : (m, d, P), scaled, of the extended problem;  pool, offered : the same of the pool
+    narrow : there are limits to choose freely within
     """
 
     def __init__(self, problem: DesignProblem, library: EffectLibrary) -> None:
@@ -409,7 +410,7 @@ class Swaps:
         deviations = {name: size for name, size in problem.deviations.items() if name in shown}
         self.problem = problem
         self.extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
-        self.narrow = problem.choices is None and not np.all(turning(problem))  # limits to choose freely within
+        self.narrow = problem.choices is None and not np.all(turning(problem))
         cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
         reference = information_matrix(self.extended.scaled_jacobians(cloud)) / len(cloud)
         self.bound = MisidentificationBound(library.base, library.bases, library.weights, reference)
@@ -418,101 +419,87 @@ class Swaps:
         """Bound on the mean probability of a wrong name that a plan leaves, see `MisidentificationBound.wrong`."""
         return float(self.bound.wrong(self.extended.information(postures)))
 
-    def at_random(self, runs: int) -> float:
-        """The bound that as many random postures leave, the median of many plans."""
-        # effort: fewer plans of thousands of runs, which are much alike
-        generator, many = np.random.default_rng(0), max(1, min(25, 100_000 // runs))
-        cloud = pool_of(self.extended, many * runs, generator)
-        return float(np.median([self.wrong(generator.permutation(cloud)[:runs]) for _ in range(many)]))
+    def pool(self, plan: Array, generator: Generator) -> Array:
+        """(k, n) random postures, and neighbors of those of the plan."""
+        drawn = 1500  # effort
+        pool = pool_of(self.problem, drawn, generator)
+        if self.problem.choices is not None:
+            return pool
+        near = plan[generator.integers(len(plan), size=drawn)]
+        width = 0.15 * (self.problem.upper - self.problem.lower)  # effort: neighbors by this part of a range
+        near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
+        return np.concatenate([pool, near[self.problem.feasible(near)]])
 
     def improved(
-        self,
-        postures: Array,
-        least: float,
-        generator: Generator,
-        budget: Budget,
-        progress: Progress = silent,
+        self, postures: Array, least: float, generator: Generator, budget: Budget, progress: Progress = silent
     ) -> Iterator[Array]:
-        """(m, n) the plan, and it after every swap, better and better;  least : of the base problem's criterion"""
+        """(m, n) the plan, and it after every swap, better and better;  least : of the base problem's criterion
+
+        Each is the best of the most promising swaps, of a few runs, else of more; there is none where it gains little.
+        """
         yield postures
-        self.begin(postures, least)
+        problem, p, total = self.problem, self.bound.base, len(postures) + self.problem.prior.runs
+        plan, jacobians, slack = (
+            postures,
+            self.extended.scaled_jacobians(postures),
+            allowed_value(problem, postures) - least,
+        )
+        information = self.extended.information(plan)
+        value = float(-np.log(self.bound.wrong(information)))
+
+        def gains(pairs: NDArray[np.intp]) -> Array:
+            """(c,) what swaps of a run for a posture of the pool add to the criterion; -inf below the least value."""
+            change = information_of_each(columns[pairs[:, 1]]) - information_of_each(jacobians[pairs[:, 0]])
+            informations = information + change / total
+            before = np.linalg.slogdet(information[:p, :p])[1]
+            fits = np.linalg.slogdet(informations[:, :p, :p])[1] - before + slack >= 0.0
+            added = np.full(len(pairs), -np.inf)
+            if fits.any():
+                added[fits] = -np.log(self.bound.wrong(informations[fits])) - value
+            return added
+
+        def best_swap() -> tuple[int, int, float] | None:
+            """Run, place in the pool and value of the base problem."""
+            gradients, ins = [self.bound.gradient(information)], min(8, int(free.sum()))  # effort
+            # effort: little of log det is left to lose, so its derivative counts too
+            for multiplier in (2.0, 10.0) if slack < 0.1 else ():
+                mixed = np.array(gradients[0])
+                mixed[:p, :p] += multiplier * np.linalg.inv(information[:p, :p])
+                gradients.append(mixed)
+            for outs in (4, 50):  # effort: runs that are tried per derivative
+                each = []
+                for gradient in gradients:
+                    losses = np.sum((jacobians @ gradient) * jacobians, axis=(1, 2))
+                    slopes = np.where(free, np.sum((columns @ gradient) * columns, axis=(1, 2)), -np.inf)
+                    runs, places = np.argsort(losses, kind="stable")[:outs], np.argsort(-slopes, kind="stable")[:ins]
+                    each.append(np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2))
+                pairs = np.unique(np.concatenate(each), axis=0)
+                added = np.concatenate([gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
+                for k in np.argsort(-added, kind="stable"):
+                    if not added[k] > LEAST_GAIN:
+                        break
+                    run, place = pairs[k]
+                    free[place] = False
+                    trial = np.array(plan)
+                    trial[run] = pool[place]
+                    # the plan keeps its least value and its distances; else the posture is not columns again
+                    if not has_repeats(problem, trial, run) and (kept := allowed_value(problem, trial)) >= least:
+                        return run, place, kept
+            return None
+
         rounds = 5  # effort: of pools
         for number in range(rounds):
-            before = self.value
-            self.draw(generator)
-            while not budget.out_of_time and self.swap():
-                yield self.postures
-                progress(number, rounds, f"wrong names at most {float(np.exp(-self.value)):.3f}")
-            if budget.out_of_time or self.value < before + 10.0 * LEAST_GAIN:
+            before, pool = value, self.pool(plan, generator)
+            columns, free = self.extended.scaled_jacobians(pool), np.ones(len(pool), dtype=bool)
+            if problem.choices is not None and problem.minimum_distance > 0.0:  # no place for what is in the plan
+                free = ~np.any(np.all(pool[:, None] == plan, axis=-1), axis=1)
+            while not budget.out_of_time and (swap := best_swap()) is not None:
+                run, place, kept = swap
+                plan, slack = np.array(plan), kept - least
+                plan[run], jacobians[run] = pool[place], columns[place]
+                information = self.extended.information(plan)
+                value = float(-np.log(self.bound.wrong(information)))
+                yield plan
+                progress(number, rounds, f"wrong names at most {float(np.exp(-value)):.3f}")
+            if budget.out_of_time or value < before + 10.0 * LEAST_GAIN:
                 break
-
-    def begin(self, postures: Array, least: float) -> None:
-        """Take a plan, whose value is to be no less."""
-        self.least, self.jacobians = least, self.extended.scaled_jacobians(postures)
-        self.total = len(postures) + self.problem.prior.runs
-        self._take(np.array(postures), allowed_value(self.problem, postures))
-
-    def _take(self, postures: Array, value: float) -> None:
-        self.postures, self.slack = postures, value - self.least
-        self.information = self.extended.information(postures)
-        self.value = float(-np.log(self.bound.wrong(self.information)))
-
-    def draw(self, generator: Generator) -> None:
-        """Draw a new pool of postures."""
-        drawn = 1500  # effort
-        self.pool = pool_of(self.problem, drawn, generator)
-        if self.problem.choices is None:
-            near = self.postures[generator.integers(len(self.postures), size=drawn)]
-            width = 0.15 * (self.problem.upper - self.problem.lower)  # effort: neighbors by this part of a range
-            near = self.problem.clip(near + width * generator.uniform(-1.0, 1.0, near.shape))
-            self.pool = np.concatenate([self.pool, near[self.problem.feasible(near)]])
-        self.offered = self.extended.scaled_jacobians(self.pool)
-        self.open = np.ones(len(self.pool), dtype=bool)
-        if self.problem.choices is not None and self.problem.minimum_distance > 0.0:  # no place for what is in the plan
-            self.open = ~np.any(np.all(self.pool[:, None] == self.postures, axis=-1), axis=1)
-
-    def swap(self) -> bool:
-        """The best of the most promising swaps, else of more of them; False if none gains enough."""
-        gradients, p = [self.bound.gradient(self.information)], self.bound.base
-        # effort: little of log det is left to lose, so its derivative counts too
-        for multiplier in (2.0, 10.0) if self.slack < 0.1 else ():
-            mixed = np.array(gradients[0])
-            mixed[:p, :p] += multiplier * np.linalg.inv(self.information[:p, :p])
-            gradients.append(mixed)
-        return self._best(gradients, 4) or self._best(gradients, 50)  # effort: runs that are tried per derivative
-
-    def _best(self, gradients: list[Array], outs: int) -> bool:
-        """Makes the best swap of the `outs` runs and 8 postures that look best by any of the gradients."""
-        each, ins = [], min(8, int(self.open.sum()))  # effort
-        for gradient in gradients:
-            losses = np.sum((self.jacobians @ gradient) * self.jacobians, axis=(1, 2))
-            gains = np.where(self.open, np.sum((self.offered @ gradient) * self.offered, axis=(1, 2)), -np.inf)
-            runs, places = np.argsort(losses, kind="stable")[:outs], np.argsort(-gains, kind="stable")[:ins]
-            each.append(np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2))
-        pairs = np.unique(np.concatenate(each), axis=0)
-        gains = np.concatenate([self._gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
-        for k in np.argsort(-gains, kind="stable"):
-            if not gains[k] > LEAST_GAIN:
-                break
-            run, place = pairs[k]
-            self.open[place] = False
-            trial = np.array(self.postures)
-            trial[run] = self.pool[place]
-            # the plan keeps its least value and its distances; else the posture is not offered again
-            if has_repeats(self.problem, trial, run) or (value := allowed_value(self.problem, trial)) < self.least:
-                continue
-            self.jacobians[run] = self.offered[place]
-            self._take(trial, value)
-            return True
-        return False
-
-    def _gains(self, pairs: NDArray[np.intp]) -> Array:
-        """(c,) what each swap of a run for a posture of the pool adds to the criterion; -inf below the least value."""
-        change = information_of_each(self.offered[pairs[:, 1]]) - information_of_each(self.jacobians[pairs[:, 0]])
-        informations, p = self.information + change / self.total, self.bound.base
-        before = np.linalg.slogdet(self.information[:p, :p])[1]
-        fits = np.linalg.slogdet(informations[:, :p, :p])[1] - before + self.slack >= 0.0
-        gains = np.full(len(pairs), -np.inf)
-        if fits.any():
-            gains[fits] = -np.log(self.bound.wrong(informations[fits])) - self.value
-        return gains

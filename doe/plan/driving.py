@@ -210,7 +210,7 @@ def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | Non
     kept, wall = (MOVING + spare) * clearance.asked[solid] - ROUNDING, (1.0 - spare) * WALL
 
     def beside(postures: Array, beyond: float) -> Array:
-        return np.concatenate([np.empty((len(postures), 0)), *(each.margin(postures) + beyond for each in walls)], axis=1)
+        return np.hstack([np.empty((len(postures), 0)), *(each.margin(postures) + beyond for each in walls)])
 
     def margin(postures: Array) -> Array:
         return np.concatenate([clearance.distance(postures)[:, solid] - kept, beside(postures, wall)], axis=1)

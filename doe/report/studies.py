@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
@@ -91,64 +90,24 @@ def performance_profile(rows: pl.DataFrame) -> dict[Setting, Curve]:
 def profile_figure(rows: pl.DataFrame) -> Figure:
     """The performance profile: on the left who is fastest, on the right who gets there at all."""
     curves = performance_profile(rows)
-    styles = _styles(list(curves))
+    solvers, starts = (list(dict.fromkeys(values)) for values in zip(*curves, strict=True))
     end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()
-    for above, (setting, (tau, fraction)) in enumerate(curves.items()):
-        color, dashes, _ = styles[setting]
+    for above, ((solver, number), (tau, fraction)) in enumerate(curves.items()):
+        color, dashes = colormaps["tab10"](solvers.index(solver) % 10), ("-", "--", ":", "-.")[starts.index(number) % 4]
         width = 1.5 + 1.2 * (len(curves) - 1 - above)  # the narrow ones on top: equal curves hide none
         x, y = np.r_[0.9, tau, end], np.r_[0.0, fraction, fraction[-1] if fraction.size else 0.0]
-        name = f"{label(setting)}: {100.0 * y[-1]:.0f} %"
+        name = f"{label((solver, number))}: {100.0 * y[-1]:.0f} %"
         axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=name)
     axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.04, 1.04))
-    _plain_numbers(axes)
-    axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
-    figure.legend(fontsize=8, loc="outside right center", title="solved in the end", title_fontsize=8)
-    return figure
-
-
-def time_figure(rows: pl.DataFrame) -> Figure:
-    """Value against time, one panel per problem: loss of efficiency of every run, those without loss at the bottom."""
-    rows, floor = with_hits(rows), 1e-9  # losses below it are shown there
-    problems = rows.select(PROBLEM).unique(maintain_order=True).rows()
-    styles = _styles(rows.select(SETTING).unique(maintain_order=True).rows())
-    across = min(len(problems), 3)
-    down = -(-len(problems) // across)
-    figure = Figure(figsize=(4.2 * across + 2.0, 0.5 + 3.5 * down), layout="constrained")
-    grid = figure.subplots(down, across, sharey=True, squeeze=False)
-    panels = grid.ravel()
-    for unused in panels[len(problems) :]:
-        unused.set_axis_off()
-    for axes, problem in zip(panels, problems, strict=False):
-        part = rows.filter("good", **dict(zip(PROBLEM, problem, strict=True)))
-        for setting, (color, _, marker) in styles.items():
-            runs = part.filter(**dict(zip(SETTING, setting, strict=True)))
-            loss = np.maximum(runs["loss"].to_numpy(), floor)
-            axes.plot(runs["seconds"].to_numpy(), loss, marker, color=color, ms=5, alpha=0.7, label=label(setting))
-        axes.set(xscale="log", yscale="log", ylim=(floor / 2.0, 1.5), xlabel="time of a run [s]")
-        _plain_numbers(axes)
-        axes.set_title(f"{problem[0]}, {problem[2]}, {problem[3]} runs", fontsize=9)
-    for first in grid[:, 0]:
-        first.set_ylabel(f"efficiency below the best (floor {floor:g})")
-    handles, names = panels[0].get_legend_handles_labels()
-    figure.legend(handles, names, fontsize=8, loc="outside right center")
-    return figure
-
-
-def _plain_numbers(axes: Axes) -> None:
-    """1, 2, 5, 10 along a logarithmic x axis: powers of ten crowd each other where there is less than a decade."""
+    # 1, 2, 5, 10 along the axis: powers of ten crowd each other where there is less than a decade
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def _styles(settings: list[Any]) -> dict[Setting, tuple[Any, str, str]]:
-    """Setting -> colour (of the solver), dashes and marker (of the number of starts)."""
-    solvers = list(dict.fromkeys(solver for solver, _ in settings))
-    starts = sorted({number for _, number in settings})
-    places = {setting: (solvers.index(setting[0]) % 10, starts.index(setting[1]) % 4) for setting in settings}
-    return {s: (colormaps["tab10"](color), ("-", "--", ":", "-.")[k], "os^D"[k]) for s, (color, k) in places.items()}
+    axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
+    figure.legend(fontsize=8, loc="outside right center", title="solved in the end", title_fontsize=8)
+    return figure
 
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------

@@ -44,16 +44,13 @@ def paper_arm(links: int = 4, limited: bool = False) -> Arm:
     return load_arm(tables | {"name": f"{links} links within joint limits", "joint_limits_deg": limits})
 
 
-def paper_truth(links: int = 4) -> dict[str, Any]:
-    """The paper's deviations of the first links, as in a study file."""
-    return {"name": "paper"} | {key: PAPER[key][:links] for key in ("length_errors_mm", "joint_offsets_deg")}
-
-
 def simulated(arms: Sequence[Arm], plans: Any, runs: Sequence[int], replications: int, seed: int) -> list[Row]:
     """Rows of the cells of calibrations of arms with the paper's deviations, one per cell and parameter."""
     rows: list[Row] = []
     for arm in arms:
-        study = Study.of([arm], plans, runs=[*runs], truths=[paper_truth(arm.links)], replications=replications)
+        errors = {key: PAPER[key][: arm.links] for key in ("length_errors_mm", "joint_offsets_deg")}
+        truths = [{"name": "paper", **errors}]
+        study = Study.of([arm], plans, runs=[*runs], truths=truths, replications=replications)
         rows += [{"links": arm.links, **row} for row in run_study(study, seed=seed).cells.iter_rows(named=True)]
     return rows
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
+from itertools import repeat
 from types import MappingProxyType
 
 from identification.arm import EffectSpec
@@ -80,7 +81,7 @@ def build_all(specs: Sequence[EffectSpec], chain: KinematicChain) -> tuple[Effec
     Raises `InputError` as `build` does, and for two effects with the same name, joint and settings.
     """
     alike = Counter(spec.key for spec in specs)
-    effects = tuple(build(spec, chain, alike[spec.key] > 1) for spec in specs)
+    effects = tuple(map(build, specs, repeat(chain), [alike[spec.key] > 1 for spec in specs]))
     for key, times in Counter(effect.key for effect in effects).items():
         if times > 1:
             raise InputError(f"effects: {key} is given {times} times, allowed: once")

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.error_curve import ErrorCurve
@@ -184,6 +184,8 @@ class Effect:
         self.joint = joint
         self.chosen = dict(chosen or {})
         self.tagged = tagged
+        self.place = self.name if joint is None else f"{self.name}:{joint}"
+        self.key = self.label if tagged else self.place  # in reports
         self.parameters: tuple[Parameter, ...] = self.define()
 
     def define(self) -> tuple[Parameter, ...]:
@@ -198,16 +200,11 @@ class Effect:
         """A parameter of this effect under its full name;  scale, more : as of `Parameter`"""
         return Parameter(f"{self.key}.{short}", unit, scale=scale, joint=self.joint, **more)  # type: ignore[arg-type]
 
-    @property
-    def key(self) -> str:
-        """Name in reports: `name` or `name:joint`, with the settings if `tagged`."""
-        return self.label if self.tagged else EffectSpec(self.name, self.joint).key
-
     @cached_property
     def label(self) -> str:
         """Unique name from name, joint and settings: `transmission_ripple:2[k=6]`."""
         settings = ";".join(f"{name}={value:g}" for name, value in self.chosen.items())
-        return EffectSpec(self.name, self.joint).key + (f"[{settings}]" if settings else "")
+        return self.place + (f"[{settings}]" if settings else "")
 
     @property
     def link_length(self) -> float:

@@ -126,7 +126,7 @@ def content(command: Command, folder: Path) -> dict[str, Any]:
     files: dict[str, Any] = {}
     for path in (folder / name for name in command.paths):
         for file in sorted(path.iterdir()) if path.is_dir() else [path] if path.exists() else []:
-            held: Any = "times" if file.name == "time.svg" else file.read_bytes()
+            held: Any = file.read_bytes()
             if file.suffix == ".parquet":
                 held = pl.read_parquet(file).drop(TIMES, strict=False).write_json()
             files[str(file.relative_to(folder))] = held

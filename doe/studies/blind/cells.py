@@ -260,7 +260,10 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         error = np.vstack([data.positions - simulator.position(truth, run), noise(truth, more, later)])
         return replace(simulator.recorded(truth, whole, error), payload=whole.payload)
 
-    specs = tuple(EffectSpec(e[0], e[1], settings_of(e)) for e in inside)
+    specs = []  # with their settings
+    for name, joint, drawn in inside:
+        kept = {name: float(v) for name, v in drawn.items() if name in ("k", "at", "tau", "width_deg")}
+        specs.append(EffectSpec(name, joint, kept | ({"side": 1.0} if name == "base_step" else {})))
     exact = reachable = None
     if spec.many or outside or spec.reads > 1:  # by least squares of all that is hidden, to first order
         exact, columns = simulator.position(truth, fresh), fitted_columns(truth, run)
@@ -275,7 +278,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         tuple(key(e) for e in inside),
         outside[0] if outside else WALK if spec.noise == WALK else None,
         place_of(outside) if outside else "time" if spec.noise == WALK else None,
-        specs,
+        tuple(specs),
         tuple((np.flatnonzero(far) + 1).tolist()),
         {} if spec.wrong or spec.rare or spec.outside or outside else values_of(truth),
         exact,
@@ -313,12 +316,6 @@ def key(effect: Drawn) -> str:
 def family(effect: Drawn) -> str:
     """What effects are said to be alike."""
     return "gravity" if effect[0] in OF_GRAVITY else effect[0]
-
-
-def settings_of(effect: Drawn) -> dict[str, float]:
-    """The settings of an effect of the library, as an arm file has them."""
-    settings = {name: float(v) for name, v in effect[2].items() if name in ("k", "at", "tau", "width_deg")}
-    return settings | ({"side": 1.0} if effect[0] == "base_step" else {})
 
 
 def place_of(effect: Drawn) -> str | None:
@@ -539,27 +536,13 @@ def library_columns(truth: TrueArm, run: RowConditions) -> Array:
 def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rng: np.random.Generator) -> Drawn:
     """One of `PHYSICS`, of size lambda: in space off all of the library at once; in the plane off the geometry, the
     first of some draws of which no effect of the library explains more than `EXPLAINED`, or else that of which it
-    explains least."""
+    explains least; effects with settings at several of them."""
     if not truth.in_plane:
         return random_effect((name,), truth, run, lam, rng, library_columns(truth, run))
-    drawn: list[tuple[float, Drawn]] = []
-    base, blocks = base_jacobian(truth, run), library_blocks(truth, run)
-    ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
-    blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
-    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < 20):
-        effect = random_effect((name,), truth, run, lam, rng, base)
-        left = off(base, column(truth, run, effect))
-        drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))
-    return min(drawn, key=lambda one: one[0])[1]
-
-
-def library_blocks(truth: TrueArm, run: RowConditions) -> list[Array]:
-    """(2m, c) columns of each effect of the library by itself, of those with settings at several of them, of a planar
-    arm."""
     *frames, tip = places(replace(truth, effects=[], modelled=[]), run)
     torques = np.einsum("mji,ji->mj", gravity_loads(truth, run)[0], truth.home[:-1, :3, 2])
     steps = np.stack([1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)])
-    blocks: list[list[Array]] = [[step[:, None] * axis for axis in np.eye(3)[:2]] for step in steps]
+    moves: list[list[Array]] = [[step[:, None] * axis for axis in np.eye(3)[:2]] for step in steps]
     soft: list[Array] = []  # every joint at once
     for j, (q, frame) in enumerate(zip(run.q.T, frames[1:], strict=True)):
         arm = tip[:, :3, 3] - (frame[:, :3, :3] @ truth.points[j] + frame[:, :3, 3])
@@ -569,9 +552,17 @@ def library_blocks(truth: TrueArm, run: RowConditions) -> list[Array]:
         shapes += [[q], [run.s[:, j]], [np.sign(torques[:, j])], [torques[:, j]], *steps[:, None]]
         shapes += [*([run.q[:, j - 1]] for _ in range(j > 0)), *([wound_up(q, width)] for width in widths)]
         soft.append(lever * torques[:, j, None])
-        blocks += [[lever * shape[:, None] for shape in block] for block in shapes]
-        blocks += [[(frame[:, :3, :3] @ truth.links[j]) * step[:, None]] for step in steps]
-    stacked = [np.stack([move[:, :2].ravel() for move in block], axis=1) for block in [soft, *blocks]]
-    stacked += [probed(truth, run, name, None) for name in LIBRARY_WHOLE if name != EVERY_JOINT]
-    stacked += [probed(truth, run, "thermal_transient", None, tau=tau) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
-    return stacked + ([probed(truth, run, name, None) for name in LOADS] if truth.modelled else [])
+        moves += [[lever * shape[:, None] for shape in block] for block in shapes]
+        moves += [[(frame[:, :3, :3] @ truth.links[j]) * step[:, None]] for step in steps]
+    blocks = [np.stack([move[:, :2].ravel() for move in block], axis=1) for block in [soft, *moves]]
+    blocks += [probed(truth, run, whole, None) for whole in LIBRARY_WHOLE if whole != EVERY_JOINT]
+    blocks += [probed(truth, run, "thermal_transient", None, tau=tau) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
+    blocks += [probed(truth, run, load, None) for load in LOADS] if truth.modelled else []
+    base, ends = base_jacobian(truth, run), np.cumsum([block.shape[1] for block in blocks])[:-1]
+    blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
+    drawn: list[tuple[float, Drawn]] = []
+    while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < 20):
+        effect = random_effect((name,), truth, run, lam, rng, base)
+        left = off(base, column(truth, run, effect))
+        drawn.append((max(float(np.sum((left @ block) ** 2)) for block in blocks) / float(left @ left), effect))
+    return min(drawn, key=lambda one: one[0])[1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, solve
-from doe.bounds.best_known import _at, best_design, best_known_bound, bound_that_holds, bounds_of_runs
+from doe.bounds.best_known import best_design, best_known_bound, bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
@@ -63,9 +63,7 @@ def test_one_link_without_a_joint_to_choose() -> None:
 
 
 @pytest.mark.parametrize(
-    "case",
-    [of(FOUR, ECCENTRICITY), of(FOUR), of(FOUR, choices=LIST)],
-    ids=["continuous", "proven", "list"],
+    "case", [of(FOUR, ECCENTRICITY), of(FOUR), of(FOUR, choices=LIST)], ids=["continuous", "proven", "list"]
 )
 def test_a_bound_whose_search_is_cut_holds_and_says_so(case: DesignProblem) -> None:
     """Stopped after its first pricing: above the bound of the whole search, by the equivalence theorem."""
@@ -82,15 +80,23 @@ KNOWN = of(FOUR, OFFSET, kept=KEPT, choices=LIST, deviations={"length_error:1": 
 
 @pytest.mark.parametrize("case", [KNOWN, replace(KNOWN, criterion=A())], ids=["D", "A"])
 def test_the_certificate_of_one_number_of_runs_holds_for_others(case: DesignProblem) -> None:
-    made, generator = [best_design(case, 5)], np.random.default_rng(0)
+    made, generator = best_design(case, 5), np.random.default_rng(0)
     for m in (2, 5, 20):
-        own, (value, upper, _) = best_known_bound(case, m), _at(made, case, m)
-        assert value <= own.value + 1e-9 * abs(own.value)
+        own, upper = best_known_bound(case, m), made.upper_at(m)
         assert upper >= own.value - 1e-6 * abs(own.value) if m != 5 else upper == pytest.approx(own.value, rel=1e-9)
         for _ in range(20):  # by hand: (sum B^T B + K) / (m + k)
             plan = LIST[generator.integers(len(LIST), size=m)]
             rows = case.scaled_jacobians(np.concatenate([plan, KEPT])).reshape(-1, 10)
             assert case.criterion.value((rows.T @ rows + np.diag(case.precisions)) / (m + 3)) <= upper
+
+
+def test_bounds_of_several_runs_that_are_cut_hold_and_are_looser() -> None:
+    """One design is made, which bounds all numbers of runs."""
+    kept = of(FOUR, ECCENTRICITY, kept=LIST[:10])
+    whole, cut = bounds_of_runs(kept, [4, 20]), bounds_of_runs(kept, [4, 20], stop=lambda: True)
+    for m in (4, 20):
+        assert cut[m].cut
+        assert cut[m].value > whole[m].value
 
 
 def test_without_anything_known_there_is_one_bound() -> None:

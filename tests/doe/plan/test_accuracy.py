@@ -34,7 +34,7 @@ from identification.arrays import Array
 from identification.gap.library_prior import library_prior
 from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
-from tests.doe.six_axis import SIX_AXIS, six_axis
+from tests.doe.six_axis import six_axis
 
 
 def fourier(runs: int, links: int) -> np.ndarray:
@@ -251,20 +251,6 @@ def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
 def deviations(case: DesignProblem) -> Array:
     """(p,) of the prior [mm, rad], infinite where nothing is known."""
     return np.array([case.deviations.get(name, np.inf) for name in case.model.parameters.names])
-
-
-def test_several_points_are_a_mean_over_them() -> None:
-    """The posterior of all parameters written out: mean over points and poses of what it leaves of each point."""
-    chain = replace(SIX_AXIS.chain, tools={"a": np.array([60.0, 40.0, 100.0]), "b": np.array([-50.0, 20.0, 80.0])})
-    problem = six_axis(replace(SIX_AXIS, chain=chain))
-    wide = robust_problem(problem)
-    poses, plan = (np.random.default_rng(seed).uniform(-2.0, 2.0, (20, 6)) for seed in (4, 5))
-    rows, known = wide.scaled_jacobians(plan), np.diag(wide.precisions)
-    noise = wide.model.sigma
-    posterior = noise**2 * np.linalg.inv(np.einsum("mda,mdb->ab", rows, rows) + known)
-    points = wide.scaled_jacobians(poses).reshape(40, 3, -1)
-    expected = np.einsum("mda,ab,mdb->", points, posterior, points) / 40 + wide.beyond
-    assert tip_error(problem, wide, plan, poses).with_prior ** 2 == pytest.approx(expected, rel=1e-6)
 
 
 def test_what_no_name_has_is_counted_against_simulated_arms() -> None:
