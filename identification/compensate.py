@@ -76,15 +76,14 @@ def compensate(
     as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
     arm, posed = in_own_frame(arm), turned is not None or as_nominal
-    if not arm.chain.planar:  # what an angle of a pose counts times
-        arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))
+    arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))  # of an angle of a pose
     model, familiar, provenance = Model(arm), familiar_range(arm), identified(arm)
     # the nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
     # one turned by the offset of joint 1, and a spatial one with its points
     chain, stands, place = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset"), None
-    if not chain.planar and arm.calibration is not None:
+    if arm.calibration is not None:
         chain = standing_in(chain, arm.calibration.values)
-    if chain.planar and stands:
+    if stands:
         place = Calibration({name: model.best_known.get(name, 0.0) for name in BASE})
     drawing = Model(replace(arm, effects=stands if place else (), calibration=place, chain=chain))
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within

@@ -16,8 +16,6 @@ Boxes are those of a grid: the one that contains the body is cut where that leav
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
@@ -34,7 +32,8 @@ STICKING_OUT = 200  # points of the surface that are added, each time
 FINEST = 0.4  # of a cell: faces that stick out are cut to it
 WEIGHTS = 3.0, 30.0, 300.0  # of the first fits, in this order
 LAST_WEIGHTS = 300.0, 3000.0, 10000.0
-STEPS = 30  # of L-BFGS for each of them
+STEPS, FEWER = 30, 15  # of L-BFGS for each of them, and while capsules are added
+CUTS = 0.2, 0.5, 0.8  # of what a capsule covers along an axis
 TIGHT, TIGHT_ENOUGH = 0.3, 3.0  # of a cell, and [mm]: if no point around is farther inside, no capsule more is tried
 ENOUGH = 0.93  # of the objective: one of fewer capsules that is not larger than that of more by this
 SAVED, FINE_CELLS = 1e-2, 64  # of a body covered by boxes: what a cut must save of it; cells along its longest side
@@ -185,12 +184,11 @@ def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
         capsules, value = _fitted(capsules, surface, around, weight)
     fits = [(value, capsules)]
     while len(capsules) < most and -from_capsules(capsules, around)[0].min() > max(TIGHT * cell, TIGHT_ENOUGH):
-        halves = list(_with_one_more(capsules, surface, around, inside))
-        if not halves:
+        if (more := _with_one_more(capsules, surface, around, inside)) is None:
             break
-        capsules = min(halves, key=lambda half: half[1])[0]
+        capsules = more
         for weight in WEIGHTS[1:]:
-            capsules, value = _fitted(capsules, surface, around, weight)
+            capsules, value = _fitted(capsules, surface, around, weight, FEWER)
         fits.append((value, capsules))
     enough = min(fit[0] for fit in fits) / ENOUGH
     capsules = next(capsules for value, capsules in fits if value <= enough)
@@ -204,24 +202,31 @@ def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
     return capsules
 
 
-def _with_one_more(capsules: Array, surface: Array, around: Array, inside: Array) -> Iterator[tuple[Array, float]]:
-    """Capsules and their objective after the first steps: the one that is most wrong in two, along each of the
-    principal axes of what it covers."""
-    wrong = np.zeros(len(capsules))
+def _with_one_more(capsules: Array, surface: Array, around: Array, inside: Array) -> Array | None:
+    """The capsules with two in the place of the one that is most wrong: what it covers is cut across its principal axes
+    where that seems best, by what two capsules of its own points come to. None: it covers too little."""
+    wrong, own = np.zeros(len(capsules)), []
     for points, sign, factor in ((surface, 1.0, WEIGHTS[-1]), (around, -1.0, 1.0)):
         from_each = from_capsules(capsules, points)[0]
-        squares = np.maximum(sign * from_each.min(axis=1), 0.0) ** 2
-        wrong += factor / max(len(points), 1) * np.bincount(from_each.argmin(axis=1), squares, len(capsules))
+        nearest, squares = from_each.argmin(axis=1), np.maximum(sign * from_each.min(axis=1), 0.0) ** 2
+        wrong += factor / max(len(points), 1) * np.bincount(nearest, squares, len(capsules))
+        own.append(nearest)
     worst = int(wrong.argmax())
-    own = inside[from_capsules(capsules, inside)[0].argmin(axis=1) == worst]
-    if len(own) < 8:
-        return
-    for axis in _like(own)[1]:
-        side = (own - own.mean(axis=0)) @ axis > 0.0
-        if 3 < side.sum() < len(own) - 3:
-            halves = np.stack([_like(own[side])[0], _like(own[~side])[0]])
-            more = np.concatenate([np.delete(capsules, worst, axis=0), halves])
-            yield _fitted(more, surface, around, WEIGHTS[1], steps=STEPS * 2 // 3)
+    surface, around = surface[own[0] == worst], around[own[1] == worst]
+    inside = inside[from_capsules(capsules, inside)[0].argmin(axis=1) == worst]
+    if len(inside) < 8 or not len(surface):
+        return None
+    fits = []
+    for axis in _like(inside)[1]:
+        along = inside @ axis
+        for part in CUTS:
+            side = along < along.min() + part * np.ptp(along)
+            if 3 < side.sum() < len(inside) - 3:
+                two = np.stack([_like(inside[side])[0], _like(inside[~side])[0]])
+                fits.append(_fitted(two, surface, around, WEIGHTS[1], FEWER))
+    if not fits:
+        return None
+    return np.concatenate([np.delete(capsules, worst, axis=0), min(fits, key=lambda fit: fit[1])[0]])
 
 
 # -- boxes -------------------------------------------------------------------------------------------------------------

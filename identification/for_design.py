@@ -104,8 +104,6 @@ class ArmModel(Model):
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
         chain = self.arm.chain
-        if chain.planar:
-            return self
         tools = {name: place + offset for name, place in chain.tools.items()}
         return replace(self, arm=replace(self.arm, chain=replace(chain, tools=tools)))
 

@@ -60,7 +60,7 @@ class ModelTable(StrictTable):
 
     def _described(self, arm: Arm, calibration: dict[str, Any] | None) -> Arm:
         """The arm with these effects and this calibration, as its file would say it."""
-        arm = arm if arm.chain.planar else replace(arm, chain=with_points(arm.chain))
+        arm = replace(arm, chain=with_points(arm.chain))
         bare = replace(arm, effects=arm.effects if self.effects is None else (), calibration=None)
         more = {"effects": self.effects, "calibration": calibration}
         tables = tomllib.loads(dump_arm(bare)) | {key: value for key, value in more.items() if value is not None}

@@ -60,7 +60,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     """
     if "base" in words:
         arm = with_base(arm)
-    if not arm.chain.planar and measurements is not None:
+    if measurements is not None:
         arm = replace(arm, chain=with_markers(arm.chain, measurements))
     model = Model(arm)
     effects, available, chosen = {effect.key: effect for effect in model.effects}, {*model.names}, set[str]()
@@ -186,12 +186,10 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
 
 def same_drawing(calibrated: Arm, arm: Arm) -> bool:
     """Whether the errors of two arms mean the same things: equal lengths, joints and frames."""
-    same = calibrated.links == arm.links and (calibrated.chain.planar) == (arm.chain.planar)
-    same = same and calibrated.joint_types == arm.joint_types and np.allclose(calibrated.lengths, arm.lengths)
-    if same and not calibrated.chain.planar and not arm.chain.planar:
-        pairs = zip(calibrated.chain.joints, arm.chain.joints, strict=True)
-        same = all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
-    return bool(same)
+    one, other = calibrated.chain, arm.chain
+    same = type(one) is type(other) and one.joint_types == other.joint_types and np.allclose(one.lengths, other.lengths)
+    pairs = zip(one.joints, other.joints, strict=True) if same else ()
+    return bool(same) and all(np.allclose(a.origin, b.origin) and np.allclose(a.axis, b.axis) for a, b in pairs)
 
 
 # -- another set-up ----------------------------------------------------------------------------------------------------

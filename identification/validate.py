@@ -247,7 +247,7 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
         yield f"{seen}: RMS there {familiar}, elsewhere {elsewhere}"
     tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
     fresh = [name for name in names if name not in tools]
-    if not arm.chain.planar and refit != "none":  # measured points that the calibration does not have are fitted
+    if refit != "none":  # measured points that the calibration does not have are fitted
         if not names and len(tools) > 1:
             several = "where they are of several, name them in the column marker"
             alone = "the rows are taken as of one reflector, whose position was fitted to them"
@@ -399,14 +399,14 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
     chain, names = arm.chain, measurements.marker_names
     if refit == "none":
         # of one point it is that which is measured, whatever the data call it
-        if not planar and not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
+        if not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
             fault = "no column marker, and the arm has several measured points" if not names else ""
             fresh = [repr(name) for name in names if name not in chain.tools]
             fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
             if fault:
                 allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
                 raise InputError(f"measurements.marker: {fault}, {allowed}")
-        model = Model(arm if planar else replace(arm, chain=with_markers(chain, measurements)))
+        model = Model(replace(arm, chain=with_markers(chain, measurements)))
     else:
         chain = chain if planar else replace(one_unnamed(chain, measurements), settled=frozenset())
         model = placed_model(Model(replace(arm, chain=chain)), measurements)

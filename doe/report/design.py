@@ -13,7 +13,7 @@ import numpy as np
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
 from doe.plan.spacing import distance_to_keep
-from doe.problem.clearance import COLLISIONS
+from doe.problem.clearance import COLLISIONS, Clearance, distance_in_words
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
@@ -213,21 +213,28 @@ def plan_section(
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    lead = lead if arm.chain.planar or arm.cell is not None else f"{lead} {COLLISIONS}".strip()
+    problem, postures = DesignProblem.of(Model(arm)), plan.measured.postures
+    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
+    near = [line for clearance in looked for line in clearance.in_words(postures)]
+    near = near if looked or arm.chain.planar else [COLLISIONS]
     title = f"The plan {name}".rstrip()
-    if (steps := plan_steps(arm, plan, Path(name or "plan.csv").stem, tests)) is not None:
-        return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip()], steps)])
-    sentence = f"{lead} {len(plan.measured)} runs, too many or weighted: drawn only."
-    return Section(title, [Pictures(lambda: [sentence.strip(), plan_figure(arm, plan.measured.postures)])])
+    if (steps := plan_steps(problem, plan, Path(name or "plan.csv").stem, tests)) is not None:
+        short = [
+            line.replace("each other:", "each other; step to a run to see which.") for line in near if line[0] != " "
+        ]
+        return Section(title, [PlanSteps(lambda: [f"{lead} {STEPS}".strip(), *short], steps)])
+    sentence = f"{lead} {len(postures)} runs, too many or weighted: drawn only.".strip()
+    return Section(title, [Pictures(lambda: [sentence, *near, plan_figure(arm, postures)])])
 
 
 def plan_steps(
-    arm: Arm, plan: Plan, name: str = "plan", tests: Mapping[str, Any] = MappingProxyType({})
+    problem: DesignProblem, plan: Plan, name: str = "plan", tests: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any] | None:
     """What page.js computes log det M' of edited plans from, as `armcal score` does: lines to draw, cells for the file,
-    of which an edited plan keeps all columns, Jacobians to 12 digits. None for a plan too long for it, or of weights.
+    of which an edited plan keeps all columns, Jacobians to 12 digits, and which bodies are too near to each other. None
+    for a plan too long for it, or of weights.
 
-    name : of the edited file, without its ending
+    problem : of an arm;  name : of the edited file, without its ending
     """
     from doe.report.figures import FORBIDDEN, outlines
     from doe.report.scene import scene
@@ -239,14 +246,19 @@ def plan_steps(
     # way-points belong to the move to the run after them, and are kept as long as the run before it stays the same
     ends = [-1, *np.flatnonzero(np.ones(len(plan), dtype=bool) if plan.via is None else ~plan.via)]
     ways = [range(start + 1, end) for start, end in pairwise(ends)]
-    via = [plan.postures[list(way)].tolist() for way in ways]
+    via, shown = ([postures[list(way)] for way in ways] for postures in (plan.postures, plan.displayed))
     texts = [*zip(*plan.cells.values(), strict=True)]
-    problem, plan = DesignProblem.of(Model(arm)), plan.measured
+    plan = plan.measured
     numbers = len(plan) * problem.model.dimension * problem.parameters
     # more runs than a person steps through, or too many numbers of the Jacobians, some 12 characters each
     if plan.weights is not None or len(plan) > 200 or numbers > 150_000:
         return None
-    cells = plan.cells
+    model: Any = problem.model
+    arm, cells = model.arm, plan.cells
+    near: list[list[dict[str, Any]]] = [[] for _ in range(len(plan))]
+    for clearance in (each for each in problem.constraints if isinstance(each, Clearance)):
+        for run, pair, gap in clearance.too_near(plan.postures):
+            near[run - 1].append({"bodies": pair, "text": distance_in_words(pair, gap)})
     if not cells:
         columns = zip(plan.units, plan.displayed.T, strict=True)
         cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
@@ -255,16 +267,17 @@ def plan_steps(
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
+        "via": [rounded(each, 6) for each in shown],
         "ways": [[texts[row] for row in way] for way in ways],
         "joints": posture_headings(plan),
         "postures": rounded(plan.displayed, 6),
         "jacobians": rounded(problem.scaled_jacobians(plan.postures).reshape(len(plan), -1), 12),
         "parameters": problem.parameters,
         "known": rounded(problem.precisions, 12),
-        "points": rounded(Model(arm).points(plan.postures), 5),
+        "points": rounded(model.points(plan.postures), 5),
+        "near": near,
         "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
     }
-    model: Any = problem.model
     return steps if arm.chain.planar else steps | {"scene": scene(model, plan.postures, via, tests)}
 
 

@@ -268,6 +268,8 @@ class Steps {
       facts["D-efficiency against the whole plan"] = efficiency.toFixed(4);
     } else facts["log det M'"] = "not every parameter can be identified";
     if (this.plan.joints.every(name => name.endsWith("[deg]"))) facts["joint travel"] = `${this.travel(kept).toFixed(1)} deg`;
+    const near = kept.filter(run => this.plan.near[run].length).length;
+    if (near) facts["runs with bodies too near"] = near;
     const moves = kept.filter((run, place) => place && !this.follows(place)).length;
     if (this.plan.scene && moves) facts["moves that are new, not looked at"] = moves;
     const said = JSON.stringify(facts);
@@ -282,12 +284,9 @@ class Steps {
 
   // sum over the moves of the largest joint travel
   travel(runs) {
-    let sum = 0;
-    for (let k = 1; k < runs.length; k++) {
-      const [from, to] = [runs[k - 1], runs[k]].map(run => this.plan.postures[run]);
-      sum += Math.max(...to.map((angle, j) => Math.abs(angle - from[j])));
-    }
-    return sum;
+    const stops = runs.flatMap((run, place) => [...(place && this.follows(place) ? this.plan.via[run] : []), this.plan.postures[run]]);
+    const moves = stops.slice(1).map((to, k) => Math.max(...to.map((angle, j) => Math.abs(angle - stops[k][j]))));
+    return moves.reduce((sum, move) => sum + move, 0);
   }
 
   list() {
@@ -301,7 +300,7 @@ class Steps {
       const struck = this.struck.has(run), current = place === this.at;
       const states = { role: "row", tabindex: current ? 0 : -1, "aria-selected": current };
       const row = element("tr", this.body, "", states);
-      row.className = (struck ? "struck" : "") + (current ? " current" : "");
+      row.className = (struck ? "struck" : "") + (current ? " current" : "") + (this.plan.near[run].length ? " near" : "");
       row.addEventListener("click", () => { row.focus(); this.at = place; this.show(); });
       const left = struck ? "struck out" : without(run);
       const figures = [place + 1, run + 1, ...this.plan.postures[run].map(angle => angle.toFixed(2)), left];
@@ -343,17 +342,23 @@ class Steps {
     const [x, y] = place(lines[current][0]);
     shape("rect", this.picture, { x: x - 5, y: y - 5, width: 10, height: 10, fill: "var(--ink)" });
     const struck = this.struck.has(current);
+    const near = this.plan.near[current];
     this.where.textContent = `Run ${current + 1}, place ${this.at + 1} of ${this.order.length}${struck ? ", struck out" : ""}`;
+    if (near.length) element("span", this.where, `: ${near.map(one => one.text).join("; ")}`, { class: "near" });
     this.striking.textContent = struck ? "Put back" : "Strike out";
     if (!this.cell) return;
-    this.cell.pose(this.plan.scene.postures[current], struck);
+    this.cell.pose(this.plan.scene.postures[current], struck, near.flatMap(one => one.bodies));
     this.cell.show(this.kept, current, this.way);
   }
 
   get csv() {
     const quoted = cell => (/[",\r\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell);
-    const rows = this.kept.flatMap((run, k) => [...(this.follows(k) ? this.plan.ways[run] : []), this.plan.rows[run]]);
-    const lines = [["run", ...this.plan.columns], ...rows.map((row, k) => [String(k + 1), ...row])];
+    const { columns, ways, rows } = this.plan;
+    const runs = this.kept.flatMap((run, k) => (this.follows(k)
+      ? [...ways[run].map(row => ["", ...row]), [String(k + 1), ...rows[run]]]
+      // how the joints come to it by another move, the file does not know
+      : [[String(k + 1), ...rows[run].map((cell, j) => (columns[j].startsWith("direction") ? "" : cell))]]));
+    const lines = [["run", ...columns], ...runs];
     const comment = this.plan.comment ? this.plan.comment + "\n" : "";
     return comment + lines.map(line => line.map(quoted).join(",") + "\n").join("");
   }

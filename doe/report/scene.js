@@ -4,6 +4,7 @@
 
 const UP = new THREE.Vector3(0, 0, 1), ALONG = new THREE.Vector3(0, 1, 0); // three.js builds what is long along y
 const FIELD = 30; // [deg] that is seen from top to bottom
+const PARTS = Array.from({ length: 33 }, (_, k) => k / 32); // of a move, at which its path is drawn
 const VIEW = { w: [0, 1], s: [0, -1], a: [1, 0], d: [-1, 0] };
 
 function matrix(rows) { return new THREE.Matrix4().set(...rows, 0, 0, 0, 1); }
@@ -89,6 +90,10 @@ class Cell {
     this.draw();
   }
 
+  skin(body, near = false) {
+    return this.color(near ? "--before" : body.joint ? "--link" : "--cell", THREE.MeshLambertMaterial, { side: THREE.DoubleSide });
+  }
+
   add(thing, parent = this.scene) {
     parent.add(thing);
     return thing;
@@ -112,9 +117,10 @@ class Cell {
     this.lamp = this.add(new THREE.DirectionalLight(0xffffff, 1.7));
     this.joints = this.chain.map(() => this.add(new THREE.Group())).concat(this.add(new THREE.Group()));
     for (const joint of this.joints) joint.matrixAutoUpdate = false;
+    this.meshes = [];
     for (const body of data.bodies) {
-      const skin = this.color(body.joint ? "--link" : "--cell", THREE.MeshLambertMaterial, { side: THREE.DoubleSide });
-      this.add(new THREE.Mesh(solid(body), skin), this.joints[body.joint]);
+      const mesh = this.add(new THREE.Mesh(solid(body), this.skin(body)), this.joints[body.joint]);
+      this.meshes.push({ body, mesh });
     }
     this.rod = new THREE.CylinderGeometry(1, 1, 1, 20);
     this.ball = new THREE.SphereGeometry(1, 24, 16);
@@ -169,22 +175,25 @@ class Cell {
   }
 
   // -- what is shown of the plan ---------------------------------------------------------------------------------------
-  // the arm at q; struck : whether in red
-  pose(q, struck = false) {
+  // the arm at q; in red struck: all of it, near: names of bodies, and of what is a line of sight
+  pose(q, struck = false, near = []) {
     const placed = jointFrames(this.chain, q), at = placed.map(originOf), tip = at[at.length - 1];
     this.joints.forEach((joint, j) => joint.matrix.copy(placed[j]));
     this.rods.forEach((rod, j) => rod && span(rod, at[j], at[j + 1], this.thick));
     this.reflector.position.copy(tip);
     this.sights.forEach((line, k) => through(line, [vector(this.data.trackers[k]), tip]));
-    if (struck === this.struck) this.draw();
-    else { this.struck = struck; this.paint(); }
+    for (const { body, mesh } of this.meshes) mesh.material = this.skin(body, near.includes(body.name));
+    for (const line of this.sights) line.material = this.color(near.includes("line of sight") ? "--before" : "--sight", THREE.LineBasicMaterial);
+    this.struck = struck;
+    this.paint();
   }
 
   // the runs that are kept, in order, and the way from the current one, as joint positions
   show(kept, current, way) {
     const others = kept.filter(run => run !== current).map(run => this.runs[run]);
     through(this.others, others.flatMap(line => line.slice(1).flatMap((point, k) => [line[k], point])));
-    through(this.path, way.map(q => originOf(jointFrames(this.chain, q).at(-1))));
+    const between = way.slice(1).flatMap((to, k) => PARTS.map(part => to.map((q, j) => way[k][j] + part * (q - way[k][j]))));
+    through(this.path, between.map(q => originOf(jointFrames(this.chain, q).at(-1))));
     this.dots.count = others.length;
     others.forEach((line, k) => this.dots.setMatrixAt(k, new THREE.Matrix4().makeScale(...Array(3).fill(0.007 * this.size)).setPosition(line.at(-1))));
     this.dots.instanceMatrix.needsUpdate = true;

@@ -30,7 +30,7 @@ FACES = [
 ARROWS = 500  # more only cover each other
 
 
-def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, Any]) -> dict[str, Any]:
+def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str, Any]) -> dict[str, Any]:
     """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
 
     model : of the arm, as `design_model` gives it;  via : of each posture the (v, n) way-points on the way to it
@@ -50,8 +50,10 @@ def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, A
             for step, move in zip(np.linalg.inv(before) @ frames, [*moves, {}], strict=True)
         ],
         "postures": np.asarray(postures).round(9).tolist(),
-        "via": via,
-        "bodies": [{"joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))],
+        "via": [each.tolist() for each in via],
+        "bodies": [
+            {"name": body.name, "joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))
+        ],
         "floor": None if model.cell is None else model.cell.floor,
         "trackers": [list(tracker) for tracker in trackers(model.arm)],
         "view": side(model.arm),
@@ -140,7 +142,7 @@ def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
     name : of the measurements;  test : their `Validation`
     """
     arm, measured, residuals = test.arm, test.measurements, (test.nominal_residuals, test.residuals)
-    if residuals[0].shape[1] < len("xyz"):
+    if residuals[0].shape[1] < len("xyz") or not arm.chain.instrument.reads_positions:
         return []
     known = {**arm.chain.tools, **(arm.calibration.tools if arm.calibration is not None else {})}
     frames = design_model(Model(arm)).joint_frames(measured.postures)[:, -1]

@@ -202,7 +202,7 @@ def diagnosis_document(
         arm = diagnosis.extended_arm(diagnosis.named)
         values, doubted = corrected_values(arm, diagnosis.named.calibration), data["confirmed"] is False
         title = "Corrected values, not confirmed" if doubted else "Corrected values"
-        parts.append(corrected_section(title, values, not arm.chain.planar, folded=doubted))
+        parts.append(corrected_section(title, values, folded=doubted))
         parts.append(Section("Signed error against each joint", pictures_of(diagnosis, "signed_of")))
     parts += curve_sections(data, diagnosis)
     if diagnosis is not None:

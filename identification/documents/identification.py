@@ -147,7 +147,7 @@ def identification_document(
     dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
     if full:
         strict = [] if space is None else space.strict_table
-        sections = [corrected_section("Corrected values", rows, space is not None, *strict)]
+        sections = [corrected_section("Corrected values", rows, *strict)]
     else:
         sections = dh_sections(dh, data.get("dh_places", ())) or [in_short(rows, minimal=not hidden)]
     left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
@@ -207,9 +207,7 @@ def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
 
 
 # -- corrected values --------------------------------------------------------------------------------------------------
-def corrected_section(
-    title: str, rows: Sequence[CorrectedValue], spatial: bool, *remarks: str, folded: bool = False
-) -> Section:
+def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str, folded: bool = False) -> Section:
     """The corrected values to enter in the controller, and what they mean to it: which are added to zeros, which belong
     together, and which the measurements do not determine."""
     lines = []
@@ -218,7 +216,7 @@ def corrected_section(
     if any(row.parameter == "base_offset.x0" for row in rows):
         typed = "type them into the controller only if the measurements are in the controller's own frame"
         lines.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
-    if spatial:
+    if any(row.name.startswith("joint ") for row in rows):
         lines += [
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
             "These values belong together: enter all of them.",

@@ -233,7 +233,8 @@ def draw_workspace(
 ) -> list[list[Axes]]:
     """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
     arrow is an eighth of the reach; and where a planar arm stands."""
-    dimension, values = pairs[0][0].shape[1], Model(arm).best_known if arm.chain.planar else {}
+    dimension, values = pairs[0][0].shape[1], Model(arm).best_known
+    stand = [values.get(name, 0.0) for name in arm.chain.base_shift if arm.chain.planar]
     views = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)]  # from above, in space from the side too
     grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
@@ -252,8 +253,7 @@ def draw_workspace(
             axis.update_datalim(np.column_stack([x + along, y + upward]))  # whole arrows
             axis.autoscale_view()
             axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
-            if arm.chain.planar:
-                axis.plot(values.get("base_offset.x0", 0.0), values.get("base_offset.y0", 0.0), "ks", ms=5)
+            axis.plot(*(stand or ([], [])), "ks", ms=5)
     return [list(column) for column in grid.T]
 
 

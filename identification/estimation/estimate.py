@@ -96,7 +96,7 @@ def estimate(
         problem = replace(problem, tolerance=useful)
     fit = _identification(problem, measurements, chosen, solution, decomposed, decomposed.rank)
     arm = getattr(model, "arm", None)
-    if arm is None or arm.chain.planar or (filed := arm.calibration) is None or len(measurements.session_names) > 1:
+    if arm is None or (filed := arm.calibration) is None or len(measurements.session_names) > 1:
         return fit
     stands = BASE in arm.chain.settled or filed.base is not None
     if not stands or not (TOOL in arm.chain.settled or {*filed.tools} >= {*arm.chain.tools}):
@@ -259,7 +259,7 @@ def _identification(
     outlier = unexplained & ~structure
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
     arm, status = getattr(model, "arm", None), solution.status[0]
-    stands = arm is None or arm.chain.planar or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
+    stands = arm is None or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
     status = Status.not_identifiable if told.combinations else status
     return Identification(
         model=model,

@@ -404,7 +404,7 @@ def _quantities(model: Model, values: Values, names: Collection[str]) -> Iterato
             yield f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link", UNBOUNDED
     # what each joint adds to what is read, as the controller counts: of coupled joints what both add
     shares, zeros = np.eye(arm.links) if arm.counting is None else arm.counting.matrix, list[Quantity]()
-    turned = chain.planar and any(spec.name == "base_offset" for spec in arm.effects)
+    turned = any(spec.name == "base_offset" for spec in arm.effects)
     for j, kind in enumerate(arm.joint_types, start=1):
         p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
         slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
@@ -415,7 +415,7 @@ def _quantities(model: Model, values: Values, names: Collection[str]) -> Iterato
         convention = (
             ZERO.format(j=j) if j > 1 or not turned else f"zero of joint 1 with how the arm is turned, {STANDS}"
         )
-        if not chain.planar or alone not in chain.instrument.hidden(chain.base):
+        if alone not in chain.instrument.hidden(chain.base):
             zeros.append((f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, convention, UNBOUNDED))
     instrument = [
         (name, parameter, None, value, slopes, unit, convention, UNBOUNDED)

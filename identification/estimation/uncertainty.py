@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, chdtri, fdtrc, ndtri, pdtrc, stdtr, stdtrit
+from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, stdtrit
 
 from identification.arm import Calibration
 from identification.arrays import Array
@@ -256,21 +256,21 @@ def sandwich(
         return None
     factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
     # (p, G): what each group adds to the estimates
-    corrected = root @ (vectors @ (factors * scores)[:, :, None])[:, :, 0].T
+    corrected = root @ ((factors * scores)[:, None, :] @ vectors)[:, 0].T
     held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
     held = root @ held @ root.T
     freedom = np.full(len(root), np.inf)
-    every = (root @ np.moveaxis(vectors, 1, 0).reshape(root.shape[1], -1)).reshape(len(root), *leverages.shape)
+    every = (root @ vectors.reshape(-1, root.shape[1]).T).reshape(len(root), *leverages.shape)
     for k, turned in enumerate(every):
         # 2 E^2 / var of the variance |P^T e|^2 under white noise e of variance one, P^T P = diag(d) - W W^T:
         # d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a, which is V_g w_g with orthonormal V_g
         diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
         weights = leverages * factors * turned
         lengths = np.sum(weights**2, axis=1)
-        if min(vectors.shape[:2]) > 200:  # groups, and combinations: what two groups share through the fit is left out
+        if len(vectors) > 1000:  # groups: what two of them share through the fit changes t by less than its third digit
             squares = np.sum(lengths**2)
         else:
-            inner = (vectors @ weights[:, :, None])[:, :, 0]
+            inner = (weights[:, None, :] @ vectors)[:, 0]
             squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))
         first = diagonal.sum() - lengths.sum() + max(held[k, k], 0.0)
         second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * lengths) + squares
@@ -279,17 +279,17 @@ def sandwich(
 
 
 def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> tuple[Array, Array, Array]:
-    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, r, k) V and (G, k) V^T Q_g^T r_g, zero where a
+    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, k, r) V^T and (G, k) V^T Q_g^T r_g, zero where a
     group has fewer than k directions;  groups as large as each other at a time."""
     d, r = columns.shape[1:]
     order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
     starts, shape = np.cumsum(counts) - counts, (len(counts), min(r, d * int(counts.max())))
-    values, vectors, scores = np.zeros(shape), np.zeros((len(counts), r, shape[1])), np.zeros(shape)
+    values, vectors, scores = np.zeros(shape), np.zeros((*shape, r)), np.zeros(shape)
     for size in np.unique(counts):
         of_size, k = np.flatnonzero(counts == size), min(r, d * int(size))
         rows = order[starts[of_size, None] + np.arange(size)]
         left, singular, right = np.linalg.svd(columns[rows].reshape(len(of_size), -1, r), full_matrices=False)
-        values[of_size, :k], vectors[of_size, :, :k] = singular**2, np.swapaxes(right, 1, 2)
+        values[of_size, :k], vectors[of_size, :k] = singular**2, right
         projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)
         scores[of_size, :k] = singular * projected[:, :, 0]
     return values, vectors, scores
@@ -408,13 +408,19 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
         for groups in groupings_of:
             sizes, wrong_in_group, x = np.bincount(groups), np.bincount(groups, wrong), 2
             while x <= wrong_in_group.max():
-                from scipy.stats import hypergeom  # deferred: a slow import, and few fits have outliers side by side
-
-                expected = np.sum(hypergeom.sf(x - 1, len(wrong), int(wrong.sum()), sizes))
+                few = np.arange(x)[:, None]
+                chances = log_choose(wrong.sum(), few) + log_choose(len(wrong) - wrong.sum(), sizes - few)
+                fewer = np.sum(np.exp(chances - log_choose(len(wrong), sizes)), axis=0)
+                expected = float(np.sum(np.maximum(1.0 - fewer, 0.0)))
                 crowds.append((pdtrc(np.sum(wrong_in_group >= x) - 1, expected), (wrong_in_group >= x)[groups]))
                 x = 2 * x - 1
         alike += [rows[to_rows] for p, rows in crowds if p <= 0.5 * CHANCE / len(crowds)]
     return np.any(alike, axis=0) & outlier
+
+
+def log_choose(many: ArrayLike, few: ArrayLike) -> Array:
+    """Log of the number of ways to choose a few of many, -inf where there is none."""
+    return np.asarray(gammaln(np.add(many, 1.0)) - gammaln(np.add(few, 1.0)) - gammaln(np.subtract(many, few) + 1.0))
 
 
 # -- means of rows that are not independent ----------------------------------------------------------------------------

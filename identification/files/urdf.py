@@ -105,12 +105,12 @@ class Urdf:
         pairs = set[frozenset[str]]()
         for link in solid & self.by_child.keys():
             above, moving = link, 0
-            while above in self.by_child and (above == link or above not in solid):
+            for _ in self.by_child:  # not forever in a circle
+                if above not in self.by_child or (above != link and above in solid):
+                    break
                 moving += self.by_child[above].get("type") != FIXED
                 above = self.link(self.by_child[above], "parent")
-                if moving > 1 or above == link:
-                    break
-            if moving <= 1 and above in solid:
+            if moving <= 1 and above in solid - {link}:
                 pairs.add(frozenset((link, above)))
         return frozenset(pairs)
 

@@ -306,13 +306,13 @@ def with_further_orders(library: Library, at: At, chosen: Sequence[Block]) -> Li
         for orders in np.array_split(ORDERS, 8):
             angles = q[:, None] * orders
             waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
-            x = rows.whiten(at.levers[:, :, j, None] * waves[:, None, :])
-            inside, scores = (basis.T @ x).reshape(basis.shape[1], -1, 2), (y @ x).reshape(-1, 2)  # y is off the basis
-            x = x.reshape(len(x), -1, 2)
-            gram = np.einsum("nki,nkj->kij", x, x) - np.einsum("nki,nkj->kij", inside, inside)
-            gram += (1e-9 * np.einsum("kii->k", gram)[:, None, None] + 1e-300) * np.eye(2)
+            x = np.ascontiguousarray(rows.whiten(at.levers[:, :, j, None] * waves[:, None, :]).T)
+            inside, scores = (x @ basis).reshape(len(orders), 2, -1), (x @ y).reshape(-1, 2)  # y is off the basis
+            x = x.reshape(len(orders), 2, -1)
+            gram = x @ x.transpose(0, 2, 1) - inside @ inside.transpose(0, 2, 1)
+            gram += (1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(2)
             solved = np.linalg.solve(gram, scores[:, :, None])[:, :, 0]
-            gains.append(np.einsum("ki,ki->k", scores, solved) / max(y @ y, 1e-300))
+            gains.append(np.sum(scores * solved, axis=1) / max(y @ y, 1e-300))
         shares, freedom = np.concatenate(gains), len(y) - basis.shape[1]
         best = int(np.argmax(np.round(shares, 12)))
         # convention: log likelihood ratio below which a wave of further order is not added
@@ -540,13 +540,13 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
     parts = [slice(*ends) for ends in pairwise(np.cumsum([0, *(c.shape[2] for c in columns)]))]
-    white, target = rows.whiten(np.concatenate(columns, axis=2)), rows.whiten(y)
+    white, target = np.concatenate([rows.whiten(c).T for c in columns]), rows.whiten(y)  # (P, N): blocks stay together
     u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
-    inside, gram = u.T @ white, white.T @ white
+    inside, gram = (white @ u).T, white @ white.T
     squares = np.diag(gram).copy()
     gram -= inside.T @ inside
     left = target - u @ (u.T @ target)
-    right = left @ white
+    right = white @ left
     every = [_root(gram[p, p], float(np.sum(squares[p])), b) for p, b in zip(parts, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]

@@ -263,7 +263,7 @@ def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[dict[str, Any], ..
         waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), 1, -1)
         moved = rows.whiten(fitted.levers[:, :, effect.joint_index, None] * waves)
         rest = np.setdiff1d(np.arange(len(gram)), [model.names.index(p.name) for p in effect.parameters])
-        across = moved.T @ base[:, rest]
+        across = (moved.T @ base)[:, rest]
         left = moved.T @ moved - across @ product_inverse(gram[np.ix_(rest, rest)]) @ across.T
         if likenesses(left, list(np.arange(len(left)).reshape(-1, 2)))[0, 1:].max() >= NEAR:
             apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation

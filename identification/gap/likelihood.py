@@ -90,7 +90,7 @@ class Products:
 
     def state(self, pairs: Sequence[tuple[int, int]] = ()) -> State:
         """The set of these blocks with the numbers of their sizes."""
-        return State(self, tuple(sorted(pairs)))
+        return State(self, tuple(pairs))
 
     def beside(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
@@ -146,15 +146,22 @@ def mixed(states: Sequence[State], shares: Sequence[float]) -> tuple[Array, Arra
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A set of blocks with their sizes, and k columns.
+    """A set of blocks with their sizes, and k columns, those of one block after the other.
 
-    larger : the set that this one is without one of its blocks;  given : `within`, where it is known
+    pairs : the blocks, in any order, with the numbers of their sizes
+    larger : the set that this one is without one of its blocks
+    given : where they are known `inner` and `within`
     """
 
     products: Products
-    key: Key
+    pairs: Key
     larger: State | None = None
-    given: tuple[Array, ...] | None = None
+    given: tuple[Array, tuple[Array, ...]] | None = None
+
+    @cached_property
+    def key(self) -> Key:
+        """Its blocks, ascending, with the numbers of their sizes."""
+        return tuple(sorted(self.pairs))
 
     @cached_property
     def blocks(self) -> tuple[int, ...]:
@@ -162,14 +169,19 @@ class State:
         return tuple(block for block, _ in self.key)
 
     @cached_property
+    def _own(self) -> list[int]:
+        """Numbers of the blocks in the order of the columns."""
+        return [block for block, _ in self.pairs]
+
+    @cached_property
     def places(self) -> Index:
-        """(k,) of its columns among all, ascending."""
-        return self.products.places(self.blocks)
+        """(k,) of its columns among all."""
+        return self.products.places(self._own)
 
     @cached_property
     def sizes(self) -> Array:
         """(k,) s of the columns."""
-        return np.repeat(SIZES[[size for _, size in self.key]], self.products.widths[[*self.blocks]])
+        return np.repeat(SIZES[[size for _, size in self.pairs]], self.products.widths[self._own])
 
     @cached_property
     def rows(self) -> Array:
@@ -177,11 +189,19 @@ class State:
         return self.products.gram[self.places]
 
     @cached_property
+    def inner(self) -> Array:
+        """(k, k) G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
+        if self.given is not None:
+            return self.given[0]
+        if self.larger is not None:
+            out = self._more[0]
+            return np.delete(np.delete(self.larger.inner, out, axis=0), out, axis=1)
+        return self.rows[:, self.places] + np.diag(self.sizes**-2.0)
+
+    @cached_property
     def _factor(self) -> Array:
-        """(k, k) lower Cholesky factor of G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
-        inner = self.products.gram[np.ix_(self.places, self.places)]
-        inner[np.diag_indices(len(inner))] += self.sizes**-2.0
-        return lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0] if self.key else inner
+        """(k, k) lower Cholesky factor of `inner`."""
+        return lapack.dpotrf(self.inner.T, lower=1, clean=1)[0] if self.pairs else self.inner
 
     def solve(self, table: Array) -> Array:
         """(k, n) of the coefficients' covariance, for unit sigma, times a table (k, n)."""
@@ -190,7 +210,7 @@ class State:
     @cached_property
     def covariance(self) -> Array:
         """(k, k) of its coefficients, for unit sigma."""
-        half = lapack.dpotri(self._factor, lower=1)[0] if self.key else self._factor
+        half = lapack.dpotri(self._factor, lower=1)[0] if self.pairs else self._factor
         return np.asarray(half + np.tril(half, -1).T)
 
     @cached_property
@@ -199,19 +219,28 @@ class State:
         return self.solve(self.products.right[self.places][:, None])[:, 0]
 
     @cached_property
-    def _more(self) -> tuple[Array, Array, Array]:
-        """Of the larger set's block with w columns its mean (w,), by what V is larger in its coefficients (w, w), and
-        (w, P) how they take up a unit of each column."""
+    def _more(self) -> tuple[slice, Array, Array, Array]:
+        """Of the larger set's block with w columns their places there, their mean (w,), by what V is larger in its
+        coefficients (w, w), and (w, P) how they take up a unit of each column."""
         assert self.larger is not None
-        out = ~np.isin(self.larger.places, self.places)
-        part = self.larger.solve(np.eye(len(out))[:, out]).T
-        return self.larger.mean[out], np.asarray(np.linalg.inv(part[:, out])), part @ self.larger.rows
+        (block,) = {*self.larger.blocks} - {*self.blocks}
+        first = int(np.sum(self.products.widths[self.larger._own[: self.larger._own.index(block)]]))
+        out = slice(first, first + int(self.products.widths[block]))
+        part = self.larger.solve(np.eye(len(self.larger.places))[:, out]).T
+        return out, self.larger.mean[out], np.asarray(np.linalg.inv(part[:, out])), part @ self.larger.rows
+
+    def left(self, columns: Index) -> Array:
+        """(w, P) of V."""
+        if self.larger is not None:
+            *_, inner, taken = self._more
+            return np.asarray(self.larger.left(columns) + taken[:, columns].T @ inner @ taken)
+        return np.asarray(self.products.gram[columns] - self.solve(self.rows[:, columns]).T @ self.rows)
 
     @cached_property
     def squares(self) -> float:
         """R, not below rounding."""
         if self.larger is not None:
-            mean, inner, _ = self._more
+            _, mean, inner, _ = self._more
             return self.larger.squares + float(mean @ inner @ mean)
         whole = self.products.squares
         return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
@@ -220,7 +249,7 @@ class State:
     def scores(self) -> Array:
         """(P,) V's counterpart of c."""
         if self.larger is not None:
-            mean, inner, taken = self._more
+            _, mean, inner, taken = self._more
             return np.asarray(self.larger.scores + (inner @ mean) @ taken)
         return np.asarray(self.products.right - self.mean @ self.rows)
 
@@ -228,9 +257,9 @@ class State:
     def within(self) -> tuple[Array, ...]:
         """Of each group of `Products.alike` the blocks' own parts of V."""
         if self.given is not None:
-            return self.given
+            return self.given[1]
         if self.larger is not None:
-            _, inner, taken = self._more
+            *_, inner, taken = self._more
             return self._changed(self.larger.within, taken, inner @ taken)
         own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
         return self._changed(own, self.rows, -self.solve(self.rows))
@@ -255,7 +284,7 @@ class State:
     @property
     def signed(self) -> float:
         """Log of the factor by which the signs that physics allows make the set likelier."""
-        signs = np.repeat(self.products.signs[[*self.blocks]], self.products.widths[[*self.blocks]])
+        signs = np.repeat(self.products.signs[self._own], self.products.widths[self._own])
         spread = np.diag(self.solve(np.eye(len(signs))[:, signs])[signs])
         deviations = np.sqrt(np.maximum(spread * self.variance, 1e-300))
         return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / deviations)))
@@ -264,15 +293,15 @@ class State:
         """The set without one of its blocks; None: itself."""
         if block is None:
             return self
-        return State(self.products, tuple(pair for pair in self.key if pair[0] != block), self)
+        return State(self.products, tuple(pair for pair in self.pairs if pair[0] != block), self)
 
     def beside(self, pair: tuple[int, int] | None) -> State:
-        """The set with a further block of the size with this number, None: without; computed anew but for `within`."""
+        """The set with a further block of the size with this number, None: without."""
         if pair is None:
-            return State(self.products, self.key, given=self.within)
-        products, (block, size) = self.products, pair
-        own = products.places([block])
-        left = products.gram[own] - self.solve(self.rows[:, own]).T @ self.rows  # (w, P) of V
-        inner = left[:, own] + SIZES[size] ** -2.0 * np.eye(len(own))
-        given = self._changed(self.within, left, -np.linalg.solve(inner, left))
-        return State(products, tuple(sorted((*self.key, pair))), given=given)
+            return State(self.products, self.pairs, None, (self.inner, self.within))
+        own, weight = self.products.places([pair[0]]), SIZES[pair[1]] ** -2.0
+        left, rows, ridge = self.left(own), self.products.gram[own], weight * np.eye(len(own))
+        across = rows[:, self.places]
+        inner = np.block([[self.inner, across.T], [across, rows[:, own] + ridge]])
+        within = self._changed(self.within, left, -np.linalg.solve(left[:, own] + ridge, left))
+        return State(self.products, (*self.pairs, pair), None, (inner, within))

@@ -29,7 +29,7 @@ from identification.estimation import Identification
 from identification.estimation.doubts import only_rounding
 from identification.estimation.uncertainty import LEVEL, lack_of_fit, pure_error
 from identification.gap.fit import At, Rows
-from identification.information import column_space
+from identification.gap.likelihood import orthonormal
 from identification.measurements import POINT, Measurements
 
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
@@ -104,8 +104,7 @@ def log_likelihoods(models: Sequence[NoiseModel], left: Array, columns: Array) -
     """(K,) of covariances, see above, up to a constant;  left : (m, d) residuals [mm];  columns : (m, d, p) of all free
     parameters"""
     tall = columns.reshape(left.size, -1)
-    basis = column_space(tall, np.maximum(np.linalg.norm(tall, axis=0), 1e-300))
-    table = np.concatenate([basis, left.reshape(-1, 1)], axis=1).reshape(*left.shape, -1)
+    table = np.concatenate([tall @ orthonormal(tall.T @ tall), left.reshape(-1, 1)], axis=1).reshape(*left.shape, -1)
     costs = []
     for model in models:
         white = model.rows.whiten(table)

@@ -99,10 +99,10 @@ class Search:
         """Numbers of the sizes of the blocks that count, and the other blocks."""
         return [s for b, s in state.key if self.counted[b]], [b for b in state.blocks if not self.counted[b]]
 
-    def climb(self, start: Sequence[int] = ()) -> State:
+    def climb(self, start: State | None = None) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
         nothing, others = self.products.state(), self.plain
-        tops = [nothing, self._up(self.products.state([(block, 2) for block in start]), others)]
+        tops = [start if start is not None and start.pairs else self._up(nothing, others), nothing]
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
@@ -111,7 +111,7 @@ class Search:
                 pair = single if best is None else single.beside(best)
                 tops += [single, self._up(pair, others & False)]  # its sizes alone
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
-        return self._up(self._up(self._up(top, others), others), others | True)
+        return self._up(self._up(top, others), others | True)
 
     def _up(self, state: State, allowed: NDArray[np.bool_]) -> State:
         """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each.
@@ -154,7 +154,8 @@ class Search:
     def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
         """The sets that matter, likeliest first, and how often each was drawn, from a set to start from."""
         thin = 1 + len(top.places) // 64  # effort: moves for each draw, with the columns of the set
-        state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
+        state, steps, visits = top, dict[Key, Array](), Counter[Key]()
+        draws, odds = Counter[Key](), dict[Key, float]()
         for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
             left = state.without(state.blocks[taken] if taken < len(state.key) else None)
@@ -172,9 +173,10 @@ class Search:
                 state = left.beside(pair)
             if move % thin == 0:
                 draws[key] += 1
-        return self._counted_up(visits, steps, draws), draws
+                odds[key] = self.log_odds(state)
+        return self._counted_up(visits, steps, odds), draws
 
-    def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], draws: Counter[Key]) -> list[Weighed]:
+    def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], draws: dict[Key, float]) -> list[Weighed]:
         """The sets, from the probabilities with which each was drawn."""
         total: defaultdict[tuple[int, ...], defaultdict[tuple[int, ...], float]]
         total = defaultdict(lambda: defaultdict(float))
@@ -188,8 +190,7 @@ class Search:
                 total[(*blocks[:at], block, *blocks[at:])][(*sizes[:at], size, *sizes[at:])] += float(shares[k])
         # these draws have these odds together, and this share of the probability: of a single one, its frequency
         share = sum(total[tuple(b for b, _ in key)][tuple(s for _, s in key)] for key in draws)
-        odds = [self.log_odds(self.products.state(key)) for key in draws]
-        evidence = float(logsumexp(odds) - np.log(max(share, 1.0 / visits.total())))
+        evidence = float(logsumexp([*draws.values()]) - np.log(max(share, 1.0 / visits.total())))
         listed = [(sum(of_sizes.values()), blocks, of_sizes) for blocks, of_sizes in total.items()]
         ordered = [one for one in sorted(listed, key=lambda one: (-one[0], one[1])) if one[0] > LEAST]
         likeliest = [max(of_sizes, key=lambda s: (of_sizes[s], s)) for _, _, of_sizes in ordered]
@@ -304,7 +305,7 @@ def posterior_of(
         problem = linearized(library, at.on(every[number].rows), wrong)
         search, before = Search(problem.products, problem.blocks), [*chosen]
         top = _same_set(problem, chosen)
-        top = top if names else search.climb(top.blocks)
+        top = top if names else search.climb(top)
         chosen = {problem.blocks[b].label: size for b, size in top.key}
         effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].effect is not None]
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
@@ -346,8 +347,7 @@ def posterior_of(
         return mixture
     tell("what an arm file can have")
     problem = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
-    start = sorted(problem.numbers[label] for label in chosen if label in problem.numbers)
-    top = Search(problem.products, problem.blocks).climb(start)
+    top = Search(problem.products, problem.blocks).climb(_same_set(problem, chosen))
     alone = [(every[number], *_walked(problem, top, generator), 0.0)]
     return replace(mixture, writable=_mixture(alone, problem, library, end))
 

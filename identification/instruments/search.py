@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from identification.arrays import Array
-from identification.kinematics.frames import from_quaternions, pose, turned
+from identification.kinematics.frames import from_quaternions, nearest_rotation, pose, turned
 
 if TYPE_CHECKING:
     from identification.instruments.base import Instrument
@@ -188,10 +188,8 @@ def registered(points: Array, measured: Array) -> Array:
     it is a turn about z."""
     d = measured.shape[1]
     center, target = points[:, :d].mean(axis=0), measured.mean(axis=0)
-    left, _, right = np.linalg.svd((measured - target).T @ (points[:, :d] - center))
-    left[:, -1] *= np.sign(np.linalg.det(left @ right))  # no mirror
     frame = np.eye(4)
-    frame[:d, :d] = left @ right
+    frame[:d, :d] = nearest_rotation((measured - target).T @ (points[:, :d] - center))
     frame[:d, 3] = target - frame[:d, :d] @ center
     return frame
 
@@ -217,9 +215,7 @@ def placed(rows: Unplaced) -> Placement:
         inverse = (axes * np.divide(1.0, values, out=np.zeros(3), where=values > 0.01**2)) @ axes.T
         squared, before = float(np.sum(p**2 + y**2)) / m, np.full(len(tools), np.inf)
         for _ in range(200):  # effort: turns of each start
-            left, _, right = np.linalg.svd(points + np.einsum("kij,sj->ski", turns, tools))
-            left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]  # no mirror
-            rotations = left @ right  # (s, 3, 3) best ones of the base for the tools (Kabsch)
+            rotations = nearest_rotation(points + np.einsum("kij,sj->ski", turns, tools))  # (s, 3, 3) of the base
             crossed = np.einsum("ski,kij->sj", rotations, turns)
             tools = (crossed - along) @ inverse
             # (s,) mean squared distances left [mm^2]

@@ -362,8 +362,8 @@ class KinematicChain(ByValue):
     # -- numbers -------------------------------------------------------------------------------------------------------
     def points(self, postures: Array, values: Array) -> Array:
         """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
-        points = _points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0]
-        return np.swapaxes(points, -1, -2)
+        frames = self._poses(self._named(values))(postures)
+        return np.delete(frames[..., :3, 3], -2, axis=-2)
 
     def joint_frames(self, values: Array) -> Callable[[Array], Array]:
         """What gives the frames (..., n + 1, 4, 4) [mm] at postures (..., n), in that of the base: each of a joint
@@ -392,21 +392,13 @@ class KinematicChain(ByValue):
             placed = compiled(postures)[0]
             frames = np.zeros((*placed.shape[:-2], len(self) + 3, 4, 4))
             frames[..., 3, 3] = 1.0
-            frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], -1, 4), -3, -2)
+            frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], len(self) + 3, 4), -3, -2)
             return frames
 
         return at
 
 
-# of a chain and values of its parameters; compiled once, used in every search
-@lru_cache(maxsize=32)
-def _points(chain: KinematicChain, values: tuple[float, ...]) -> Evaluate:
-    q = ca.SX.sym("q", len(chain))
-    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.array(values))))
-    return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
-
-
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)  # compiled once, used in every search
 def _frames(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
     q = ca.SX.sym("q", len(chain))
     placed = [ca.horzcat(frame.axes, frame.origin) for frame in chain._in_base(q, dict(values))]
@@ -488,6 +480,9 @@ class PlanarChain(KinematicChain):
     def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
         """n + 1 points (2,), since joint 1 is the base."""
         return [point[:2] for point in super().symbolic_points(q, values)[1:]]
+
+    def points(self, postures: Array, values: Array) -> Array:
+        return super().points(postures, values)[..., 1:, :2]
 
 
 def planar_chain(lengths: ArrayLike) -> KinematicChain:

@@ -144,10 +144,17 @@ def tool_tables(tools: Mapping[str, Array], axes: Mapping[str, Array]) -> dict[s
     return {n: pose_table(pose(place, axes[n])) if n in axes else point_table(place) for n, place in tools.items()}
 
 
+def nearest_rotation(matrices: Array) -> Array:
+    """(..., d, d) rotations, no mirrors, with the largest sums of products of entries with matrices (..., d, d): the
+    best for two clouds of points, of which the matrix is the product (Kabsch 1976)."""
+    left, _, right = np.linalg.svd(matrices)
+    left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return np.asarray(left @ right)
+
+
 def mean_rotation(rotations: Array) -> Array:
     """(3, 3) rotation with the smallest sum of squared differences of matrix entries from rotations (m, 3, 3)."""
-    left, _, right = np.linalg.svd(rotations.mean(axis=0))
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+    return nearest_rotation(rotations.mean(axis=0))
 
 
 def rotation_vector(rotation: ca.SX) -> ca.SX:

@@ -13,12 +13,10 @@ from hypothesis import strategies as st
 from doe.problem.problem import DesignProblem
 from identification import Plan, load_plan
 from identification.arm import Arm, Calibration
-from identification.compensate import compensate
 from identification.estimation import estimate
 from identification.estimation.doubts import outside_limits
 from identification.files.arm import dump_arm, load_arm
-from identification.files.csv import read_table
-from identification.files.measurement import commands_text, load_targets, measurement_text, read_postures
+from identification.files.measurement import load_targets, measurement_text
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting, JointKinds
 from identification.measurements import Measurements, load_measurements
@@ -128,24 +126,6 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
     found = load_plan(tmp_path / "plan.csv", arm.joint_types, conditions=True).conditions["directions"]
     np.testing.assert_array_equal(found, [[1.0, -1.0, 1.0]])
-
-
-def test_all_that_follows_is_the_same(tmp_path: Path, arm: Arm) -> None:
-    """Data written by the controller's counting, fitted and compensated, against the same arm without any: parameters
-    to rounding, and commands that differ by the counting alone."""
-    plain = replace(arm, counting=None, constraints=())
-    q = np.random.default_rng(7).uniform(-1.0, 1.0, (30, 3))
-    truth = replace(plain, calibration=Calibration.of([0.5, -0.4, 0.3], [0.0, 0.004, -0.003]))
-    data = simulate(truth, q, np.random.default_rng(8))
-    (tmp_path / "data.csv").write_text(measurement_text(data, arm.joint_types))
-    fits = [estimate(Model(arm), load_measurements(tmp_path / "data.csv", arm)), estimate(Model(plain), data)]
-    np.testing.assert_allclose(fits[0].parameters, fits[1].parameters, atol=1e-10)
-    found, usual = (compensate(fit.calibrated_arm(), postures=q[:5]) for fit in fits)
-    np.testing.assert_allclose(found.commands, usual.commands, atol=1e-9)
-    np.testing.assert_allclose(np.radians(found.commands_in_file_units), COUNTING.columns(usual.commands), atol=1e-9)
-    (tmp_path / "commands.csv").write_text(commands_text(found.commands, found.targets, found.errors, arm.joint_types))
-    written = read_postures(read_table(tmp_path / "commands.csv"))
-    np.testing.assert_allclose(written, COUNTING.columns(usual.commands), atol=1e-9)
 
 
 def test_corrected_zeros_are_the_controllers(arm: Arm) -> None:

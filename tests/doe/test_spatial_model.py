@@ -13,7 +13,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from doe.advise import advise
 from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.column_generation import continuous_design, relax
 from doe.bounds.planar_theorem import closed_form_bound
@@ -220,25 +219,6 @@ def test_continuous_optimum_and_bound() -> None:
 
 
 # -- what to measure, and how often ------------------------------------------------------------------------------------
-def test_expected_deviations_and_advice() -> None:
-    """Of plans from a list, whose search ends by itself: what a second finds depends on the machine."""
-    advice = advise(spatial(choices=candidates()), [6, 9], target=1.0)
-    assert advice.of_tip  # as most errors are held
-    names, scales = models()["small"][1].names, models()["small"][1].scales
-    listed = difference_jacobian(candidates()) * scales  # where the arm will work
-    for design in advice.designs:
-        jacobian = difference_jacobian(design.plan.postures).reshape(-1, 12) * scales
-        covariance = 0.1**2 * np.linalg.inv(jacobian.T @ jacobian)
-        expected = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(design.deviations.values, expected, rtol=1e-4)
-        of_tip = np.sqrt(np.einsum("mdp,pq,mdq->m", listed, covariance, listed).mean())
-        assert advice.accuracy(design) == pytest.approx(of_tip, rel=1e-4)
-        shown = design.to_json()["std"]["parameters"]
-        assert list(shown) == list(names)
-        for name, unit, factor in (("rotation_x:2", "deg", 180.0 / np.pi), ("tool[1].z", "mm", 1.0)):
-            assert shown[name] == [pytest.approx(factor * expected[names.index(name)], rel=1e-4), unit]
-        assert design.efficiency <= 1.0
-    assert advice.accuracy(advice.designs[1]) < advice.accuracy(advice.designs[0])
 
 
 def test_many_parameters() -> None:

@@ -73,7 +73,7 @@ def test_other_files(tmp_path_factory: pytest.TempPathFactory, kind: str, data: 
     refused_or_read(read, path, len(arm.kinds))
 
 
-@few(20)
+@few(15)
 @given(case=cases(QUICK))
 def test_quick_commands(tmp_path_factory: pytest.TempPathFactory, case: Case) -> None:
     """Each keeps every promise: see `judge`."""

@@ -37,7 +37,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
         ("len(rows) == 10", "len(rows) == 4"),
         ("repeats=1,", "repeats=1, starts=[10],"),
     ],
-    "5": [("arm, runs=30)", "arm, runs=30, starts=1)")],
+    "5": [("arm, runs=30)", "arm, runs=20, starts=1)"), ("shuffled, [150])", "shuffled, [120])")],
     "6": [
         ("range(4, 13)", "(4, 7, 8, 10, 12)"),
         ("{5: -0.28087, 6: -0.29680, 7: -0.19865, 9: -0.13103, 10: -0.14288}", "{7: -0.19865, 10: -0.14288}"),

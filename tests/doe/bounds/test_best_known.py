@@ -63,9 +63,7 @@ def test_one_link_without_a_joint_to_choose() -> None:
 
 
 @pytest.mark.parametrize(
-    "case",
-    [of(FOUR, ECCENTRICITY), of(FOUR), of(FOUR, choices=LIST)],
-    ids=["continuous", "proven", "list"],
+    "case", [of(FOUR, ECCENTRICITY), of(FOUR), of(FOUR, choices=LIST)], ids=["continuous", "proven", "list"]
 )
 def test_a_bound_whose_search_is_cut_holds_and_says_so(case: DesignProblem) -> None:
     """Stopped after its first pricing: above the bound of the whole search, by the equivalence theorem."""
@@ -90,6 +88,15 @@ def test_the_certificate_of_one_number_of_runs_holds_for_others(case: DesignProb
             plan = LIST[generator.integers(len(LIST), size=m)]
             rows = case.scaled_jacobians(np.concatenate([plan, KEPT])).reshape(-1, 10)
             assert case.criterion.value((rows.T @ rows + np.diag(case.precisions)) / (m + 3)) <= upper
+
+
+def test_bounds_of_several_runs_that_are_cut_hold_and_are_looser() -> None:
+    """One design is made, which bounds all numbers of runs."""
+    kept = of(FOUR, ECCENTRICITY, kept=LIST[:10])
+    whole, cut = bounds_of_runs(kept, [4, 20]), bounds_of_runs(kept, [4, 20], stop=lambda: True)
+    for m in (4, 20):
+        assert cut[m].cut
+        assert cut[m].value > whole[m].value
 
 
 def test_without_anything_known_there_is_one_bound() -> None:

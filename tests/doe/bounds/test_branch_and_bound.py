@@ -10,12 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.branch_and_bound import (
-    TrigonometricPolynomial,
-    maximum,
-    sensitivity_polynomial,
-    trigonometric_jacobian,
-)
+from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, sensitivity_polynomial, trigonometric_jacobian
 from identification.arm import Calibration, EffectSpec, Gravity
 from identification.arrays import Array
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem

@@ -87,8 +87,7 @@ EFFECTS = {
 
 
 @pytest.mark.parametrize(
-    ("name", "links"),
-    [("gear ratio", 3), *(pytest.param(name, 4, marks=pytest.mark.slow) for name in EFFECTS)],
+    ("name", "links"), [("gear ratio", 3), *(pytest.param(name, 4, marks=pytest.mark.slow) for name in EFFECTS)]
 )
 def test_effects_in_the_model(name: str, links: int) -> None:
     """No random posture violates the equivalence theorem, and a fine grid has nothing better."""

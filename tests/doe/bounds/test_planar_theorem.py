@@ -91,11 +91,7 @@ def test_log_det_does_not_depend_on_lengths_calibrated_or_not(errors: list[float
 
 def test_says_where_it_does_not_apply() -> None:
     fixed = EffectSpec("base_offset", values={"x0": 1.0, "y0": 2.0})
-    for case in (
-        problem(FOUR, ECCENTRICITY),
-        problem(FOUR, fixed),
-        problem(FOUR, kept=np.zeros((3, 4))),
-    ):
+    for case in (problem(FOUR, ECCENTRICITY), problem(FOUR, fixed), problem(FOUR, kept=np.zeros((3, 4)))):
         assert closed_form_bound(case) is None
         with pytest.raises(InputError, match="closed form"):
             closed_form_log_det(case)

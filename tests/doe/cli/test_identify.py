@@ -147,21 +147,6 @@ def test_commands_beside_readings(folder: Folder) -> None:
     np.testing.assert_allclose(np.subtract(others, commands), [[0.0, -0.03, 0.0, 0.0]], atol=1e-6)
 
 
-def test_what_is_not_named_stays_and_keeps_its_covariance(folder: Folder) -> None:
-    folder.simulated()
-    folder.said(f"{IDENTIFY} --out calibrated.toml")
-    line = "identify calibrated.toml data.csv --only joint_offset:2,lengths --only joint_offset:3"
-    found = folder.said(f"{line} --out again.toml")
-    assert found["only"] == ["joint_offset:2", "lengths", "joint_offset:3"]
-    names = [f"length_error:{j}" for j in (1, 2, 3, 4)] + ["joint_offset:2", "joint_offset:3"]
-    assert [row["name"] for row in found["parameters"]] == names
-    first, again = (tomllib.loads(folder.read(name))["calibration"] for name in ("calibrated.toml", "again.toml"))
-    assert again["joint_offsets_deg"][::3] == pytest.approx(first["joint_offsets_deg"][::3], abs=1e-12)
-    assert again["parameters"] == [*names, "joint_offset:1", "joint_offset:4"]
-    assert again["covariance"][-1][-1] == pytest.approx(first["covariance"][-1][-1])
-    assert "Estimated: joint_offset:2, lengths, joint_offset:3; the others" in folder.armcal(line).out
-
-
 def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
     """The range of two files is that of all their rows, a joint read a whole turn away included, also where one is the
     prior of the other; with nothing kept it is that of the new rows. `validate` then knows the old rows, and finds none

@@ -14,9 +14,8 @@ from unittest.mock import Mock
 import pytest
 
 from doe.cli.demo import next_free
-from doe.jobs import RowTable
 from tests.doe.cli.conftest import Folder, without_progress
-from tests.doe.faults import COMMANDS, STUDY, Command, Reference, content, prepare, start, verdict
+from tests.doe.faults import COMMANDS, Command, Reference, content, prepare, start, verdict
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
 STUDY_COMMAND = COMMANDS[0]
@@ -57,17 +56,6 @@ def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> Non
     assert process.wait() == 0
     process.communicate()
     assert content(SERIAL, folder) == reference.files
-
-
-def test_two_studies_on_one_folder(folder: Folder) -> None:
-    folder.write("study.toml", STUDY)
-    (folder.path / "study.results").mkdir()
-    with RowTable(folder.path / "study.results" / "blocks.parquet") as table:
-        table.add("1", [{"value": 1}])
-        for more, said in (("", "exists"), (" --resume", "another run is writing"), (" --force", "another run")):
-            folder.refused(f"study study.toml --workers 1{more}", said)
-        assert len(table.rows) == 1
-    assert [path.name for path in (folder.path / "study.results").iterdir()] == ["blocks.parquet"]
 
 
 def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:

@@ -24,7 +24,6 @@ from rich.console import Console
 from rich.progress import Progress as Bar
 
 from doe.cli import main
-from doe.cli.plans import written
 from doe.cli.verb import (
     FOLDER,
     FilePath,
@@ -147,14 +146,6 @@ def test_the_list_of_effects_and_one_of_them(folder: Folder) -> None:
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
-def test_files_are_written_once_and_replaced_by_force_only(tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    assert written({None: "text"}, force=False, what="plan") == []
-    assert written({path: "one", None: b""}, force=False, what="plan") == [f"plan written to {path}"]
-    with pytest.raises(InputError, match="exists"):
-        written({path: "two"}, force=False)
-    written({path: "two"}, force=True)
-    assert path.read_text() == "two"
 
 
 PATHS = [(verb, p) for verb in main.commands.values() for p in verb.params if isinstance(p.type, click.Path)]

@@ -34,7 +34,7 @@ from identification.arrays import Array
 from identification.gap.library_prior import library_prior
 from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
-from tests.doe.six_axis import SIX_AXIS, six_axis
+from tests.doe.six_axis import six_axis
 
 
 def fourier(runs: int, links: int) -> np.ndarray:
@@ -168,28 +168,6 @@ def tip_error(problem: DesignProblem, wide: DesignProblem, plan: Array, poses: A
     return TipErrors(problem, wide, tip_jacobians(wide, at)).of_plan(plan)
 
 
-def test_against_simulated_arms() -> None:
-    """1,000 arms of the prior, measured at the plan, fitted by the linear model without effects: least squares alone.
-
-    A mean square of one direction has the standard error sqrt(2 / 1000) = 4.5 %; four of them.
-    """
-    generator, count, wide = np.random.default_rng(1), 1000, Model(MISSING.arm)
-    sizes = wide.parameters.vector(MISSING.prior.deviations, default=0.0)
-    poses = workspace(PLAIN)[:100]
-    found = {}
-    for name, size in (("right", 0.0), ("missing", 1.0)):
-        truth = size * sizes * generator.standard_normal((count, len(sizes)))
-        clean = wide.position(POSTURES, truth) - wide.position(POSTURES, np.zeros(len(sizes)))
-        data = (clean + 0.1 * generator.standard_normal(clean.shape)).reshape(count, -1)
-        jacobian, at_poses = PLAIN.model.jacobian(POSTURES).reshape(-1, 4), PLAIN.model.jacobian(poses).reshape(-1, 4)
-        estimates = np.linalg.lstsq(jacobian, data.T, rcond=None)[0]
-        real = (wide.position(poses, truth) - wide.position(poses, np.zeros(len(sizes)))).reshape(count, -1)
-        found[name] = float(np.sum((at_poses @ estimates - real.T) ** 2) / count / len(poses))
-    expected = tip_error(PLAIN, WIDE, POSTURES, poses)
-    assert expected.right**2 == pytest.approx(found["right"], rel=4.0 * np.sqrt(2.0 / count))
-    assert expected.missing**2 == pytest.approx(found["missing"], rel=4.0 * np.sqrt(2.0 / count))
-
-
 def test_with_the_prior_it_is_criterion_i() -> None:
     poses = workspace(PLAIN)
     expected = -replace(WIDE, criterion=average_error(WIDE, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
@@ -251,20 +229,6 @@ def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
 def deviations(case: DesignProblem) -> Array:
     """(p,) of the prior [mm, rad], infinite where nothing is known."""
     return np.array([case.deviations.get(name, np.inf) for name in case.model.parameters.names])
-
-
-def test_several_points_are_a_mean_over_them() -> None:
-    """The posterior of all parameters written out: mean over points and poses of what it leaves of each point."""
-    chain = replace(SIX_AXIS.chain, tools={"a": np.array([60.0, 40.0, 100.0]), "b": np.array([-50.0, 20.0, 80.0])})
-    problem = six_axis(replace(SIX_AXIS, chain=chain))
-    wide = robust_problem(problem)
-    poses, plan = (np.random.default_rng(seed).uniform(-2.0, 2.0, (20, 6)) for seed in (4, 5))
-    rows, known = wide.scaled_jacobians(plan), np.diag(wide.precisions)
-    noise = wide.model.sigma
-    posterior = noise**2 * np.linalg.inv(np.einsum("mda,mdb->ab", rows, rows) + known)
-    points = wide.scaled_jacobians(poses).reshape(40, 3, -1)
-    expected = np.einsum("mda,ab,mdb->", points, posterior, points) / 40 + wide.beyond
-    assert tip_error(problem, wide, plan, poses).with_prior ** 2 == pytest.approx(expected, rel=1e-6)
 
 
 def test_what_no_name_has_is_counted_against_simulated_arms() -> None:

@@ -13,7 +13,6 @@ import pytest
 from doe.advise import advise
 from doe.bounds.column_generation import relax
 from doe.design import score_plan
-from doe.discrimination.design import EffectLibrary, MisidentificationBound, discrimination_design
 from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.accuracy import TipErrors
 from doe.problem.model import REQUIRED
@@ -100,20 +99,6 @@ def test_the_next_posture_tells_a_sine_from_one_with_a_slope() -> None:
     spread = 0.25 + np.einsum("kp,pq,kq->k", rows(FINE), covariances[0] * np.outer(scales[0], scales[0]), rows(FINE))
     np.testing.assert_allclose(rivals.noncentrality([])[1][1, 0], delta**2 / spread, rtol=1e-9)
     assert abs(FINE[chosen[0]]) > 0.5
-
-
-def test_a_plan_that_shows_the_slope_of_a_sine() -> None:
-    library = EffectLibrary(2, Sine(3), [np.eye(1)], np.ones(1))
-    problem = DesignProblem.of(Sine())
-    found = discrimination_design(problem, library, 8, loss=0.2, seed=0)
-    assert found.relative_efficiency >= 0.8
-    assert found.wrong < found.best_wrong
-    q = found.design.plan.postures[:, 0]
-    information = rows(q, 3).T @ rows(q, 3) / 8.0
-    cloud = np.random.default_rng(0).uniform(-1.0, 2.0, 512)
-    reference = rows(cloud, 3).T @ rows(cloud, 3) / 512.0
-    by_hand = MisidentificationBound(2, library.bases, library.weights, reference).wrong(information)
-    assert found.wrong == pytest.approx(float(by_hand), rel=1e-6)
 
 
 def test_a_member_that_is_missing_is_named() -> None:

@@ -23,6 +23,7 @@ from identification import Plan, design_model, load_plan
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
 from identification.document import Document
+from identification.instruments.library import Distance
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
@@ -41,7 +42,7 @@ ROWS = (
     (0.0, -TURN, 115.7),
     (0.0, 0.0, 92.2),
 )
-ELBOW = Body("upper arm", 2, np.array([[0.0, 0.0, 150.0, 612.0, 0.0, 150.0, 60.0]]))
+ELBOW = Body("upper arm", 2, np.array([[0.0, 0.0, 150.0, -612.0, 0.0, 150.0, 60.0]]))
 TABLE = Body("table", 0, boxes=np.array([[0.0, 0.0, -100.0, *np.eye(3).ravel(), 400.0, 400.0, 90.0]]))
 ARM = Arm(
     replace(chain_of([DHRow(*row) for row in ROWS]), tools={"1": np.array([60.0, 40.0, 100.0])}),
@@ -50,7 +51,8 @@ ARM = Arm(
     cell=Cell((ELBOW, TABLE), floor=-190.0),
 )
 SMALL = {"width": 400, "height": 600}  # pixels that software draws
-POSTURES = RANDOM.uniform(-1.2, 1.2, (14, 6))
+POSTURES = RANDOM.uniform(-1.2, 1.2, (14, 6)) * [1.0, 0.3, 1.0, 1.0, 1.0, 1.0] - [0.0, TURN, 0.0, 0.0, 0.0, 0.0]
+POSTURES[13, 1] = 0.5  # the upper arm in the table
 
 
 def round_body(around: int) -> np.ndarray:
@@ -137,9 +139,12 @@ def test_arrows_are_turned_into_the_frame_of_the_base(sessions: int) -> None:
         assert model["rms"] == pytest.approx(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
 
 
-def test_lengths_have_no_arrows() -> None:
-    measured = Measurements(POSTURES, np.full((len(POSTURES), 1), 900.0))
-    assert error_arrows("data.csv", Validation(ARM, measured, "base", (), np.ones((14, 1)), np.ones((14, 1)))) == []
+def test_readings_that_are_no_positions_have_no_arrows() -> None:
+    """Lengths; and what has as many columns as a position."""
+    bar = replace(ARM, chain=replace(ARM.chain, instrument=Distance()))
+    for arm, columns in ((ARM, 1), (bar, 3)):
+        measured, left = Measurements(POSTURES, np.full((len(POSTURES), columns), 900.0)), np.ones((14, columns))
+        assert error_arrows("data.csv", Validation(arm, measured, "base", (), left, left)) == []
 
 
 # -- in a browser ------------------------------------------------------------------------------------------------------
@@ -215,6 +220,12 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     assert changed(picture(seen), first) > 1e-4  # the run that was struck out is not among the others any more
     seen.page.get_by_role("button", name="Undo all").click()
     canvas.focus()
+    keys.press("End")
+    assert "upper arm and table overlap by" in where.inner_text()
+    assert seen.facts()["runs with bodies too near"] == "1"
+    near = picture(seen)
+    assert reddish(near) > reddish(first) + 0.003
+    keys.press("Home")
     before = picture(seen)
     assert changed(before, first) == 0.0
     for key in ("Shift+ArrowLeft", "w", "+"):
@@ -295,20 +306,22 @@ def test_a_finger_turns_the_view_or_scrolls_the_page(opened: Any, address: str) 
 
 
 def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: Path) -> None:
-    """Run 3 is reached by two of them; they are in the edited file as long as run 2 is measured before it."""
+    """Run 3 is reached by two of them; they are in the edited file as long as run 2 is measured before it, as is how
+    its joints come to it."""
     q = np.degrees(POSTURES[:5]).round(3)
     kinds = ["measure", "measure", "via", "via", "measure"]
-    rows = [
-        f"{k},{kind},{','.join(map(str, angles))}" for k, (kind, angles) in enumerate(zip(kinds, q, strict=True), 1)
-    ]
-    names = ",".join(f"q{j}_deg" for j in range(1, 7))
-    (tmp_path / "plan.csv").write_text("\n".join([f"run,kind,{names}", *rows]) + "\n")
+    signs = ["+1" if kind == "measure" else "" for kind in kinds]
+    rows = [",".join([kinds[k], *map(str, q[k]), *6 * [signs[k]]]) for k in range(5)]
+    names = ",".join(["kind", *(f"q{j}_deg" for j in range(1, 7)), *(f"direction{j}" for j in range(1, 7))])
+    (tmp_path / "plan.csv").write_text("\n".join([names, *rows]) + "\n")
     plan = load_plan(tmp_path / "plan.csv", ARM.joint_types, vias=True)
     (tmp_path / "page.html").write_text(page(Document("Via", [""], [plan_section(ARM, plan)])))
     seen = Watched(opened, (tmp_path / "page.html").as_uri(), viewport=SMALL, accept_downloads=True)
     assert seen.page.locator(".plan tbody tr").count() == 3
     seen.page.get_by_role("button", name="Step").click()
     np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[1:], atol=1e-6)
+    travel = float(np.abs(np.diff(q, axis=0)).max(axis=1).sum())
+    assert float(seen.facts()["joint travel"].removesuffix(" deg")) == pytest.approx(travel, abs=0.051)
     saved = []
     for button in ("Earlier", "Undo all", "Step"):
         with seen.page.expect_download() as download:
@@ -322,6 +335,8 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
     for file, order in zip(saved, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
         np.testing.assert_allclose(np.degrees(file.postures), q[order], atol=1e-9)
         assert file.cells["kind"] == [kinds[k] for k in order]
+        known = signs if len(order) > 3 else 3 * [""]
+        assert [file.cells[f"direction{j}"] for j in range(1, 7)] == 6 * [known]
 
 
 def test_the_drawing_stands_in_in_print_and_no_other_script_runs(opened: Any, address: str) -> None:

@@ -24,13 +24,7 @@ KNOWN = [
     (FOUR, 14, -0.10247), (FOUR, 18, -0.08608), (FIVE, 5, -1.358410), (FIVE, 8, -0.704661), (FIVE, 11, -0.830502),
     (FIVE, 16, -0.704178), (SIX, 12, -1.433950), (SIX, 20, -1.3515), (SIX, 32, -1.2994579),
 ]  # fmt: skip
-WITHIN_A_SECOND = {
-    (4, 7),
-    (4, 9),
-    (4, 14),
-    (5, 16),
-    (6, 32),
-}  # links, runs
+WITHIN_A_SECOND = {(4, 7), (4, 9), (4, 14), (5, 16), (6, 32)}  # links, runs
 
 
 @pytest.mark.parametrize(

@@ -153,10 +153,7 @@ def test_a_bound_may_be_given() -> None:
 
 # -- what cannot be solved ---------------------------------------------------------------------------------------------
 def test_what_no_posture_tells_apart_is_named() -> None:
-    lost = {
-        "base_rotation": r"joint_offset:1 \+ base_rotation.angle",
-        "base_drift": "base_drift.vx; base_drift.vy",
-    }
+    lost = {"base_rotation": r"joint_offset:1 \+ base_rotation.angle", "base_drift": "base_drift.vx; base_drift.vy"}
     for name, combination in lost.items():
         with pytest.raises(JobError, match=f"no posture distinguishes: {combination}"):
             solve(problem(FOUR, EffectSpec(name)), 12, "random")

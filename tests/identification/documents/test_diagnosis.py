@@ -17,7 +17,6 @@ from identification.documents.diagnosis import (
     diagnosis_actions,
     diagnosis_verdict,
     effects_in_words,
-    excluded_by_kind,
     gap_in_words,
     gap_section,
 )
@@ -106,28 +105,6 @@ def test_next_steps_name_every_file_that_was_diagnosed_or_written(verdict: str) 
     kept = [action.command for action in diagnosis_actions(data, written=Path("mine.toml"))]
     assert not any("--out extended.toml" in command for command in kept)
     assert any("armcal compensate mine.toml" in command for command in kept) == (verdict in ("named", "unknown"))
-
-
-def test_sizes_that_are_excluded_are_grouped_by_kind_the_largest_at_the_tip_first() -> None:
-    sizes = {
-        "backlash:1": (0.02, "deg", 0.05),
-        "backlash:2": (0.003, "deg", 0.02),
-        "backlash:4": (0.04, "deg", 0.04),
-        "base_drift": (0.2, "mm/session", 0.06),
-        "gear_ratio:1": (None, "1", None),
-        "gear_ratio:2": (1e-4, "1", 0.01),
-        "transmission_ripple:1[any k]": (0.11, "mm", 0.11),
-        "transmission_ripple:1": (0.01, "deg", 0.03),
-    }
-    keys = ("value", "unit", "tip_mm")
-    excluded = {name: dict(zip(keys, size, strict=True)) for name, size in sizes.items()}
-    assert excluded_by_kind({"excluded": excluded}) == [
-        ["gear_ratio", "1 and 2", "0.0001 to invisible", "any"],
-        ["transmission_ripple[any k]", "1", "0.11 mm", "0.110"],
-        ["base_drift", "–", "0.2 mm/session", "0.060"],
-        ["backlash", "1, 2 and 4", "0.003 to 0.04 deg", "0.050"],
-        ["transmission_ripple", "1", "0.01 deg", "0.030"],
-    ]
 
 
 def test_shapes_of_curves_are_said_in_short() -> None:

@@ -68,7 +68,7 @@ def test_well_determined_values_are_shown_and_the_others_said() -> None:
 
 def test_corrected_values_have_three_significant_digits_of_the_standard_deviation() -> None:
     row = CorrectedValue("length of link 1", None, 500.0, 501.079512, 0.0123, 501.05, 501.11, "mm", "")
-    table = corrected_section("Corrected values", [row], spatial=False).parts[0]
+    table = corrected_section("Corrected values", [row]).parts[0]
     assert isinstance(table, Sheet)
     assert list(table.headings) == ["", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"]
     assert table.rows == [["length of link 1", "500.0000", "501.0795", "0.0123", "501.0500", "501.1100", "mm"]]

@@ -10,13 +10,7 @@ import pytest
 
 from identification.arm import Arm, Calibration
 from identification.estimation import Identification, estimate, estimate_with_prior
-from identification.estimation.problem import (
-    Prior,
-    Problem,
-    contradicted,
-    posterior_squares,
-    worst_contradicted,
-)
+from identification.estimation.problem import Prior, Problem, contradicted, posterior_squares, worst_contradicted
 from identification.measurements import Measurements
 from identification.model import Model
 

@@ -138,7 +138,7 @@ def test_values_that_only_the_prior_holds_are_marked(deviation: float) -> None:
     assert length.weak is (weak := m * deviation**2 < 3.0)
     zero = by_name(found.corrected_values)["zero of joint 1"]
     assert (zero.prior_std, zero.held_by_prior) == (None, False)
-    section = corrected_section("", found.corrected_values, False)
+    section = corrected_section("", found.corrected_values)
     shown = corrected_table(found.corrected_values).rows[0][0], str(section.parts)
     assert ("*" in shown[0], "* 1 of 2 are weakly determined" in shown[1]) == (weak, weak)
 

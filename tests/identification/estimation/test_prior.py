@@ -113,21 +113,6 @@ def test_noise_is_that_of_the_largest_marginal_likelihood() -> None:
     assert estimate_with_prior(MODEL, quiet, PRIOR).scatter == 0.1  # no less than what is given
 
 
-@pytest.mark.parametrize("size", [2.0**-12, 2.0**12])
-def test_the_size_of_the_arm_does_not_matter(size: float) -> None:
-    """Nobody knows the noise, 0.4 mm times the size: as many rounds for a model as for a house."""
-    data, _ = measured(np.random.default_rng(5), 15, 0.4)
-    names = ["encoder_eccentricity", "gear_ratio"]
-    arms = [library_prior(Arm(scale * ARM.lengths), names=names) for scale in (1.0, size)]
-    one, other = (
-        estimate_with_prior(Model(found.arm), Measurements(data.postures, scale * data.positions), found.prior)
-        for found, scale in zip(arms, (1.0, size), strict=True)
-    )
-    scaled = other.parameters / np.where(np.arange(len(SIZES)) < 2, size, 1.0)
-    assert np.abs((scaled - one.parameters) / one.std).max() < 1e-9
-    assert other.scatter == pytest.approx(size * one.scatter, rel=1e-9)
-
-
 def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
     """95 % intervals of the geometry of 40 arms with effects of the prior: with it they hold, least squares' do not.
 

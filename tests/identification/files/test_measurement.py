@@ -156,10 +156,7 @@ BAD = [  # arm, text, what is named
             (with_columns(sigma_mm=(0.1, 0)), ["row 2 (line 3), column sigma_mm", "found '0'", "a number > 0"]),
             (with_columns(temperature_C=(-300, 0)), ["column temperature_C", "found '-300'", "a number >= -273.15"]),
             (with_columns(direction1=(1, 1), direction2=(1, 0)), ["row 2 (line 3), column direction2", "'0'", "+1 or"]),
-            (
-                with_columns(direction1=(1, 1)),
-                ["'direction2' is missing", "direction1; allowed: a column"],
-            ),
+            (with_columns(direction1=(1, 1)), ["'direction2' is missing", "direction1; allowed: a column"]),
             (
                 with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
                 ["direction3", "allowed: direction1 to direction2"],

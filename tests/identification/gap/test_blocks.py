@@ -187,11 +187,7 @@ def test_values_of_settings_and_their_weights() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "joint", "values"),
-    [
-        ("link_jump", 2, {"at": 0.1, "d": 0.4}),
-        ("lag", 2, {"c": 4e-4}),
-    ],
+    ("name", "joint", "values"), [("link_jump", 2, {"at": 0.1, "d": 0.4}), ("lag", 2, {"c": 4e-4})]
 )
 def test_a_users_own_effect_is_named(name: str, joint: int | None, values: dict[str, float]) -> None:
     spec, rng = EffectSpec(name, joint, values), np.random.default_rng(5)

@@ -14,11 +14,7 @@ from identification.documents.diagnosis import findings
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES
-from identification.gap.replication import (
-    SAME,
-    Replication,
-    replications,
-)
+from identification.gap.replication import SAME, Replication, replications
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification.effects import Effect, Parameter, register
+from identification.effects.base import _LIBRARY
 from identification.errors import InputError
-from identification.estimation import estimate, estimate_with_prior
+from identification.estimation import estimate_with_prior
 from identification.gap.library_prior import library_prior
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.validate import validate
-from tests.identification.exponentials import Exponentials, drawing
 
 ARM = Arm([300.0, 200.0])
 ORDERS = range(3, 65)
@@ -120,28 +120,6 @@ def test_names_choose_and_unknown_ones_are_refused() -> None:
         library_prior(ARM, names=["backlash"])
 
 
-def test_what_a_narrow_joint_1_cannot_show_is_not_taken_for_frames() -> None:
-    """Six lines in space with eccentric encoders of typical size, joint 1 within 60 degrees, rows on its other side
-    predicted, base and point found anew: with the effects under their prior, from which they were drawn, the squares
-    that geometry alone leaves are at least halved (the mean of a posterior has the least of all estimates)."""
-    arm, squares = Arm(drawing()), []
-    for seed in range(2):
-        generator = np.random.default_rng([43, seed])
-        real, (a, b) = Exponentials(generator), 5e-4 * generator.standard_normal((2, 6))
-        postures = generator.uniform(-1.5, 1.5, (2, 150, 6)) * [0.35, *np.ones(5)]
-        postures[1, :, 0] += 2.5
-        bent = postures + a * np.cos(postures) + b * np.sin(postures)
-        here, there = (
-            Measurements(q, real.poses(angles)[:, :3, 3] + 0.02 * generator.standard_normal((150, 3)))
-            for q, angles in zip(postures, bent, strict=True)
-        )
-        library = library_prior(arm, names=["encoder_eccentricity"])
-        fits = estimate(Model(arm), here), estimate_with_prior(Model(library.arm), here, library.prior)
-        squares.append([validate(fit.calibrated_arm(), there).model.rms ** 2 for fit in fits])
-    plain, held = np.mean(squares, axis=0)
-    assert held < 0.5 * plain
-
-
 def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
     """20 arms with everything drawn from it, an error of its own at every posture included, measured at 40 postures and
     judged at others. The mean squares of the arms scatter by a fifth, their mean by 5 %: four of them."""
@@ -162,3 +140,18 @@ def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
     assert np.mean(said) == pytest.approx(np.mean(reached), rel=0.2)
     bare = replace(fit, prior=replace(found.prior, own_error=0.0))
     assert said[-1] == pytest.approx(bare.expected_tip**2 + 2.0 * own**2, rel=1e-9)
+
+
+def test_an_effect_without_a_typical_size_is_left_out() -> None:
+    class Unsized(Effect):
+        name = "unsized"
+        summary = "a size that nobody knows"
+
+        def define(self) -> tuple[Parameter, ...]:
+            return (self.parameter("x", "mm", scale=1.0),)
+
+    register(Unsized)
+    try:
+        assert library_prior(ARM).left_out["unsized"] == "no typical size"
+    finally:
+        del _LIBRARY["unsized"]
