@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.benchmark
+pytestmark = [pytest.mark.benchmark, pytest.mark.filterwarnings("ignore")]  # of pinocchio
 
 pinocchio: Any = pytest.importorskip("pinocchio")
 ROBOTS = {  # URDF, its ends
