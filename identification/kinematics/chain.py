@@ -284,9 +284,9 @@ class KinematicChain(ByValue):
         for j, joint in enumerate(self.joints, start=1):
             frame = self._behind_link(frame, j - 1, values, added).displaced(values, error_names(j))
             frame = joint.moved(frame, q[j - 1] + values.get(f"{JOINT_OFFSET}:{j}", 0.0))
-            own = slice(3 * (j - 1), 3 * j)
-            frame = frame.shifted(added["joint_shifts"][own]) if "joint_shifts" in added else frame
-            frame = frame.turned_about(range(3), added["joint_turns"][own]) if "joint_turns" in added else frame
+            of_joint = slice(3 * (j - 1), 3 * j)
+            frame = frame.shifted(added["joint_shifts"][of_joint]) if "joint_shifts" in added else frame
+            frame = frame.turned_about(range(3), added["joint_turns"][of_joint]) if "joint_turns" in added else frame
             placed.append(frame)
         return [*placed, self._behind_link(frame, len(self), values, added)]
 
