@@ -27,7 +27,7 @@ from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import one_unnamed, placed_model, some
+from identification.model.placed import one_unnamed, placed_model, spread_rows
 
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
@@ -575,7 +575,7 @@ def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, 
     start = placed_model(model, measurements)
     if start is model or (arm := model.arm).chain.planar or arm.calibration is not None:
         return start, {}
-    rows = some(measurements, measurements.session_rows[0])  # later ones have another base
+    rows = spread_rows(measurements, measurements.session_rows[0])  # later ones have another base
     left = rows.positions - start.position(rows.postures, conditions=rows.conditions)
     better = read_differently(arm, measurements).better if rms_distance(left) > DRAWN * start.reach else None
     if better is None or not better.moved_zeros:
