@@ -255,6 +255,9 @@ class Arm(ByValue):
             f"{self.name}: {self.dimension} coordinates, reach {self.reach:.6g} mm, sigma {sigma}, effects {effects}"
         )
         summary += "" if self.calibration is None else ", calibrated"
+        if self.cell is not None:
+            floor = "" if self.cell.floor is None else f", floor at z = {self.cell.floor:g} mm"
+            summary += f", bodies {self.cell.clearance:g} mm apart{floor}"
         rows, turn = [], 180.0 / np.pi
         for j, (kind, length, *limits) in enumerate(
             zip(self.joint_types, self.lengths, self.lower, self.upper, strict=True), start=1

@@ -66,11 +66,12 @@ class Campaign:
     kinds : of every file, in words;  results : command -> name -> its JSON object
     tests : measurements -> calibrated arm -> what it leaves of them
     show_plan : the section of a plan of an arm, its name, and what the chosen model leaves of measurements
-    judge : a design in a sentence
+    judge : a design in a sentence;  package_dirs : as of `load_arm`
     """
 
     show_plan: Callable[..., Section] | None = None
     judge: Callable[[Mapping[str, Any]], str] | None = None
+    package_dirs: Sequence[Path] = ()
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
     plans: dict[str, Plan] = field(default_factory=dict)
@@ -100,7 +101,7 @@ class Campaign:
         """Reads a file and returns its kind."""
         name, ending = str(path), path.suffix.lower()
         if ending == ".toml":
-            self.arms[name] = arm = load_arm(path)
+            self.arms[name] = arm = load_arm(path, self.package_dirs)
             first, other = next(iter(self.arms.items()))
             if not same_drawing(other, arm):
                 raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")

@@ -141,6 +141,7 @@ def check_files(
     arm: Path,
     data: Path,
     *,
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
     progress: Progress = silent,
 ) -> Answer:
@@ -152,6 +153,8 @@ def check_files(
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
+
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     import numpy as np
 
@@ -162,7 +165,7 @@ def check_files(
     from identification.measurements import load_measurements
     from identification.model import Model
 
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
     if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
         q = load_plan(data, loaded.joint_types).postures
@@ -283,6 +286,7 @@ def identify_files(
         "--no-library-prior": prior is False,
         f"--method {method}": method not in (None, "gauss_newton"),
         "--parameters minimal": minimal,
+        "--only and the effects that ARM has": bool(words and measurements.fit) and _has_all(loaded, measurements),
     }
     prior, missing, planned, lines = _as_planned(data, measurements.fit, prior, missing, against)
     if missing is not None and not prior:
@@ -328,6 +332,17 @@ def identify_files(
     failed = bool(identified.not_identifiable) or refused
     document = identification_document(identified, result, hidden, full=every).plus(*lines)
     return Answer(result, [replace(document, actions=[] if failed else actions)], identified, int(failed), doubts)
+
+
+def _has_all(arm: Arm, measurements: Measurements) -> bool:
+    """Whether an arm has every effect that a plan for the library's prior, and its rows, can be about."""
+    from identification.gap.library_prior import given_by, library_prior
+
+    names = measurements.fit.partition("--missing ")[2]
+    try:
+        return not library_prior(arm, given_by(measurements), names.split(",") if names else None).added
+    except InputError:
+        return True
 
 
 def _as_planned(
@@ -699,6 +714,7 @@ def compensate_files(
     *,
     out: Written | None = None,
     force: bool = False,
+    package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
 ) -> Answer:
     """Joint commands that reach targets on the real arm.
@@ -710,6 +726,7 @@ def compensate_files(
     targets that need joint angles outside those of the identification, where the model extrapolates.
 
     out : Write the joint commands (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
@@ -717,7 +734,7 @@ def compensate_files(
     from identification.model import Model
     from identification.origin import check_calibrated
 
-    arm = load_arm(calibrated)
+    arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
     wanted = load_targets(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()

@@ -183,6 +183,7 @@ def design_files(
     draws: Annotated[int, range(1, 51)] | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -206,6 +207,7 @@ def design_files(
     draws : Arms drawn for --uncertain; left out: 5.
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.plan import check_order, ordered, travel
@@ -222,7 +224,7 @@ def design_files(
             raise InputError(f"{option}: found without {other}, allowed: with {other}")
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     check_order(order)
     apart = 0.0 if repeats else None if minimum_distance_deg is None else math.radians(minimum_distance_deg)
     known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
@@ -269,6 +271,7 @@ def score_files(
     robust: bool = False,
     missing: Names | None = None,
     picture: Picture | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
 ) -> Answer:
     """Judge a plan of your own against the bound.
@@ -280,6 +283,7 @@ def score_files(
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
     picture : Draw the postures (.png, .svg, .pdf).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
@@ -288,7 +292,7 @@ def score_files(
     from doe.report.design import criteria_lines, design_document
     from identification import Model, design_model, load_arm, load_plan
 
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     judged = load_plan(plan, loaded.joint_types)
     bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing))
     if robust or bounded.choices is not None:
@@ -335,6 +339,7 @@ def advise_files(
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
     picture: Picture | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -349,13 +354,14 @@ def advise_files(
     target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
     picture : Write the curve as .png, .svg or .pdf.
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
     from identification import Model, design_model, load_arm
 
-    loaded, given_sigma = with_scatter(load_arm(arm))
+    loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
     named = [word for text in only for word in words(text) if word]
     model = design_model(Model(loaded))
     problem = DesignProblem.of(model.only(named) if named else model)
@@ -391,6 +397,7 @@ def relax_files(
     seconds: Seconds | None = None,
     criterion: CriterionOptions,
     out: Written | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -406,6 +413,7 @@ def relax_files(
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
@@ -413,7 +421,7 @@ def relax_files(
     from doe.report.design import relax_document
     from identification import load_arm, load_plan
 
-    loaded, robust = load_arm(arm), criterion.robust
+    loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
     held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
@@ -569,6 +577,7 @@ def discriminate_files(
     payloads: str | None = None,
     seconds: Seconds = 30.0,
     out: Written | None = None,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -582,13 +591,14 @@ def discriminate_files(
     payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
     seconds : Time budget of the choice, after the diagnosis [s].
     out : Write the next postures (CSV).
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
     from identification import Model, diagnose, load_arm
 
-    loaded, masses = load_arm(arm), None
+    loaded, masses = load_arm(arm, package_dir), None
     if payloads is not None:
         try:
             masses = tuple(float(word) for word in payloads.split(","))
@@ -630,6 +640,7 @@ def report_files(
     files: tuple[Path, ...],
     *,
     out: Written,
+    package_dir: tuple[Path, ...] = (),
     force: bool = False,
     page: Callable[[Document, Sequence[Path]], str],
 ) -> Answer:
@@ -641,12 +652,13 @@ def report_files(
     edited; it is one file that needs no network.
 
     out : Write the page.
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict)
+    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict, package_dirs=package_dir)
     write_together({out: page(campaign.document(), files)}, force=force)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}

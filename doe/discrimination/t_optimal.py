@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, Conditions, InputError, Measurements, Model, Plan, Status, readonly
+from identification import Array, InputError, Measurements, Model, Plan, Status, readonly
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis
@@ -85,19 +85,12 @@ class RivalPredictions:
     right: float = 1.0
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis, postures: Array, conditions: Conditions) -> RivalPredictions:
-        """Of every candidate, fitted to the data at hand, at postures (N, n) under conditions."""
+    def of(cls, diagnosis: Diagnosis, postures: Array, payload: Array, directions: Array) -> RivalPredictions:
+        """Of every candidate, at postures (N, n), with payloads (N,) [kg] and directions of approach (N, n)."""
         positions, jacobians, sigma = [], [], diagnosis.sigma
-        for candidate in diagnosis.candidates:
-            model, fit = Model(diagnosis.extended_arm(candidate)), candidate.calibration
-            if fit.covariance is None:
-                raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
-            order = [fit.parameter_names.index(name) for name in model.names]
-            position, jacobian = model.linearize(postures, None, conditions)
-            values, vectors = np.linalg.eigh(
-                fit.covariance[np.ix_(order, order)] * np.outer(model.scales, model.scales)
-            )
-            root = vectors * np.sqrt(np.maximum(values, 0.0)) / model.scales[:, None]
+        for position, jacobian, covariance, scales in diagnosis.predictions(postures, payload, directions):
+            values, vectors = np.linalg.eigh(covariance * np.outer(scales, scales))
+            root = vectors * np.sqrt(np.maximum(values, 0.0)) / scales[:, None]
             positions.append(position / sigma)
             jacobians.append(jacobian @ root / sigma)
         odds = np.array([candidate.delta_bic for candidate in diagnosis.candidates])
@@ -168,19 +161,16 @@ def discriminate(
     usual = 0.0 if arm.gravity is None else arm.gravity.payload
     payload = generator.choice(np.array(payloads or (usual,)), len(pool))
     directions = generator.choice(np.array([-1.0, 1.0]), (len(pool), arm.links))
-    conditions = Conditions(payload, None, np.full(len(pool), 0.5), directions)
-    rivals = RivalPredictions.of(diagnosis, pool, conditions)
+    rivals = RivalPredictions.of(diagnosis, pool, payload, directions)
     chosen = t_optimal(rivals, runs, stop)
     squares, _ = rivals.noncentrality(chosen)
     chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
     np.fill_diagonal(chance, 1.0)
     names = [" + ".join(candidate.effects) for candidate in diagnosis.candidates]
-    needs = frozenset().union(*(Model(diagnosis.extended_arm(c)).needs for c in diagnosis.candidates))
-    picked = conditions.rows(chosen)
     return NextPostures(
         Plan(pool[chosen], joint_types=diagnosis.arm.joint_types),
-        readonly(picked.payload) if payloads and picked.payload is not None else None,
-        readonly(picked.directions) if "directions" in needs and picked.directions is not None else None,
+        readonly(payload[chosen]) if payloads else None,
+        readonly(directions[chosen]) if "directions" in diagnosis.needs else None,
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
         Status.time_limit if stop() else Status.local_optimum,

@@ -168,28 +168,24 @@ class Clearance:
         return [{"run": run, "bodies": [*pair], "distance_mm": gap} for run, pair, gap in self.too_near(postures)]
 
     def in_words(self, postures: Array) -> list[str]:
-        """What is to be said of postures (m, n): every pair that is too near, or how near the nearest come."""
-        apart, near = self.distance(postures), self.too_near(postures)
-        lines = []
+        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs."""
+        near, lines = self.too_near(postures), list[str]()
         if near:
             runs = len({run for run, *_ in near})
             lines.append(f"Collisions: {runs} of {len(postures)} postures bring bodies too near to each other:")
-            lines += [f"  run {run}: {distance_in_words(pair, gap)}" for run, pair, gap in near]
-        elif apart.size:
-            run, k = divmod(int(np.argmin(apart - self.asked)), apart.shape[1])
-            kept = f"{len(self.pairs)} pairs of bodies keep {self.usual:g} mm apart in all {len(postures)} postures"
-            nearest = f"{_and(self.pairs[k])} come nearest, to {apart[run, k]:.0f} mm in run {run + 1}"
-            lines.append(f"Collisions: {kept}; {nearest}.")
-        narrow = [
-            f"{_and(pair)} {gap:.0f} mm" for pair, gap in zip(self.pairs, self.asked, strict=True) if gap < self.usual
-        ]
+        for run, pair, gap in near:
+            amount = f"overlap by {-gap:.1f} mm" if gap < 0.0 else f"are {gap:.1f} mm apart"
+            lines.append(f"  run {run}: {_and(pair)} {amount}")
+        narrow = [f"{_and(self.pairs[k])} {self.asked[k]:.0f} mm" for k in np.flatnonzero(self.asked < self.usual)]
+        if not near:
+            kept = _counted(len(self.pairs) - len(narrow))
+            lines.append(f"Collisions: {kept} of bodies stay {self.usual:g} mm apart in all {len(postures)} postures.")
         for why, pairs in (
-            ("Kept apart by less, since they are near wherever the arm goes", narrow),
+            ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", [*map(_and, self.touching)]),
         ):
-            if pairs:
-                rest = f" and {len(pairs) - SHOWN} more pairs" if len(pairs) > SHOWN else ""
-                lines.append(f"{why}: {', '.join(pairs[:SHOWN])}{rest}.")
+            rest = f" and {_counted(len(pairs) - SHOWN)} more" if len(pairs) > SHOWN else ""
+            lines += [f"{why}: {', '.join(pairs[:SHOWN])}{rest}."] if pairs else []
         return lines
 
     def _seen(self, postures: Array) -> Seen:
@@ -315,6 +311,10 @@ class Slopes:
 def distance_in_words(pair: Sequence[str], gap: float) -> str:
     """Of two bodies;  gap : signed distance [mm]"""
     return f"{_and(pair)} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
+
+
+def _counted(pairs: int) -> str:
+    return f"{pairs} pair{'s' * (pairs != 1)}"
 
 
 def _and(pair: Sequence[str]) -> str:

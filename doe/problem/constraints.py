@@ -105,9 +105,11 @@ class Walls:
     """The margins of all constraints, side by side, and their derivatives by some of n joints."""
 
     def __init__(self, constraints: Sequence[Constraint], n: int, joints: Sequence[int]) -> None:
-        q = ca.SX.sym("q", n)
-        walls = ca.SX(ca.vertcat(*(each.symbolic(q) for each in constraints if isinstance(each, Expression))))
-        self._parts: list[Derivatives | Slopes] = [Derivatives(q, walls, joints, (walls.numel(),))]
+        q, expressions = ca.SX.sym("q", n), [each for each in constraints if isinstance(each, Expression)]
+        self._parts: list[Derivatives | Slopes] = []
+        if expressions:
+            walls = ca.vertcat(*(each.symbolic(q) for each in expressions))
+            self._parts.append(Derivatives(q, walls, joints, (walls.numel(),)))
         self._parts += [Slopes(each, joints) for each in constraints if isinstance(each, Clearance)]
 
     def values(self, postures: Array) -> Array:

@@ -246,7 +246,7 @@ def plan_steps(
     # way-points belong to the move to the run after them, and are kept as long as the run before it stays the same
     ends = [-1, *np.flatnonzero(np.ones(len(plan), dtype=bool) if plan.via is None else ~plan.via)]
     ways = [range(start + 1, end) for start, end in pairwise(ends)]
-    via = [plan.postures[list(way)].tolist() for way in ways]
+    via, shown = ([postures[list(way)] for way in ways] for postures in (plan.postures, plan.displayed))
     texts = [*zip(*plan.cells.values(), strict=True)]
     plan = plan.measured
     numbers = len(plan) * problem.model.dimension * problem.parameters
@@ -267,6 +267,7 @@ def plan_steps(
         "comment": f"# fit: {plan.fit}" if plan.fit else "",
         "columns": list(cells),
         "rows": [list(row) for row in zip(*cells.values(), strict=True)],
+        "via": [rounded(each, 6) for each in shown],
         "ways": [[texts[row] for row in way] for way in ways],
         "joints": posture_headings(plan),
         "postures": rounded(plan.displayed, 6),

@@ -284,12 +284,9 @@ class Steps {
 
   // sum over the moves of the largest joint travel
   travel(runs) {
-    let sum = 0;
-    for (let k = 1; k < runs.length; k++) {
-      const [from, to] = [runs[k - 1], runs[k]].map(run => this.plan.postures[run]);
-      sum += Math.max(...to.map((angle, j) => Math.abs(angle - from[j])));
-    }
-    return sum;
+    const stops = runs.flatMap((run, place) => [...(place && this.follows(place) ? this.plan.via[run] : []), this.plan.postures[run]]);
+    const moves = stops.slice(1).map((to, k) => Math.max(...to.map((angle, j) => Math.abs(angle - stops[k][j]))));
+    return moves.reduce((sum, move) => sum + move, 0);
   }
 
   list() {
@@ -356,8 +353,12 @@ class Steps {
 
   get csv() {
     const quoted = cell => (/[",\r\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell);
-    const rows = this.kept.flatMap((run, k) => [...(this.follows(k) ? this.plan.ways[run] : []), this.plan.rows[run]]);
-    const lines = [["run", ...this.plan.columns], ...rows.map((row, k) => [String(k + 1), ...row])];
+    const { columns, ways, rows } = this.plan;
+    const runs = this.kept.flatMap((run, k) => (this.follows(k)
+      ? [...ways[run].map(row => ["", ...row]), [String(k + 1), ...rows[run]]]
+      // how the joints come to it by another move, the file does not know
+      : [[String(k + 1), ...rows[run].map((cell, j) => (columns[j].startsWith("direction") ? "" : cell))]]));
+    const lines = [["run", ...columns], ...runs];
     const comment = this.plan.comment ? this.plan.comment + "\n" : "";
     return comment + lines.map(line => line.map(quoted).join(",") + "\n").join("");
   }

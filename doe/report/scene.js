@@ -4,6 +4,7 @@
 
 const UP = new THREE.Vector3(0, 0, 1), ALONG = new THREE.Vector3(0, 1, 0); // three.js builds what is long along y
 const FIELD = 30; // [deg] that is seen from top to bottom
+const PARTS = Array.from({ length: 33 }, (_, k) => k / 32); // of a move, at which its path is drawn
 const VIEW = { w: [0, 1], s: [0, -1], a: [1, 0], d: [-1, 0] };
 
 function matrix(rows) { return new THREE.Matrix4().set(...rows, 0, 0, 0, 1); }
@@ -191,7 +192,8 @@ class Cell {
   show(kept, current, way) {
     const others = kept.filter(run => run !== current).map(run => this.runs[run]);
     through(this.others, others.flatMap(line => line.slice(1).flatMap((point, k) => [line[k], point])));
-    through(this.path, way.map(q => originOf(jointFrames(this.chain, q).at(-1))));
+    const between = way.slice(1).flatMap((to, k) => PARTS.map(part => to.map((q, j) => way[k][j] + part * (q - way[k][j]))));
+    through(this.path, between.map(q => originOf(jointFrames(this.chain, q).at(-1))));
     this.dots.count = others.length;
     others.forEach((line, k) => this.dots.setMatrixAt(k, new THREE.Matrix4().makeScale(...Array(3).fill(0.007 * this.size)).setPosition(line.at(-1))));
     this.dots.instanceMatrix.needsUpdate = true;

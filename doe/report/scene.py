@@ -30,7 +30,7 @@ FACES = [
 ARROWS = 500  # more only cover each other
 
 
-def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, Any]) -> dict[str, Any]:
+def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str, Any]) -> dict[str, Any]:
     """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
 
     model : of the arm, as `design_model` gives it;  via : of each posture the (v, n) way-points on the way to it
@@ -50,7 +50,7 @@ def scene(model: Any, postures: Array, via: Sequence[Any], tests: Mapping[str, A
             for step, move in zip(np.linalg.inv(before) @ frames, [*moves, {}], strict=True)
         ],
         "postures": np.asarray(postures).round(9).tolist(),
-        "via": via,
+        "via": [each.tolist() for each in via],
         "bodies": [
             {"name": body.name, "joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))
         ],

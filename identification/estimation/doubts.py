@@ -458,7 +458,7 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     leverages, vectors, scores = decomposed_groups(basis, residuals, postures)
     if leverages.max() > 1.0 - ALONE:
         return None
-    pull = (vectors @ (scores / (1.0 - leverages))[:, :, None])[:, :, 0]
+    pull = ((scores / (1.0 - leverages))[:, None, :] @ vectors)[:, 0]
     without = residuals + np.einsum("mdr,mr->md", basis, pull[postures])
     return np.asarray((without / weights[:, None])[np.cumsum(kept)[measurements.originals] - 1])
 

@@ -256,11 +256,11 @@ def sandwich(
         return None
     factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
     # (p, G): what each group adds to the estimates
-    corrected = root @ (vectors @ (factors * scores)[:, :, None])[:, :, 0].T
+    corrected = root @ ((factors * scores)[:, None, :] @ vectors)[:, 0].T
     held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
     held = root @ held @ root.T
     freedom = np.full(len(root), np.inf)
-    every = (root @ np.moveaxis(vectors, 1, 0).reshape(root.shape[1], -1)).reshape(len(root), *leverages.shape)
+    every = (root @ vectors.reshape(-1, root.shape[1]).T).reshape(len(root), *leverages.shape)
     for k, turned in enumerate(every):
         # 2 E^2 / var of the variance |P^T e|^2 under white noise e of variance one, P^T P = diag(d) - W W^T:
         # d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a, which is V_g w_g with orthonormal V_g
@@ -270,7 +270,7 @@ def sandwich(
         if len(vectors) > 1000:  # groups: what two of them share through the fit changes t by less than its third digit
             squares = np.sum(lengths**2)
         else:
-            inner = (vectors @ weights[:, :, None])[:, :, 0]
+            inner = (weights[:, None, :] @ vectors)[:, 0]
             squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))
         first = diagonal.sum() - lengths.sum() + max(held[k, k], 0.0)
         second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * lengths) + squares
@@ -279,17 +279,17 @@ def sandwich(
 
 
 def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> tuple[Array, Array, Array]:
-    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, r, k) V and (G, k) V^T Q_g^T r_g, zero where a
+    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, k, r) V^T and (G, k) V^T Q_g^T r_g, zero where a
     group has fewer than k directions;  groups as large as each other at a time."""
     d, r = columns.shape[1:]
     order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
     starts, shape = np.cumsum(counts) - counts, (len(counts), min(r, d * int(counts.max())))
-    values, vectors, scores = np.zeros(shape), np.zeros((len(counts), r, shape[1])), np.zeros(shape)
+    values, vectors, scores = np.zeros(shape), np.zeros((*shape, r)), np.zeros(shape)
     for size in np.unique(counts):
         of_size, k = np.flatnonzero(counts == size), min(r, d * int(size))
         rows = order[starts[of_size, None] + np.arange(size)]
         left, singular, right = np.linalg.svd(columns[rows].reshape(len(of_size), -1, r), full_matrices=False)
-        values[of_size, :k], vectors[of_size, :, :k] = singular**2, np.swapaxes(right, 1, 2)
+        values[of_size, :k], vectors[of_size, :k] = singular**2, right
         projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)
         scores[of_size, :k] = singular * projected[:, :, 0]
     return values, vectors, scores

@@ -119,7 +119,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         model, values, data, beside, float(np.sqrt(variance)), freedom, spread, entries, tuple(curves)
     )
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
-    lacking = 0.0 if held is posterior else _noise_variance(held) - _noise_variance(posterior)
+    lacking = 0.0 if held is posterior else variance - _noise_variance(posterior)
     return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
 
 

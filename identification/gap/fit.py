@@ -229,20 +229,13 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> F
     start : parameter name -> value, zero where missing; None, or far worse: as `estimation.problem.starts` finds it
     """
     problem = Problem(model, rows.postures, rows.conditions, rows.positions[None], np.ones(len(rows)))
-    last: dict[bytes, tuple[Array, Array]] = {}  # positions and Jacobian are needed twice in a row
-
-    def at(values: Array) -> tuple[Array, Array]:
-        if (key := values.tobytes()) not in last:
-            last.clear()
-            last[key] = model.linearize(rows.postures, values, rows.conditions)
-        return last[key]
 
     def linearize(values: Array, _: Index) -> tuple[Array, Array]:
-        position, jacobian = at(values[0])
+        position, jacobian = model.linearize(rows.postures, values[0], rows.conditions)
         return rows.whiten(rows.positions - position)[None], rows.whiten(jacobian)[None]
 
     def left(values: Array) -> float:
-        return rms_distance(rows.positions - at(values)[0])
+        return rms_distance(rows.positions - model.position(rows.postures, values, rows.conditions))
 
     values = None if start is None else model.parameters.vector(start)
     if values is None or left(values) > FAR * model.reach:  # with a base offset the closed form holds in any frame

@@ -11,7 +11,7 @@ it has half of the probability, else the verdict is `ambiguous`, and candidates 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +26,7 @@ from identification.arrays import Array, frame_of_rows, readonly
 from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
+from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, quantile_95, uncertainty
 from identification.gap.average import Curve, PredictingModel
@@ -405,6 +406,26 @@ class Diagnosis(Documented):
         """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it."""
         chosen = candidate or self.predicting
         return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=self.calibration_of(chosen))
+
+    def predictions(
+        self, postures: Array, payload: Array, directions: Array
+    ) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """What each candidate predicts at postures (N, n) in the middle of the session, with payloads (N,) [kg] and
+        directions of approach (N, n): positions (N, d), Jacobians (N, d, p), the covariance (p, p) of the parameters,
+        fitted to the data at hand, and their scales (p,)."""
+        conditions = Conditions(payload, None, np.full(len(postures), 0.5), directions)
+        for candidate in self.candidates:
+            model, fit = Model(self.extended_arm(candidate)), candidate.calibration
+            if fit.covariance is None:
+                raise InputError("diagnosis: a candidate has no covariance, allowed: the result of diagnose()")
+            order = [fit.parameter_names.index(name) for name in model.names]
+            predicted = model.linearize(postures, None, conditions)
+            yield *predicted, fit.covariance[np.ix_(order, order)], model.scales
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the effects of all candidates need of arm and data."""
+        return frozenset().union(*(Model(self.extended_arm(one)).needs for one in self.candidates))
 
     @property
     def calibration(self) -> Calibration:

@@ -102,7 +102,7 @@ class Search:
     def climb(self, start: State | None = None) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
         nothing, others = self.products.state(), self.plain
-        tops = [nothing, self._up(start or nothing, others)]
+        tops = [start if start is not None and start.pairs else self._up(nothing, others), nothing]
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together

@@ -11,6 +11,7 @@ import csv
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -109,7 +110,8 @@ def test_no_posture_and_no_move_collides(robot: str, floor: str, tmp_path: Path)
     urdf, base, tip = ROBOTS[robot]
     path = data() / "example-robot-data/robots" / urdf
     judge = Judge(path, joints_of(path, base, tip))
-    head = f'kind = "spatial"\nurdf = "{path}"\nbase_link = "{base}"\ntip_link = "{tip}"\n\n{BASE}'
+    shutil.copy(path, tmp_path)
+    head = f'kind = "spatial"\nurdf = "{path.name}"\nbase_link = "{base}"\ntip_link = "{tip}"\n\n{BASE}'
     bare = head + "\n[cell]\nbodies_of_urdf = false\n"
     print(f"\n{robot}: {len(judge.geometry.collisionPairs)} pairs of meshes")
     for seed in SEEDS:

@@ -188,6 +188,8 @@ def test_a_sphere_of_unknown_radius(radius: float, noise: float) -> None:
     k = found.names.index(RADIUS)
     deviation = np.sqrt(found.covariance[k, k])
     assert found.parameters[k] == pytest.approx(radius, abs=3.0 * deviation)
+    (row,) = (row for row in found.corrected_values if row.name == "sphere radius")
+    assert (row.corrected, row.unit) == (found.parameters[k], "mm")
     # the size of six axes that add up to 1420 mm, each link known to 1 mm, is known to 1 in some 1000
     assert 1e-4 < deviation / radius < 3e-3
 

@@ -44,6 +44,20 @@ def test_a_calibration_goes_round_in_python(folder: Path) -> None:
         identify_files(folder / "arm.toml", folder / "data.csv", out=out)
 
 
+def test_an_arm_that_has_the_librarys_effects_is_estimated_anew_without_its_prior(folder: Path) -> None:
+    """Rows of a plan for that prior, and the file that a fit with it wrote: nothing of the library is left to add."""
+    table = (folder / "data.csv").read_text()
+    (folder / "planned.csv").write_text(f"# fit: library-prior --missing gear_ratio\n{table}")
+    out = Written(folder / "calibrated.toml")
+    assert identify_files(folder / "arm.toml", folder / "planned.csv", out=out).data["fit"]["followed"]
+    answer = identify_files(out, folder / "planned.csv", only=("joint_offsets",))
+    assert answer.exit_code == 0
+    assert not answer.data["fit"]["followed"]
+    assert answer.result.names == ("joint_offset:1", "joint_offset:2")
+    with pytest.raises(InputError, match="none of the library's is left"):
+        identify_files(out, folder / "planned.csv")
+
+
 def test_each_file_is_a_session_and_none_is_given_twice(folder: Path) -> None:
     (folder / "friday.csv").write_text((folder / "data.csv").read_text())
     arm, names = load_arm(folder / "arm.toml"), [folder / "data.csv", folder / "friday.csv"]

@@ -90,6 +90,15 @@ def test_the_certificate_of_one_number_of_runs_holds_for_others(case: DesignProb
             assert case.criterion.value((rows.T @ rows + np.diag(case.precisions)) / (m + 3)) <= upper
 
 
+def test_bounds_of_several_runs_that_are_cut_hold_and_are_looser() -> None:
+    """One design is made, which bounds all numbers of runs."""
+    kept = of(FOUR, ECCENTRICITY, kept=LIST[:10])
+    whole, cut = bounds_of_runs(kept, [4, 20]), bounds_of_runs(kept, [4, 20], stop=lambda: True)
+    for m in (4, 20):
+        assert cut[m].cut
+        assert cut[m].value > whole[m].value
+
+
 def test_without_anything_known_there_is_one_bound() -> None:
     found = bounds_of_runs(of(FOUR), [4, 9])
     assert found[4] is found[9]

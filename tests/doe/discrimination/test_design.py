@@ -26,6 +26,7 @@ from doe.discrimination.design import (
 )
 from doe.problem.problem import DesignProblem
 from doe.report import design as report
+from doe.solvers import solve
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import CELLS, arm_of, truth_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
@@ -149,6 +150,16 @@ def test_joints_that_play_no_part_do_not_bring_postures_too_near_each_other() ->
     apart = np.abs(postures[:, None] - postures).max(axis=-1) + 9.0 * np.eye(len(postures))
     assert np.degrees(apart.min()) >= 1.0 - 1e-6
     assert found.wrong < found.best_wrong
+
+
+def test_ctrl_c_in_the_first_search_ends_the_second_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*parts: Any, **options: Any) -> Any:
+        return replace(solve(*parts, **options), status=Status.interrupted)
+
+    monkeypatch.setattr("doe.discrimination.design.solve", stopped)
+    found = designed([-180, -120, -100, -90], [180, 120, 60, 90], 20)
+    assert found.design.status is Status.interrupted
+    assert sorted(map(tuple, found.design.plan.postures)) == sorted(map(tuple, found.best.plan.postures))
 
 
 def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:

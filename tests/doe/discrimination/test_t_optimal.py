@@ -54,7 +54,7 @@ def random_pool(seed: int) -> tuple[np.ndarray, Conditions]:
 def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
     found, _ = ambiguous()
     postures, conditions = random_pool(1)
-    rivals = RivalPredictions.of(found, postures, conditions)
+    rivals = RivalPredictions.of(found, postures, conditions.payload, conditions.directions)
     chosen = [3, 40, 41]
     settled, gain = rivals.noncentrality(chosen)
     for i, truth in enumerate(found.candidates):
@@ -82,7 +82,8 @@ def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
 def test_chosen_postures_beat_random_ones() -> None:
     found, data = ambiguous()
     best = discriminate(ARM, found, data, 4, seed=1)
-    rivals = RivalPredictions.of(found, *random_pool(2))
+    postures, conditions = random_pool(2)
+    rivals = RivalPredictions.of(found, postures, conditions.payload, conditions.directions)
     chances = []
     for k in range(20):
         settled, _ = rivals.noncentrality(list(range(4 * k, 4 * k + 4)))

@@ -332,10 +332,3 @@ def test_a_call_ends_with_the_process_that_asked(tmp_path: Path) -> None:
             return
         time.sleep(0.05)
     pytest.fail("the call goes on")
-
-
-def test_nothing_is_imported_from_the_folder_it_starts_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "doe").mkdir()
-    (tmp_path / "doe" / "__init__.py").write_text("raise SystemExit('hijacked')")
-    monkeypatch.chdir(tmp_path)
-    assert call(work.hang, 0.0, seconds=60.0).value == "awake"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import FLOOR, SIGHT, Clearance, Slopes, from_box, nearest_to_box, shortest
-from doe.problem.constraints import constraints_of
+from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from identification import Arm, Array, Model, design_model
@@ -86,9 +86,9 @@ def sampled_distance(arm: Arm, posture: Array, pair: tuple[str, str]) -> float:
 
 
 def test_distances_are_those_of_points_sampled_along_the_axes(arm: Arm, clearance: Clearance, postures: Array) -> None:
-    apart = clearance.distance(postures[:15])
+    apart = clearance.distance(postures[:5])
     for k, pair in enumerate(clearance.pairs):
-        sampled = np.array([sampled_distance(arm, posture, pair) for posture in postures[:15]])
+        sampled = np.array([sampled_distance(arm, posture, pair) for posture in postures[:5]])
         assert np.all(apart[:, k] < sampled + 1e-3), pair
         # the line of sight is sampled every 17 to 30 mm, other axes every 5
         np.testing.assert_allclose(apart[:, k], sampled, atol=15.0 if pair[0] == SIGHT else 2.5, err_msg=str(pair))
@@ -179,6 +179,7 @@ def test_a_planar_arm_and_spheres() -> None:
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))
+    np.testing.assert_allclose(Walls([clearance], 2, [0, 1]).values(postures), clearance.margin(postures))
     np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)
 
 
@@ -193,3 +194,18 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))
     assert judge.too_near(PlanAscent(replace(problem, constraints=()))(start, tolerance=1e-2))
+
+
+def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None:
+    """Every pair that is too near by its run and distance, as counted by hand."""
+    margins = clearance.margin(postures)
+    said = clearance.in_words(postures)
+    near = [line for line in said if line.startswith("  run ")]
+    assert len(near) == len(clearance.to_json(postures)) == int(np.sum(margins < -1e-3))
+    assert f"{int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures" in said[0]
+    free = postures[np.all(margins >= 0.0, axis=1)]
+    assert clearance.to_json(free) == []
+    assert f"stay 20 mm apart in all {len(free)} postures" in clearance.in_words(free)[0]
+    first = clearance.to_json(postures)[0]
+    pair = clearance.pairs.index(tuple(first["bodies"]))
+    assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]

@@ -75,4 +75,4 @@ def test_a_floor_without_bodies_is_drawn() -> None:
     arm = replace(ARM, cell=Cell((Body("nothing"),), floor=-50.0))
     views = [axes for axes in plan_figure(arm, POSTURES[:2]).axes if axes.name == "3d"]
     assert all(view.get_zlim()[0] <= -50.0 for view in views)
-    assert scene(design_model(Model(arm)), POSTURES[:2], [[], []], {})["bodies"] == []
+    assert scene(design_model(Model(arm)), POSTURES[:2], [], {})["bodies"] == []

@@ -306,20 +306,22 @@ def test_a_finger_turns_the_view_or_scrolls_the_page(opened: Any, address: str) 
 
 
 def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: Path) -> None:
-    """Run 3 is reached by two of them; they are in the edited file as long as run 2 is measured before it."""
+    """Run 3 is reached by two of them; they are in the edited file as long as run 2 is measured before it, as is how
+    its joints come to it."""
     q = np.degrees(POSTURES[:5]).round(3)
     kinds = ["measure", "measure", "via", "via", "measure"]
-    rows = [
-        f"{k},{kind},{','.join(map(str, angles))}" for k, (kind, angles) in enumerate(zip(kinds, q, strict=True), 1)
-    ]
-    names = ",".join(f"q{j}_deg" for j in range(1, 7))
-    (tmp_path / "plan.csv").write_text("\n".join([f"run,kind,{names}", *rows]) + "\n")
+    signs = ["+1" if kind == "measure" else "" for kind in kinds]
+    rows = [",".join([kinds[k], *map(str, q[k]), *6 * [signs[k]]]) for k in range(5)]
+    names = ",".join(["kind", *(f"q{j}_deg" for j in range(1, 7)), *(f"direction{j}" for j in range(1, 7))])
+    (tmp_path / "plan.csv").write_text("\n".join([names, *rows]) + "\n")
     plan = load_plan(tmp_path / "plan.csv", ARM.joint_types, vias=True)
     (tmp_path / "page.html").write_text(page(Document("Via", [""], [plan_section(ARM, plan)])))
     seen = Watched(opened, (tmp_path / "page.html").as_uri(), viewport=SMALL, accept_downloads=True)
     assert seen.page.locator(".plan tbody tr").count() == 3
     seen.page.get_by_role("button", name="Step").click()
     np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[1:], atol=1e-6)
+    travel = float(np.abs(np.diff(q, axis=0)).max(axis=1).sum())
+    assert float(seen.facts()["joint travel"].removesuffix(" deg")) == pytest.approx(travel, abs=0.051)
     saved = []
     for button in ("Earlier", "Undo all", "Step"):
         with seen.page.expect_download() as download:
@@ -333,6 +335,8 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
     for file, order in zip(saved, ([0, 1, 2, 3, 4], [1, 0, 4], [0, 1, 2, 3, 4]), strict=True):
         np.testing.assert_allclose(np.degrees(file.postures), q[order], atol=1e-9)
         assert file.cells["kind"] == [kinds[k] for k in order]
+        known = signs if len(order) > 3 else 3 * [""]
+        assert [file.cells[f"direction{j}"] for j in range(1, 7)] == 6 * [known]
 
 
 def test_the_drawing_stands_in_in_print_and_no_other_script_runs(opened: Any, address: str) -> None:

@@ -17,7 +17,7 @@ from identification.arm import Arm
 from identification.errors import InputError
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
 from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
-from tests.doe.six_axis import SIX_AXIS, difference_information, six_axis
+from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis
 
 
 def test_no_single_exchange_improves_the_end() -> None:
@@ -119,6 +119,12 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
     assert design.value == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
     plain = np.random.default_rng(4).uniform(problem.lower, problem.upper, (20, 30, 6))
     assert max(problem.objective(plan) for plan in plain) < design.bound.value - 39 * 0.05
+
+
+def test_exchanges_between_climbed_plans_help() -> None:
+    problem = six_axis(LIMITED)
+    one, two = (solve(problem, 20, Gradient(batch=5), starts=n, seed=3, bound=NONE).value for n in (5, 10))
+    assert two > one
 
 
 def test_a_feasible_plan_better_than_the_best_list() -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,11 @@ from doe.design import score
 from doe.jobs import Outcome, RowTable, frame_of
 from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure
-from doe.solvers import Offer, Random
+from doe.solvers import Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification import Plan
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
 
 LIMITS = np.radians([180.0, 120.0, 100.0])
@@ -140,60 +139,6 @@ def test_bad_comparisons() -> None:
         Comparison([ARM], [4], ["exchange"], criteria=["Dstr"])
     with pytest.raises(InputError, match="allowed: each name once"):
         Comparison([ARM], [4], ["random", Random()])
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_solvers_on_a_spatial_arm() -> None:
-    """Each on the problem of the stored file, its measured point included; what does not apply says so."""
-    chain = chain_of([DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)])
-    arm = Arm(replace(chain, tools={"1": np.array([40.0, 30.0, 20.0])}), sigma=0.1, name="elbow")
-    solvers = ["random", "analytic"]
-    found = compare(Comparison([arm], [9], solvers, starts=[1], repeats=1, seconds=5.0))
-    rows = {row["solver"]: row for row in found.iter_rows(named=True)}
-    assert [rows[name]["correct"] for name in solvers] == [True, None]
-    assert rows["random"]["value"] < rows["random"]["bound"]
-    assert "analytic has no plan" in rows["analytic"]["error"]
-    assert "elbow, D, 9 runs" in comparison_parts(found)[0].title
-
-
-@dataclass(frozen=True)
-class Fourier:
-    """A solver of somebody else's: angles 2 pi i / m for every joint, the columns of the DFT matrix."""
-
-    name: str = "fourier"
-
-    def starts_for(self, _: DesignProblem) -> int:
-        return 1
-
-    def offers(self, problem: DesignProblem, runs: int, *_: object) -> Iterator[Offer]:
-        turns = 2.0 * np.pi * np.arange(runs) / runs
-        yield Offer(np.remainder(np.tile(turns[:, None], problem.joints) + np.pi, 2.0 * np.pi) - np.pi, 1)
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_criterion_and_own_solver_are_settings() -> None:
-    free = Arm(ARM.lengths, sigma=0.1, name="free")
-    rows = compare(Comparison([free], [5], [Fourier(), "random"], criteria=["A", "D"], repeats=1))
-    assert rows["status"].to_list() == ["done"] * 4
-    own = rows.filter(solver="fourier")
-    assert own["criterion"].to_list() == ["A", "D"]
-    assert own["settings"].to_list() == ["Fourier(name='fourier')"] * 2
-    scaled = np.zeros((6, 6))  # of every posture: two rows per length (1) and joint offset (lever over length)
-    turns = 2.0 * np.pi * np.arange(5) / 5
-    for turn in turns:
-        e = np.exp(1j * turn * np.arange(1, 4))
-        lever = np.array([(1j * ARM.lengths * e)[j:].sum() for j in range(3)]) / ARM.lengths
-        both = np.r_[e, lever]
-        scaled += (np.outer(both.real, both.real) + np.outer(both.imag, both.imag)) / 5
-    assert own["value"][0] == pytest.approx(-np.trace(np.linalg.inv(scaled)), rel=1e-9)
-    assert own["value"][1] == pytest.approx(np.linalg.slogdet(scaled)[1], abs=1e-9)
-    found = with_hits(rows)
-    a_values = rows.filter(criterion="A")["value"].to_numpy()  # A: the efficiencies are as the traces
-    np.testing.assert_allclose(
-        found.filter(criterion="A")["loss"].to_numpy(), 1.0 - a_values.max() / a_values, atol=1e-9
-    )
-    assert len(summary(rows)) == 4
-    assert len(comparison_parts(rows)) == 2
 
 
 @pytest.mark.usefixtures("in_this_process")

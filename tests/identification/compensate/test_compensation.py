@@ -125,6 +125,8 @@ def test_bad_input() -> None:
         compensate(arm(), postures=np.zeros((1, 2)))
     with pytest.raises(InputError, match="targets: none given"):
         compensate(arm())
+    with pytest.raises(InputError, match="orientations: found for a planar arm"):
+        compensate(arm(), np.zeros((1, 2)), orientations=np.eye(3))
     with pytest.raises(InputError, match="2 rows for 3 targets"):
         compensate(arm(), np.zeros((3, 2)), np.zeros((2, 4)))
 

@@ -20,6 +20,7 @@ from identification.documents.pictures import (
     signed_figures,
 )
 from identification.error_curve import ErrorCurve
+from identification.measurements import Conditions
 from identification.model import Model
 
 LENGTHS = np.array([300.0, 200.0])
@@ -128,3 +129,15 @@ def test_no_label_leaves_a_small_picture() -> None:
         svg(figure)
         label = axes.yaxis.label.get_window_extent(FigureCanvasAgg(figure).get_renderer())
         assert label.x0 > -2.0  # pixels of the font's own margin
+
+
+def test_an_effect_that_is_no_function_of_the_angle_is_drawn_at_the_rows() -> None:
+    """Backlash: b this way or that way, by the side from which the joint came."""
+    q = np.random.default_rng(9).uniform(-1.0, 1.0, (30, 2))
+    sides = np.sign(np.random.default_rng(10).normal(size=(30, 2)))
+    model = model_with(EffectSpec("backlash", 2), b=2e-3)
+    nothing = np.zeros((30, 2))
+    rows = Compared(model.arm, q, nothing, nothing, Conditions(directions=sides), model, ["backlash:2"])
+    red, _, black = points_and_line(signed_figures(rows)[1].axes[0])
+    np.testing.assert_allclose(np.radians(red[:, 1]), 2e-3 * sides[:, 1], rtol=1e-3)
+    np.testing.assert_allclose(black, red)

@@ -14,6 +14,7 @@ from identification.arm import Arm
 from identification.bodies import Body, Cell
 from identification.errors import InputError
 from identification.files.arm import dump_arm, load_arm, with_effects
+from identification.files.urdf import parse_urdf
 from tests.identification.files.test_arm import PLAIN
 from tests.identification.files.test_meshes import FACES, binary
 
@@ -86,6 +87,31 @@ def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(found["bracket"].capsules, [[0, 0, 100, 0, 0, 100, 10]], atol=1e-9)
     np.testing.assert_allclose(found["tip"].capsules, [[400, 0, 50, 400, 0, 150, 20]], atol=1e-9)
     np.testing.assert_allclose(found["finger"].capsules, [[370, 0, 100, 370, 0, 100, 10]], atol=1e-9)
+
+
+def test_links_are_where_pinocchio_puts_them(tmp_path: Path) -> None:
+    """Of bodies that move with the turning joint, and of the table in the world, in which the base stands as above."""
+    pinocchio = pytest.importorskip("pinocchio", reason="pinocchio is not installed: pip install 'armcal[oracle]'")
+    text = TREE.replace("MESH", "<box size='1 2 3'/>").replace('xyz="0.2 0 0"', 'xyz="0.2 0.1 0"')
+    text = text.replace("<capsule", "<cylinder").replace("<limit", "<limit effort='1' velocity='1'")
+    model = pinocchio.buildModelFromXML(text)
+    (tmp_path / "r.urdf").write_text(text)
+    geometry = pinocchio.buildGeomFromUrdf(model, str(tmp_path / "r.urdf"), pinocchio.GeometryType.COLLISION)
+    urdf = parse_urdf(text, "r.urdf")
+    places = urdf.links_on("base", "tip")
+    base = pinocchio.SE3(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 1.0, 0.5]))
+    seen = 0
+    for each in geometry.geometryObjects:
+        link, number = each.name.rsplit("_", 1)
+        if each.parentJoint <= 1:
+            joint, place, _ = places[link]
+            found = place @ urdf.collisions(link)[int(number)][3]
+            expected = (base.inverse() * each.placement if joint == 0 else each.placement).homogeneous
+            expected[:3, 3] *= 1000.0
+            assert joint == each.parentJoint
+            np.testing.assert_allclose(found, expected, atol=1e-9)
+            seen += 1
+    assert seen == 7
 
 
 def test_a_cylinder_with_spheres_at_its_ends_is_a_capsule(tmp_path: Path) -> None:

@@ -54,6 +54,8 @@ def test_without_noise_all_comes_back(turn: float) -> None:
     np.testing.assert_allclose(fit.length_errors, ERRORS, atol=1e-8)
     np.testing.assert_allclose(fit.joint_offsets, OFFSETS, atol=1e-10)
     values = fit.model.parameters.mapping(fit.parameters)
+    rows = {row.name: row.corrected for row in fit.corrected_values}
+    assert rows["center left x"] == values["center[left].x"]
     for name, center in zip(("left", "right"), CENTERS * np.exp(1j * turn), strict=True):
         found = complex(values[f"center[{name}].x"], values[f"center[{name}].y"])
         assert found == pytest.approx(center, abs=1e-7)

@@ -15,10 +15,9 @@ from doe.studies.blind.cells import random_truth
 from doe.studies.blind.simulator import RowConditions, TrueArm, session
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.conditions import Conditions
-from identification.gap.fit import Rows, fit
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose, rotation_about
-from identification.measurements import Measurements, past_from_order
+from identification.measurements import past_from_order
 from identification.model import Model
 
 AROUND: tuple[Any, Any] = ({"a": 2e-3, "b": -1e-3},) * 2
@@ -253,22 +252,3 @@ def test_what_the_geometry_can_be_wrong_about() -> None:
     for column in columns:
         left = column - space @ np.linalg.lstsq(space, column, rcond=1e-10)[0]
         assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(column)  # of differences: (1e-4)^2 and 1e-13 / 1e-4
-
-
-def test_the_mass_of_a_tool_that_nobody_weighed() -> None:
-    """Estimated with the compliances from data without noise; a guessed mass makes other stiffnesses of it."""
-    truth, run = truth_and_session()
-    truth = replace(truth, payload=0.0)
-    c = 1e-5 * np.array([0.0, 2.0, 1.0, 3.0, 4.0])
-    heavy = replace(truth, effects=[("joint_compliance", None, {"c": c}), ("payload_error", None, {"d": 3.0})])
-    run = replace(run, payload=np.zeros(len(run.q)))
-    rows = Rows.of(Measurements(run.q, simulator.position(heavy, run)))
-    compliances = [EffectSpec("joint_compliance", j) for j in range(2, 6)]
-    found = fit(model_of(truth, *compliances, EffectSpec("tool_mass")), rows).by_name
-    assert found["tool_mass.m"] == pytest.approx(3.0, abs=1e-6)
-    for j in range(2, 6):
-        assert found[f"joint_compliance:{j}.c"] == pytest.approx(c[j - 1], rel=1e-6)
-    guessed = fit(
-        model_of(replace(truth, payload=1.0), *compliances), rows.pick(np.ones(len(run.q), dtype=bool))
-    ).by_name
-    assert guessed["joint_compliance:5.c"] > 1.5 * c[4]  # at the wrist nearly all of the torque is the tool's

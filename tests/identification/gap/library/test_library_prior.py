@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification.effects import Effect, Parameter, register
+from identification.effects.base import _LIBRARY
 from identification.errors import InputError
 from identification.estimation import estimate_with_prior
 from identification.gap.library_prior import library_prior
@@ -138,3 +140,18 @@ def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
     assert np.mean(said) == pytest.approx(np.mean(reached), rel=0.2)
     bare = replace(fit, prior=replace(found.prior, own_error=0.0))
     assert said[-1] == pytest.approx(bare.expected_tip**2 + 2.0 * own**2, rel=1e-9)
+
+
+def test_an_effect_without_a_typical_size_is_left_out() -> None:
+    class Unsized(Effect):
+        name = "unsized"
+        summary = "a size that nobody knows"
+
+        def define(self) -> tuple[Parameter, ...]:
+            return (self.parameter("x", "mm", scale=1.0),)
+
+    register(Unsized)
+    try:
+        assert library_prior(ARM).left_out["unsized"] == "no typical size"
+    finally:
+        del _LIBRARY["unsized"]
