@@ -42,7 +42,7 @@ def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
     tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
-    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument))
+    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument.unplaced))
 
 
 def some_of_one_point(measurements: Measurements) -> Measurements:

@@ -166,6 +166,11 @@ class Instrument:
         return self
 
     @property
+    def unplaced(self) -> Instrument:
+        """The same before anything is known of where it stands."""
+        return self
+
+    @property
     def targets(self) -> Mapping[str, Array]:
         """Name -> (3,) about where these are; empty: not known."""
         return {}

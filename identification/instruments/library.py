@@ -270,6 +270,10 @@ class AtTargets(Instrument):
     def targets(self) -> dict[str, Array]:
         return {name: np.array(place) for name, place in self.at}
 
+    @property
+    def unplaced(self) -> Self:
+        return replace(self, at=(), numbers=())
+
     def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
         """What belongs to the target of this number, of one for each target."""
         for number, one in zip(self.numbers or range(len(self.at)), each, strict=True):

@@ -124,7 +124,7 @@ class KinematicChain(ByValue):
     @property
     def positions_in_plane(self) -> bool:
         """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
-        return False
+        return self.planar and self.instrument.reads_positions
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
@@ -146,7 +146,7 @@ class KinematicChain(ByValue):
     @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
-        return not self.fixed
+        return not (self.planar or self.fixed)
 
     @property
     def held(self) -> frozenset[str]:
@@ -212,8 +212,10 @@ class KinematicChain(ByValue):
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
-        which move all that lies beyond as the base does; nor what no reading of the instrument shows;  best : best
-        known values, which matter in the plane"""
+        which move all that lies beyond as the base does; nor what no reading of the instrument shows.
+
+        best : best known values, which matter in the plane
+        """
         stands = BASE in self.settled
         hidden = {
             error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
@@ -431,16 +433,8 @@ class PlanarChain(KinematicChain):
     planar = True
 
     @property
-    def positions_in_plane(self) -> bool:
-        return self.instrument.reads_positions
-
-    @property
     def bends(self) -> dict[str, int]:
         return {"deflections": len(self), "slopes": len(self)}
-
-    @property
-    def redundant(self) -> bool:
-        return False
 
     @property
     def held(self) -> frozenset[str]:
