@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, TypeVar
 
 from identification.document import Answer, Document
 from identification.errors import InputError, nearest
-from identification.files.io import PathLike, read_text, read_toml, write_together
+from identification.files.io import PathLike, read_bytes, read_text, read_toml, write_together
 from identification.running import Progress, Status, silent
 
 if TYPE_CHECKING:
@@ -88,6 +88,7 @@ def init_files(
     dh: Annotated[int, range(1, 13), "N"] | None = None,
     base_link: str | None = None,
     tip_link: str | None = None,
+    package_dir: tuple[Path, ...] = (),
     instrument: Annotated[str, "KIND"] | None = None,
     out: Folder = Folder(Path(".")),  # noqa: B008
     force: bool = False,
@@ -102,17 +103,18 @@ def init_files(
     dh : A spatial arm from N Denavit-Hartenberg rows.
     base_link : Of the URDF file; left out: its root.
     tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
+    package_dir : Folder in which packages of the URDF's meshes are, which are copied; may be repeated.
     instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     """
-    from identification.files.first_files import ARM, STEPS, dh_files, planar_files, urdf_files
+    from identification.files.first_files import ARM, STEPS, dh_files, mesh_files, planar_files, urdf_files
     from identification.instruments import KINDS
 
     sources = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
     if len(sources) > 1:
         raise InputError(f"{sources[1]}: found with {sources[0]}, allowed: one of them")
-    for name, value in (("--base-link", base_link), ("--tip-link", tip_link)):
-        if value is not None and robot is None:
+    for name, value in (("--base-link", base_link), ("--tip-link", tip_link), ("--package-dir", package_dir)):
+        if value and robot is None:
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
     if instrument is not None and robot is None and dh is None:
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
@@ -122,11 +124,15 @@ def init_files(
         files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:
         files = planar_files(links or "3") if dh is None else dh_files(dh, instrument or "")
-    new: dict[PathLike, str | bytes] = {out / name: text for name, text in files.items()}
-    if robot is not None and (copy := out / robot.name).exists() and copy.samefile(robot):  # it stands there already
-        del new[copy]
+    copied, missing = ({}, []) if robot is None else mesh_files(robot, package_dir)
+    new: dict[Path, str | bytes] = {out / name: text for name, text in files.items()}
+    new |= {out / name: read_bytes(source) for name, source in copied.items()}
+    for name, source in ({robot.name: robot} | copied).items() if robot is not None else ():
+        if (copy := out / name).exists() and copy.samefile(source):  # it stands there already
+            del new[copy]
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        for folder in {path.parent for path in (out / ARM, *new)}:
+            folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--out: {out} cannot be made ({error.strerror}), allowed: a folder") from None
     write_together(new, force)
@@ -136,6 +142,9 @@ def init_files(
     made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
     upright = "gravity: the masses of the URDF file, on a base that stands upright; if it does not, change [gravity]"
     made_up += [upright] if "\n[gravity]" in files[ARM] else []
+    if missing:
+        looked = "plans will not look at collisions of these links; armcal init --package-dir finds and copies them"
+        made_up.append(f"{len(missing)} meshes are not found, the first of them {missing[0]}: {looked}")
     steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
 
