@@ -47,7 +47,7 @@ def declares(example: str) -> Callable[[Verb], Verb]:
     return declare
 
 
-def listed(text: str) -> list[str]:
+def words_in(text: str) -> list[str]:
     """The words of `a, b`."""
     return [word.strip() for word in text.split(",") if word.strip()]
 
@@ -285,7 +285,7 @@ def identify_files(
     from identification.origin import diagnosed, identified
     from identification.simulate import with_servo_errors
 
-    loaded, words, minimal = load_arm(arm), [each for text in only for each in listed(text)], parameters == "minimal"
+    loaded, words, minimal = load_arm(arm), [each for text in only for each in words_in(text)], parameters == "minimal"
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
         if value is not None and loaded.chain.planar:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
@@ -310,7 +310,7 @@ def identify_files(
             raise InputError("--parameters: minimal with --prior, allowed: all")
         if method not in (None, "gauss_newton"):
             raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
-    names = None if missing is None else listed(missing)
+    names = None if missing is None else words_in(missing)
 
     progress(0, None, f"fitting {len(measurements)} rows")
     before = None if prior_from is None or old is None else (prior_from, old)

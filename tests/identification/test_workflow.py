@@ -16,9 +16,9 @@ from identification.workflow import (
     Written,
     compensate_files,
     identify_files,
-    listed,
     load_sessions,
     validate_files,
+    words_in,
 )
 
 LENGTHS = [300.0, 200.0]
@@ -86,4 +86,4 @@ def test_every_verb_says_what_it_is_for() -> None:
 
 
 def test_words_of_a_list() -> None:
-    assert listed("a, b,c ,") == ["a", "b", "c"]
+    assert words_in("a, b,c ,") == ["a", "b", "c"]
