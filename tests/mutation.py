@@ -29,13 +29,18 @@ TESTED = {  # module -> tests that must notice
         *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch")),
     ],
     "identification/estimation/levenberg_marquardt.py": [f"{ESTIMATION}/test_levenberg_marquardt.py"],
-    "identification/estimation/uncertainty.py": [f"{ESTIMATION}/test_uncertainty.py"],
+    "identification/estimation/uncertainty.py": [
+        *(f"{ESTIMATION}/test_{name}.py" for name in ("uncertainty", "outlying")),
+        "tests/identification/gap/test_confirmation.py",
+    ],
     "identification/estimation/estimate.py": [f"{ESTIMATION}/test_estimate.py", f"{ESTIMATION}/test_prior.py"],
     "identification/estimation/problem.py": [f"{ESTIMATION}/test_prior.py", f"{ESTIMATION}/test_contradictions.py"],
-    "identification/gap/likelihood.py": ["tests/identification/gap/test_likelihood.py"],
+    "identification/gap/likelihood.py": [
+        *(f"tests/identification/gap/test_{name}.py" for name in ("likelihood", "average")),
+    ],
     "identification/gap/search.py": ["tests/identification/gap/test_search.py"],
     "doe/bounds/planar_theorem.py": ["tests/doe/bounds/test_planar_theorem.py"],
-    "doe/bounds/certificate.py": ["tests/doe/bounds/test_certificate.py"],
+    "doe/bounds/certificate.py": [f"tests/doe/bounds/test_{name}.py" for name in ("certificate", "column_generation")],
     "doe/criteria.py": ["tests/doe/criteria"],
 }
 # arithmetic for other arithmetic, numbers, comparisons, logic; not what raises at once (shifts), nor annotations

@@ -115,9 +115,9 @@ def table_3(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
     """
     printed: dict[tuple[int, int, str], float] = {}
     for entry in PAPER["table_3"]:
-        for j, orientation in enumerate(entry["orientations"], start=1):
-            at = entry["links"], entry["runs"]
-            printed |= {(*at, f"length_error:{j}"): entry["length"], (*at, f"orientation_offset:{j}"): orientation}
+        at, orientations = (entry["links"], entry["runs"]), list(enumerate(entry["orientations"], start=1))
+        printed |= {(*at, f"length_error:{j}"): entry["length"] for j, _ in orientations}
+        printed |= {(*at, f"orientation_offset:{j}"): value for j, value in orientations}
     rows: list[Row] = []
     cases = [("Table III", paper_arm(links), "dft", [3, 4, 20]) for links in (2, 3, 4)]
     cases.append(("joint limits", paper_arm(4, limited=True), "exchange_ipopt", [4, 20]))

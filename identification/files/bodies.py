@@ -26,6 +26,7 @@ from identification.files.meshes import READERS, read_mesh
 from identification.files.urdf import parse_urdf, xml_root
 from identification.kinematics.frames import pose, rotation_to_z
 
+PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
 FARTHEST, NEAREST = 20.0, 1e-3  # of the arm's reach: sizes of a mesh beyond which its unit is another one
 _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 _SIDES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])  # of a box
@@ -203,25 +204,34 @@ class ShapedBodies(ByValue, Sequence[Body]):
         return found
 
 
-def mesh_file(name: str, folders: Sequence[str]) -> Path | None:
+def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
     """The file that a URDF file names; None: it is not there, in none of the folders, or of another type.
 
     folders : in which it may be, that of the URDF file first; the package that this is in is another
     """
     beside = Path(folders[0])
     package = next((above for above in (beside / "x").resolve().parents if (above / "package.xml").is_file()), None)
-    if (words := re.fullmatch(r"(?:package|model)://([^/]+)/(.+)", name)) is not None:
-        places = [(root, Path(root, *rest)) for root in folders for rest in (words.groups(), words.groups()[1:])]
+    roots: list[PathLike] = [*folders, *([] if package is None else [package])]
+    places = [(root, Path(root, inner)) for root in folders if (inner := name_beside(name)) is not None]
+    if (words := PACKAGE.fullmatch(name)) is not None:
+        places += [(root, Path(root, words[2])) for root in folders]
         if package is not None and words[1] in (package.name, _package_name(package)):
-            places.append((str(package), package / words[2]))
+            places.append((package, package / words[2]))
     else:
-        roots = [*folders, *([] if package is None else [str(package)])]
-        places = [(root, beside / re.sub(r"^file://", "", name)) for root in roots]
+        places = [(root, beside / re.sub(r"^file://", "", name)) for root in roots] + places
     for root, path in places:
         inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root))
         if inside and path.suffix.lower() in READERS and path.is_file():
             return path
     return None
+
+
+def name_beside(name: str) -> str | None:
+    """Under which a mesh that a URDF file names so is found beside a copy of it; None: under none."""
+    words = PACKAGE.fullmatch(name)
+    inner = "/".join(words.groups()) if words else re.sub(r"^(\.\.?/+)+", "", name)
+    absolute = inner.startswith(("/", "file:")) or ".." in inner.split("/")
+    return None if absolute else inner
 
 
 def _package_name(folder: Path) -> str:

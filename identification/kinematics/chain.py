@@ -178,8 +178,10 @@ class KinematicChain(ByValue):
     @cached_property
     def reach(self) -> float:
         """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
-        sliding = (max(abs(j.lower), abs(j.upper)) for j in self.joints if j.type == PRISMATIC)
-        return float(np.linalg.norm(self._links[0][:3, 3]) + sum(self.lengths.tolist()) + sum(sliding))
+        reach = float(np.linalg.norm(self._links[0][:3, 3])) + sum(self.lengths.tolist())
+        for joint in self.joints:
+            reach += max(abs(joint.lower), abs(joint.upper)) if joint.type == PRISMATIC else 0.0
+        return float(reach)
 
     @cached_property
     def levers(self) -> Array:

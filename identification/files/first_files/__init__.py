@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
+from identification.files.bodies import mesh_file, name_beside
 from identification.files.io import PathLike
 from identification.files.measurement import UNITS
 from identification.files.schema import json_schema, validated_arm
@@ -86,6 +87,26 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     if any(masses):
         values |= {"massed": True, "masses": [float(f"{mass:.12g}") for mass in masses]}
     return _files([joint.type for joint in chain.joints], instrument, **values) | {file: urdf.text}
+
+
+def mesh_files(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> tuple[dict[str, Path], list[str]]:
+    """Meshes of the bodies of a URDF file, by names under which they are found beside a copy of it; and the names of
+    those that are not found.
+
+    package_dirs : folders that they may be in
+    """
+    urdf, found, missing = read_urdf(path), dict[str, Path](), list[str]()
+    try:
+        shapes = [shape for link in urdf.links for shape in urdf.collisions(link)]
+    except InputError:  # which is said to those who ask for bodies
+        return {}, []
+    for name in dict.fromkeys(file for kind, _, file, _ in shapes if kind == "mesh"):
+        file, beside = mesh_file(name, [Path(path).parent, *package_dirs]), name_beside(name)
+        if file is None or beside is None:
+            missing.append(name)
+        else:
+            found[beside] = file
+    return found, missing
 
 
 def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, KinematicChain]:

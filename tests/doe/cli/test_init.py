@@ -22,6 +22,7 @@ from identification.files.csv import read_table
 from identification.files.first_files import dh_files, planar_files, urdf_files
 from identification.files.urdf import read_urdf
 from tests.doe.cli.conftest import Folder
+from tests.identification.files.test_meshes import FACES, binary
 from tests.small_arm import MASSES, urdf
 
 URDF = Path(__file__).parents[2] / "data/spatial/six_axis.urdf"
@@ -143,3 +144,32 @@ def test_gravity_is_on_where_the_urdf_file_has_masses(folder: Folder, masses: bo
     if gravity is not None:
         assert gravity.link_masses.tolist() == MASSES.tolist()
         assert gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
+
+
+def test_meshes_of_bodies_are_copied(folder: Folder) -> None:
+    """To where the copy of the URDF file finds them, without the package that they came from; and not onto themselves.
+    What is not found is said."""
+    links = {"arm": "package://robot/meshes/a.stl", "hand": "../meshes/b.stl", "left": "package://other/c.stl"}
+    text = GRIPPER
+    for link, name in links.items():
+        mesh = f'<collision><geometry><mesh filename="{name}"/></geometry></collision></link>'
+        text = re.sub(rf'<link name="{link}"(/>|>(.*?)</link>)', rf'<link name="{link}">\2{mesh}', text, count=1)
+    for place in ("package/meshes/a.stl", "package/meshes/b.stl", "given/other/c.stl", "package/urdf/r.urdf"):
+        path = folder.path / place
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(binary(0.1 * FACES))
+    folder.write("package/package.xml", "<package><name>robot</name></package>")
+    folder.write("package/urdf/r.urdf", text)
+    said = folder.said("init --urdf package/urdf/r.urdf --tip-link tcp --out cell")
+    assert said["files"][-2:] == ["cell/robot/meshes/a.stl", "cell/meshes/b.stl"]
+    assert [
+        line for line in said["next"] if line.startswith("1 meshes are not found, the first of them package://other/c")
+    ]
+    cell = load_arm(folder.path / "cell/arm.toml").cell
+    assert cell is not None
+    with pytest.warns(UserWarning, match=r"meshes of left are not found"):
+        assert [body.name for body in cell.bodies] == ["arm", "hand"]
+    folder.said("init --urdf cell/r.urdf --tip-link tcp --out cell --force")
+    again = folder.said("init --urdf package/urdf/r.urdf --package-dir given --tip-link tcp --out new")
+    assert (folder.path / "new/other/c.stl").read_bytes() == binary(0.1 * FACES)
+    assert not [line for line in again["next"] if "not found" in line]

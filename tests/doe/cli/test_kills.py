@@ -80,7 +80,7 @@ def test_a_signal_while_a_library_loads(
 ) -> None:
     """Some turn it into an ImportError of their own."""
 
-    def load(_: object) -> None:
+    def load(*_: object) -> None:
         with suppress(*[KeyboardInterrupt] if caught else []):
             signal.raise_signal(number)
         raise ImportError("initialization failed")

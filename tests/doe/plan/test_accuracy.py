@@ -168,28 +168,6 @@ def tip_error(problem: DesignProblem, wide: DesignProblem, plan: Array, poses: A
     return TipErrors(problem, wide, tip_jacobians(wide, at)).of_plan(plan)
 
 
-def test_against_simulated_arms() -> None:
-    """1,000 arms of the prior, measured at the plan, fitted by the linear model without effects: least squares alone.
-
-    A mean square of one direction has the standard error sqrt(2 / 1000) = 4.5 %; four of them.
-    """
-    generator, count, wide = np.random.default_rng(1), 1000, Model(MISSING.arm)
-    sizes = wide.parameters.vector(MISSING.prior.deviations, default=0.0)
-    poses = workspace(PLAIN)[:100]
-    found = {}
-    for name, size in (("right", 0.0), ("missing", 1.0)):
-        truth = size * sizes * generator.standard_normal((count, len(sizes)))
-        clean = wide.position(POSTURES, truth) - wide.position(POSTURES, np.zeros(len(sizes)))
-        data = (clean + 0.1 * generator.standard_normal(clean.shape)).reshape(count, -1)
-        jacobian, at_poses = PLAIN.model.jacobian(POSTURES).reshape(-1, 4), PLAIN.model.jacobian(poses).reshape(-1, 4)
-        estimates = np.linalg.lstsq(jacobian, data.T, rcond=None)[0]
-        real = (wide.position(poses, truth) - wide.position(poses, np.zeros(len(sizes)))).reshape(count, -1)
-        found[name] = float(np.sum((at_poses @ estimates - real.T) ** 2) / count / len(poses))
-    expected = tip_error(PLAIN, WIDE, POSTURES, poses)
-    assert expected.right**2 == pytest.approx(found["right"], rel=4.0 * np.sqrt(2.0 / count))
-    assert expected.missing**2 == pytest.approx(found["missing"], rel=4.0 * np.sqrt(2.0 / count))
-
-
 def test_with_the_prior_it_is_criterion_i() -> None:
     poses = workspace(PLAIN)
     expected = -replace(WIDE, criterion=average_error(WIDE, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)

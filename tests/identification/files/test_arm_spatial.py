@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Machining
 from identification.errors import InputError
-from identification.estimation import estimate
-from identification.files.arm import load_arm, with_calibration
+from identification.files.arm import load_arm
 from identification.files.urdf import read_urdf
 from identification.kinematics.chain import BASE, TOOL, DHRow
 from identification.kinematics.frames import pose
-from identification.measurements import Measurements
 from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.identification.kinematics.test_spatial import printed
@@ -122,14 +119,6 @@ joint = "prismatic"
 lower = [-50.0]
 upper = [150.0]
 """
-WRIST = """\
-[[dh]]
-a_mm = 30.0
-alpha_deg = 60.0
-d_mm = 40.0
-
-[joint_limits_mm]"""
-FOUR_AXES = BY_TABLE.replace("[joint_limits_mm]", WRIST)
 
 
 def saved(folder: Path, text: str) -> Path:
@@ -201,34 +190,6 @@ def test_arm_of_a_table(tmp_path: Path, convention: str) -> None:
     assert arm.chain.settled == frozenset()
 
 
-# -- calibrations ------------------------------------------------------------------------------------------------------
-def test_calibration_comes_back_to_rounding(tmp_path: Path) -> None:
-    """From 40 postures of an arm with errors of a millimetre and a milliradian and two markers, standing elsewhere."""
-    path, generator = saved(tmp_path, FOUR_AXES), np.random.default_rng(2)
-    arm, base = load_arm(path), pose((2000.0, 300.0, -100.0), Rotation.from_euler("xyz", (0.4, 1.0, -2.0)).as_matrix())
-    tools = {"top": np.array([50.0, 20.0, 90.0]), "side": np.array([80.0, 20.0, 90.0])}
-    postures = generator.uniform(arm.lower, arm.upper, (40, arm.links))
-    data = Measurements(postures, np.zeros((40, 3)), marker=np.array([*tools])[np.arange(40) % 2])
-    true = Model(replace(arm, chain=replace(arm.chain, base=base, tools=tools)))
-    values = generator.normal(0.0, 1.0 / true.scales)
-    data = replace(data, positions=true.position(postures, values, data.conditions))
-    found = estimate(Model(arm), data, sigma=0.01)
-    text = with_calibration(path.read_text(), found.calibration())
-    assert text.startswith(FOUR_AXES)
-    path.write_text(text)
-    again, before = load_arm(path), found.calibrated_arm()
-    model, same = Model(before), Model(again)
-    assert model.names == same.names
-    postures = np.random.default_rng(3).uniform(arm.lower, arm.upper, (20, 4))
-    np.testing.assert_allclose(same.position(postures), model.position(postures), atol=1e-10)
-    np.testing.assert_allclose(same.jacobian(postures), model.jacobian(postures), atol=1e-10)
-    read, written = again.calibration, before.calibration
-    np.testing.assert_allclose(read.covariance, written.covariance, rtol=1e-12, atol=1e-20)  # type: ignore[union-attr]
-    np.testing.assert_allclose(read.base, found.geometry.base, atol=1e-11)  # type: ignore[union-attr]
-    for name, place in found.geometry.tools.items():  # type: ignore[union-attr]
-        np.testing.assert_allclose(read.tools[name], place, atol=1e-11)  # type: ignore[union-attr]
-
-
 # -- bad input ---------------------------------------------------------------------------------------------------------
 BAD = [  # values that are of the right type: what to replace, by what, and what is named
     (BY_URDF, 'urdf = "six_axis.urdf"\n', "", "urdf, dh: neither is there"),
@@ -276,12 +237,15 @@ def test_bad_input_is_one_line(tmp_path: Path, text: str, old: str, new: str, na
 def test_examples_of_the_page_load(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "identification/files/README.md"
     section = page.read_text().split("### Spatial arms")[1].split("\n## ")[0]
-    by_urdf, by_table, by_lengths, joints = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    blocks = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    by_urdf, by_table, by_cell, by_lengths, joints = blocks
     shutil.copy(URDF, tmp_path / "robot.urdf")
     arm = load_arm(saved(tmp_path, by_urdf))
     assert (arm.links, len(arm.constraints), list(arm.chain.tools)) == (6, 2, ["top"])
     chain = load_arm(saved(tmp_path, by_table)).chain
     assert (len(chain), chain.settled) == (2, {BASE})
     assert load_arm(saved(tmp_path, f"links_mm = [4, 3, 2, 1]\n{joints}")).counting is not None
+    (tmp_path / "robot.srdf").write_text('<robot name="six"/>')
+    assert load_arm(saved(tmp_path, f"{by_urdf}\n{by_cell}")).cell is not None
     bar = load_arm(saved(tmp_path, f"{by_urdf}\n{by_lengths}")).chain
     assert bar.coordinates == 1
