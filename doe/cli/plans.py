@@ -174,6 +174,7 @@ def design_files(
     discriminating: bool = False,
     loss: float | None = None,
     order: str | None = None,
+    approach: str = "any",
     criterion: CriterionOptions,
     keep: Path | None = None,
     candidates: Path | None = None,
@@ -198,7 +199,8 @@ def design_files(
     seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
     loss : Largest loss of D-efficiency that --discriminating accepts; left out: 0.05.
-    order : given, travel (least joint travel) or random.
+    order : given, travel (least joint travel) or random; left out: travel where bodies are known.
+    approach : any, or from where each joint comes to every posture: positive, negative or alternate.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
@@ -210,7 +212,8 @@ def design_files(
     package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.plan import check_order, ordered, travel
+    from doe.plan.driving import check_approach, drive, with_approach
+    from doe.plan.plan import check_order
     from doe.problem.uncertain import with_choices
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
@@ -226,9 +229,16 @@ def design_files(
         raise InputError("--discriminating: found with --robust, allowed: one of them")
     loaded = load_arm(arm, package_dir)
     check_order(order)
+    check_approach(approach)
+    if approach != "any" and loaded.chain.instrument.contact:
+        raise InputError(
+            f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
+        )
+    signs = () if loaded.counting is None else loaded.counting.sign
     apart = 0.0 if repeats else None if minimum_distance_deg is None else math.radians(minimum_distance_deg)
     known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
     problem = design_problem(loaded, criterion, seed, apart=apart, draws=draws or 5, **known)
+    problem = with_approach(problem, approach, signs)
     if criterion.robust and solver in (None, "fedorov"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
@@ -242,17 +252,14 @@ def design_files(
     else:
         design = solve(problem, runs, progress=progress, **effort)
         extra = [*missing_lines(design)]
+    driven = drive(design.problem, design.plan, order, approach, signs, seed)
+    design = replace(design, plan=driven.plan)
     expected = tip_beside_random(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
-    if order is not None:
-        before = math.degrees(travel(design.plan.postures))
-        design = replace(design, plan=ordered(design.plan, order, seed=seed))
-        after = math.degrees(travel(design.plan.postures))
-        saved = 1.0 - after / before if before > 0.0 else 0.0
-        data["travel_deg"] = {"order": order, "before": before, "after": after, "saved": saved}
-        extra.append(f"order {order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)")
-    text = design.plan.text(loaded.joint_types, columns_beside(design))
+    data |= driven.to_json()
+    extra += driven.in_words()
+    text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
     extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
@@ -287,6 +294,7 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
+    from doe.plan.driving import in_sentences, unproven
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
@@ -323,10 +331,14 @@ def score_files(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
+    driven = load_plan(plan, loaded.joint_types, vias=True).postures
+    moves = None if judged.weights is not None else unproven(problem.constraints, driven)
+    if moves is not None:
+        data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
     written(pictures, force)
-    document = design_document(design).plus(*lines, *criteria_lines(data), *tables)
+    document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
@@ -529,6 +541,7 @@ def program_files(
     speed: Annotated[int, range(1, 101), "PERCENT"] = 20,
     settle: Annotated[float, "S"] = 2.0,
     template: Path | None = None,
+    package_dir: tuple[Path, ...] = (),
     out: Written,
     force: bool = False,
 ) -> Answer:
@@ -541,12 +554,13 @@ def program_files(
     speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
     settle : Seconds from the arrival to the measurement, up to 300.
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
+    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     out : Write the program, which takes the name of the file.
     """
     from doe.program.program import program
     from identification import load_arm, load_plan
 
-    loaded = load_arm(arm)
+    loaded = load_arm(arm, package_dir)
     file = load_plan(plan, loaded.joint_types, vias=True)
     if file.weights is not None:
         raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")

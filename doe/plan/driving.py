@@ -5,10 +5,13 @@ A posture to which no free way leads is replaced by the best, by the criterion, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
 from doe.plan.plan import ordered, shortest_path
@@ -22,9 +25,11 @@ from identification import Array, InputError, JobError, Plan, nearest
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (0.0, 0.0), "positive": (1.0, 0.0), "negative": (0.0, 1.0), "alternate": (1.0, 1.0)}
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
+SPARE = 0.02  # share that planned moves keep besides: they are found free again when they are read
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
 CANDIDATES, ATTEMPTS = 200, 5  # for a posture in the place of one that cannot be reached; rounds of replacing
+FINE = 300  # postures of a move that is looked at to say what collides
 NEXT = 10  # postures to which one is tried to be moved from there
 
 
@@ -32,18 +37,58 @@ NEXT = 10  # postures to which one is tried to be moved from there
 class Drive:
     """A plan of measurements in their order, and how they are driven through.
 
-    plan : the measurements;  moves : the same with way-points;  order : of `ORDERS`
+    plan : the measurements;  moves : the same with way-points, None: they were not asked for, and nothing is in the way
+    order : of `ORDERS`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
     """
 
     plan: Plan
-    moves: Plan
-    order: str
-    travel: float
-    before: float
-    shortest: float
+    moves: Plan | None = None
+    order: str | None = None
+    approach: str = "any"
+    travel: float = 0.0
+    before: float = 0.0
+    shortest: float = 0.0
     replaced: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """By the keys of files; rows as a program has them, joints as the controller counts [deg, mm]."""
+        if self.order is None:
+            return {}
+        before, after, shortest = np.degrees([self.before, self.travel, self.shortest]).tolist()
+        saved = 1.0 - after / before if before > 0.0 else 0.0
+        data: dict[str, Any] = {"travel_deg": {"order": self.order, "before": before, "after": after, "saved": saved}}
+        if self.moves is None or self.moves.via is None:
+            return data
+        runs = np.where(self.moves.via, 0, np.cumsum(~self.moves.via)).tolist()
+        rows = [
+            {"kind": "measure" if run else "via", "run": run or None, "joints": row}
+            for run, row in zip(runs, self.moves.displayed.tolist(), strict=True)
+        ]
+        vias = int(self.moves.via.sum())
+        moves = {"vias": vias, "replaced": self.replaced, "shortest_deg": shortest, "approach": self.approach}
+        return data | {"moves": moves | {"rows": rows}}
+
+    def in_words(self) -> list[str]:
+        """What is to be said of the order, and of the moves."""
+        if self.order is None:
+            return []
+        data = self.to_json()
+        before, after, saved = (data["travel_deg"][key] for key in ("before", "after", "saved"))
+        lines = [f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)"]
+        if moves := data.get("moves"):
+            times = after / moves["shortest_deg"] if moves["shortest_deg"] > 0.0 else 1.0
+            counted = f"{moves['vias']} way-point{'s' * (moves['vias'] != 1)}"
+            lines.append(
+                f"Moves: {counted}, {times:.2f} times the travel of the shortest order with nothing in the way."
+            )
+            if self.approach != "any":
+                how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
+                lines.append(f"every joint comes to each posture {how}")
+            if self.replaced:
+                lines.append(f"{self.replaced} of the postures were replaced: no free way led from the others to them")
+        return lines
 
 
 def drive(
@@ -61,16 +106,14 @@ def drive(
 
     Raises `JobError` where postures are left that cannot be reached.
     """
-    known, generator = room_of(problem.constraints), np.random.default_rng(seed)
-    room = known or Room(
-        lambda q: np.empty((len(q), 0)), np.empty((0, problem.joints)), lambda q: np.ones(len(q), bool)
-    )
-    space = Space(problem.model.lower, problem.model.upper, problem.joint_units)
+    known, generator = room_of(problem.constraints, SPARE), np.random.default_rng(seed)
+    if known is None and approach == "any" and order is None:
+        return Drive(plan)
+    room, space = known or nothing(problem.joints), Space(problem.model.lower, problem.model.upper, problem.joint_units)
     order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
-    before = float(space.travel(plan.postures[:-1], plan.postures[1:]).sum())
-    given = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
-    postures, replaced = given.copy(), set[int]()
-    senses = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
+    before = space.length(plan.postures)
+    postures = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
+    senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
     for _ in range(ATTEMPTS):
         entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
@@ -87,13 +130,33 @@ def drive(
         raise JobError(f"no free way was found to run {runs}; another --seed, or --candidates, may have more luck")
     ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
-    moves = replace(plan, postures=np.concatenate(ways), via=via)
-    lengths = space.travel(moves.postures[:-1], moves.postures[1:])
-    cost = space.travel(postures[:, None], postures)
-    path = shortest_path(cost) if len(plan) <= MANY else found.rows
-    shortest = float(cost[path[:-1], path[1:]].sum())
+    whole = replace(plan, postures=np.concatenate(ways), via=via)
+    path = found.rows if len(plan) > MANY else shortest_path(space.travel(postures[:, None], postures))
+    shortest = space.length(postures[path])
+    moves = None if known is None and approach == "any" else whole
     measured = replace(plan, postures=postures[found.rows])
-    return Drive(measured, moves, order, float(lengths.sum()), before, shortest, len(replaced))
+    return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
+
+
+def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, tuple[str, str], float]] | None:
+    """Moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads to, the pair of
+    bodies that comes nearest to what is kept, and how near [mm]; None where nothing is known of any body."""
+    if (room := room_of(constraints)) is None:
+        return None
+    clearance = next(each for each in constraints if isinstance(each, Clearance))
+    kept = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
+    found, shares = [], np.linspace(0.0, 1.0, FINE)[:, None]
+    for row in np.flatnonzero(~free(postures[:-1], postures[1:], room)).tolist():
+        apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
+        at, k = divmod(int(np.argmin(apart - kept)), len(kept))
+        found.append((row + 2, clearance.pairs[k], float(apart[at, k])))
+    return found
+
+
+def in_sentences(moves: Sequence[tuple[int, tuple[str, str], float]]) -> list[str]:
+    """What is to be said of moves that are not proven to be free."""
+    lines = [f"Moves: {len(moves)} may collide on the way:"] if moves else []
+    return lines + [f"  to row {row}: {one} and {other} come to {gap:.0f} mm" for row, (one, other), gap in moves]
 
 
 def another(
@@ -123,8 +186,19 @@ def another(
     return postures
 
 
-def room_of(constraints: Sequence[Constraint]) -> Room | None:
+def nothing(joints: int) -> Room:
+    """The room of an arm that nothing is in the way of."""
+
+    def none(postures: Array) -> Array:
+        return np.empty((len(postures), 0))
+
+    return Room(none, np.empty((0, joints)), lambda postures: np.ones(len(postures), dtype=bool), lambda _: none)
+
+
+def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | None:
     """What the moves of an arm with these constraints keep free; None where nothing is known of any body.
+
+    spare : share of the clearance, and of the distance of walls, that is kept besides
 
     Of the clearance that postures keep it is half, beyond which a body may be where it is not thought to be; and the
     walls of the arm file to 10 mm, since many postures are on one. A line of sight may be blocked between measurements.
@@ -132,18 +206,31 @@ def room_of(constraints: Sequence[Constraint]) -> Room | None:
     if (clearance := next((each for each in constraints if isinstance(each, Clearance)), None)) is None:
         return None
     walls = [each for each in constraints if each.kind in KINDS]
-    solid, model = np.array([SIGHT not in pair for pair in clearance.pairs], dtype=bool), clearance.model
-    kept, levers = MOVING * clearance.asked[solid] - ROUNDING, clearance.levers()[solid]
+    solid, model = [k for k, pair in enumerate(clearance.pairs) if SIGHT not in pair], clearance.model
+    kept, wall = (MOVING + spare) * clearance.asked[solid] - ROUNDING, (1.0 - spare) * WALL
 
-    def margin(postures: Array, beyond: float = WALL) -> Array:
-        apart = clearance.distance(postures)[:, solid] - kept
-        return np.concatenate([apart, *(wall.margin(postures) + beyond for wall in walls)], axis=1)
+    def beside(postures: Array, beyond: float) -> Array:
+        return np.hstack([np.empty((len(postures), 0)), *(each.margin(postures) + beyond for each in walls)])
+
+    def margin(postures: Array) -> Array:
+        return np.concatenate([clearance.distance(postures)[:, solid] - kept, beside(postures, wall)], axis=1)
+
+    def allows(postures: Array) -> NDArray[np.bool_]:
+        apart, inside = clearance.distance(postures)[:, solid] - kept, beside(postures, 0.0)
+        return np.asarray(np.all(apart >= 0.0, axis=1) & np.all(inside >= 0.0, axis=1))
+
+    @cache
+    def alone(k: int) -> Callable[[Array], Array]:
+        if k >= len(solid):
+            return lambda postures: beside(postures, wall)[:, [k - len(solid)]]
+        pair = clearance.of_pair(solid[k])
+        return lambda postures: pair.distance(postures) - kept[k]
 
     # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
     longest = np.where(turns(model), model.reach, 1.0)
-    rest = margin(np.zeros((1, len(longest)))).shape[1] - len(levers)
-    of_all = np.concatenate([levers, np.broadcast_to(longest, (rest, len(longest)))])
-    return Room(margin, of_all, lambda postures: np.asarray(np.all(margin(postures, 0.0) >= 0.0, axis=1)))
+    count = beside(np.zeros((1, len(longest))), 0.0).shape[1]
+    levers = np.concatenate([clearance.levers()[solid], np.broadcast_to(longest, (count, len(longest)))])
+    return Room(margin, levers, allows, alone)
 
 
 def check_approach(approach: str) -> None:

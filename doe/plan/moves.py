@@ -10,12 +10,13 @@ stretch keeps (r + r' - sum_j L_kj |q_j - q'_j|) / 2 all along it; where that is
 IEEE Trans. Robotics 21 (2005) 338-353). The stretches of all moves are evaluated at once, level by level. What becomes
 too short to go on counts as not free: nothing here is sampled and hoped for.
 
-*The order* is the shortest open path (`doe.plan.plan`) whose moves are free. Most moves are never looked at: those of
-the shortest path are, the ones that collide are forbidden, and again, until none does.
+*The order* is the shortest open path (`doe.plan.plan`). Most moves are never looked at: those of the shortest path are,
+the ones that collide count more, and again, until none does, or those that do are worth a way round.
 
-*Where no order is free* a random tree grows from each end of a move, a cloud of postures at a time, until one of them
+*A way round* is found by a random tree from each end of a move, which grow a few postures at a time, until one of them
 can be reached from both (J. J. Kuffner, S. M. LaValle, "RRT-Connect", ICRA 2000); what lies on the way becomes
-way-points, pulled straight as far as they can be.
+way-points, pulled straight as far as they can be. From then on the move counts as long as that is, so that no order of
+straight moves is shorter than what is found.
 """
 
 from __future__ import annotations
@@ -30,13 +31,15 @@ from numpy.typing import NDArray
 from doe.plan.plan import shortest_path
 from identification import Array
 
+COARSE = 4  # levels at which all margins are looked at together: up to 16 stretches of a move
 NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
-CLOUD, GROWTHS = 60, 10  # postures by which trees grow at once, and how often before a move is given up
+CLOUD, FEW, GROWTHS = 60, 12, 10  # postures of a cloud, those tried at once, and clouds before a move is given up
 ALONE = 3  # growths after which an end from which nothing was reached is given up
-NEAR = 0.1  # of the joints' ranges: how far about a straight move the first cloud lies; each next one twice as far
+NEAR = 0.2  # of the joints' ranges: how far about a straight move the first cloud lies; each next one twice as far
 APPROACH, TRIES = float(np.radians(3.0)), 40  # more than any backlash; how many others are tried, 0.2 to 3 times as far
 NEIGHBOURS = 5  # of a posture with a move that collides, to which moves are looked at in advance
-PULLS = 6  # times that the way-points of a detour are pulled straight
+DETOUR = 1.6  # times the travel of a straight move that collides, till the way round is known: few are asked for
+PULLS = 3  # times that the way-points of a detour are pulled straight
 
 
 class Room(NamedTuple):
@@ -45,11 +48,13 @@ class Room(NamedTuple):
     margin : of postures (m, n) the margins (m, k) [mm], which are to be >= 0
     levers : (k, n) [mm/rad, 1] how much at most each margin changes by a unit of each joint
     allows : whether postures (m, n) may be way-points
+    alone : number of a margin -> what gives it alone, (m, 1)
     """
 
     margin: Callable[[Array], Array]
     levers: Array
     allows: Callable[[Array], NDArray[np.bool_]]
+    alone: Callable[[int], Callable[[Array], Array]]
 
 
 class Space(NamedTuple):
@@ -63,25 +68,65 @@ class Space(NamedTuple):
         """(...) [rad] what the joint that moves most has to go from postures (..., n) to others."""
         return np.asarray(np.abs((ends - starts) / self.units).max(axis=-1))
 
+    def length(self, way: Array) -> float:
+        """[rad] travel along a way (v, n)."""
+        return float(self.travel(way[:-1], way[1:]).sum())
+
+
+class Stretches(NamedTuple):
+    """Parts of moves: numbers (s,) of the moves, ends (s, n), and margins (s, k) at both ends."""
+
+    move: NDArray[np.intp]
+    first: Array
+    last: Array
+    before: Array
+    after: Array
+
 
 def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
     """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free."""
-    proven = np.ones(len(starts), dtype=bool)
-    move, first, last = np.arange(len(starts)), np.asarray(starts), np.asarray(ends)
-    before, after = np.split(room.margin(np.concatenate([first, last])), 2)
-    proven &= np.all(before >= 0.0, axis=1) & np.all(after >= 0.0, axis=1)
+    starts, ends = np.asarray(starts), np.asarray(ends)
+    before, after = np.split(room.margin(np.concatenate([starts, ends])), 2)
+    proven = np.all((before >= 0.0) & (after >= 0.0), axis=1)
+    left = Stretches(np.arange(len(starts)), starts, ends, before, after)
+    left = halved(left, proven, room.margin, room.levers, COARSE)
+    for k in range(len(room.levers)):  # few pairs are near each other for long, and one takes less time than all
+        here = np.s_[:, k : k + 1]
+        near = left.before[here] + left.after[here] < np.abs(left.last - left.first) @ room.levers[k][:, None]
+        rows = near[:, 0] & proven[left.move]
+        if rows.any():
+            pair = left._replace(before=left.before[here], after=left.after[here])
+            halved(Stretches(*(part[rows] for part in pair)), proven, room.alone(k), room.levers[k : k + 1])
+    return proven
+
+
+def halved(
+    left: Stretches,
+    proven: NDArray[np.bool_],
+    margin: Callable[[Array], Array],
+    levers: Array,
+    levels: int | None = None,
+) -> Stretches:
+    """The stretches of which nothing is proven yet after so many levels, None: after all; moves that collide, or whose
+    stretches become too short, are no longer `proven`."""
+    level = 0
     while True:
-        ways = np.abs(last - first) @ room.levers.T
-        proven[move[np.any((before + after < ways) & (ways < NARROWEST), axis=1)]] = False
-        going = np.any(before + after < ways, axis=1) & proven[move]
-        if not going.any():
-            return proven
-        move, first, last, before, after = (part[going] for part in (move, first, last, before, after))
-        middle = 0.5 * (first + last)
-        margin = room.margin(middle)
-        proven[move[np.any(margin < 0.0, axis=1)]] = False
-        first, last, move = np.concatenate([first, middle]), np.concatenate([middle, last]), np.tile(move, 2)
-        before, after = np.concatenate([before, margin]), np.concatenate([margin, after])
+        ways = np.abs(left.last - left.first) @ levers.T
+        near = left.before + left.after < ways
+        proven[left.move[np.any(near & (ways < NARROWEST), axis=1)]] = False
+        left = Stretches(*(part[np.any(near, axis=1) & proven[left.move]] for part in left))
+        if not len(left.move) or level == levels:
+            return left
+        middle = 0.5 * (left.first + left.last)
+        between, level = margin(middle), level + 1
+        proven[left.move[np.any(between < 0.0, axis=1)]] = False
+        left = Stretches(
+            np.tile(left.move, 2),
+            np.concatenate([left.first, middle]),
+            np.concatenate([middle, left.last]),
+            np.concatenate([left.before, between]),
+            np.concatenate([between, left.after]),
+        )
 
 
 def detour(start: Array, end: Array, room: Room, space: Space, generator: np.random.Generator) -> Array | None:
@@ -92,17 +137,19 @@ def detour(start: Array, end: Array, room: Room, space: Space, generator: np.ran
         cloud = start + generator.random((CLOUD, 1)) * (end - start)
         cloud = np.clip(cloud + spread * generator.uniform(-0.5, 0.5, cloud.shape), space.lower, space.upper)
         cloud = cloud[room.allows(cloud)]
-        nearest = [np.argmin(space.travel(tree[:, None], cloud), axis=0) for tree in nodes]
-        reached = [free(tree[near], cloud, room) for tree, near in zip(nodes, nearest, strict=True)]
-        if (both := np.flatnonzero(reached[0] & reached[1])).size:
+        cloud = cloud[np.argsort(space.travel(start, cloud) + space.travel(cloud, end))]
+        for few in np.split(cloud, range(FEW, len(cloud), FEW)):
+            nearest = [np.argmin(space.travel(tree[:, None], few), axis=0) for tree in nodes]
+            reached = [free(tree[near], few, room) for tree, near in zip(nodes, nearest, strict=True)]
             ways = []
-            for joint in both:
+            for joint in np.flatnonzero(reached[0] & reached[1]):
                 halves = [traced(t, p, n[joint]) for t, p, n in zip(nodes, parents, nearest, strict=True)]
-                ways.append(np.array([*halves[0][::-1], cloud[joint], *halves[1]]))
-            return pulled(min(ways, key=lambda way: float(space.travel(way[:-1], way[1:]).sum())), room, space)[1:-1]
-        for k in (0, 1):
-            nodes[k] = np.concatenate([nodes[k], cloud[reached[k]]])
-            parents[k] += nearest[k][reached[k]].tolist()
+                ways.append(np.array([*halves[0][::-1], few[joint], *halves[1]]))
+            if ways:
+                return pulled(min(ways, key=space.length), room, space)[1:-1]
+            for k in (0, 1):
+                nodes[k] = np.concatenate([nodes[k], few[reached[k]]])
+                parents[k] += nearest[k][reached[k]].tolist()
         if growth >= ALONE and min(map(len, nodes)) == 1:  # nothing near or far is reached from there
             return None
     return None
@@ -122,15 +169,20 @@ def pulled(way: Array, room: Room, space: Space) -> Array:
     for _ in range(PULLS):
         for k in range(len(way) - 2, 0, -1):
             before, here, after = way[k - 1 : k + 2]
-            if free(before[None], after[None], room)[0]:
-                way = np.delete(way, k, axis=0)
-                continue
             come, go = space.travel(before, here), space.travel(here, after)
+            if come + go <= (1.0 + 1e-9) * space.travel(before, after):  # no way is shorter
+                continue
             straight = before + come / (come + go) * (after - before)
-            moved = here + np.array([0.8, 0.4, 0.2])[:, None] * (straight - here)
-            ends = np.broadcast_to(before, moved.shape), np.broadcast_to(after, moved.shape)
-            good = free(ends[0], moved, room) & free(moved, ends[1], room)
-            way[k] = moved[np.argmax(good)] if good.any() else here
+            moved = here + np.array([1.0, 0.8, 0.4, 0.2])[:, None] * (straight - here)
+            good = (
+                room.allows(moved)
+                & free(np.tile(before, (4, 1)), moved, room)
+                & free(moved, np.tile(after, (4, 1)), room)
+            )
+            if good[0]:
+                way = np.delete(way, k, axis=0)
+            elif good.any():
+                way[k] = moved[np.argmax(good)]
     return way
 
 
@@ -175,47 +227,48 @@ def route(
     entries : (m, n) from which each is approached, as the last way-point; None: from anywhere
     keep_order : the postures stay in their order
     """
-    m, generator = len(postures), np.random.default_rng(seed)
+    m, n = postures.shape
+    generator, straight = np.random.default_rng(seed), np.empty((0, n))
     aims = postures if entries is None else entries
-    cost = space.travel(postures[:, None], aims)
+    ways, given_up = dict[tuple[int, int], Array | None](), set[tuple[int, int]]()
+    cost = np.empty((0, 0)) if keep_order else space.travel(postures[:, None], aims)
     cost = np.maximum(cost, cost.T)
     forbidden = cost.sum()  # worse than any order
-    ways, given_up = dict[tuple[int, int], Array | None](), set[tuple[int, int]]()
 
-    def know(pair: tuple[int, int], way: Array | None, length: float) -> None:
+    def know(pair: tuple[int, int], way: Array | None) -> None:
         ways[pair] = way
-        cost[pair] = cost[pair[::-1]] = length
         if entries is None:
             ways[pair[::-1]] = None if way is None else way[::-1]
+        if not keep_order:
+            whole = np.array([postures[pair[0]], *(straight if way is None else way), aims[pair[1]]])
+            length = space.length(whole)
+            if way is None:
+                length = forbidden if pair in given_up else DETOUR * length + 0.1
+            cost[pair] = cost[pair[::-1]] = length
 
     def look(pairs: list[tuple[int, int]]) -> None:
         i, k = np.array(pairs, dtype=int).reshape(-1, 2).T
         for pair, good in zip(pairs, free(postures[i], aims[k], room), strict=True):
-            know(pair, np.empty((0, postures.shape[1])) if good else None, cost[pair] + (not good) * forbidden)
+            know(pair, straight if good else None)
 
     while True:
         path = np.arange(m) if keep_order else shortest_path(cost)
-        path = path if path[0] <= path[-1] else path[::-1]
+        if entries is not None and path[0] > path[-1]:  # which way round it is gone matters
+            path = path[::-1]
         pairs = [(int(i), int(k)) for i, k in pairwise(path)]
-        new = [pair for pair in pairs if pair not in ways]
-        if new:
+        if new := [pair for pair in pairs if pair not in ways]:
             look(new)
             # what collides once does so again and again: its neighbours, before the next path asks for them one by one
-            ends = {row for pair in new if ways[pair] is None for row in pair}
-            near = [
-                (i, int(k)) for i in ends for k in np.argsort(cost[i], kind="stable") if k != i and (i, k) not in ways
-            ]
-            look([pair for i in ends for pair in [p for p in near if p[0] == i][:NEIGHBOURS]])
+            for i in () if keep_order else {row for pair in new if ways[pair] is None for row in pair}:
+                near = [(i, k) for k in np.argsort(cost[i], kind="stable").tolist() if k != i and (i, k) not in ways]
+                look(near[:NEIGHBOURS])
             continue
         if not (hard := [pair for pair in pairs if ways[pair] is None and pair not in given_up]):
             break
         for pair in hard:  # there is no order without them
             way = detour(postures[pair[0]], aims[pair[1]], room, space, generator)
-            if way is None:
-                given_up |= {pair, pair[::-1]}
-            else:
-                whole = np.array([postures[pair[0]], *way, aims[pair[1]]])
-                know(pair, way, float(space.travel(whole[:-1], whole[1:]).sum()))
+            given_up |= {pair, pair[::-1]} if way is None else set()
+            know(pair, way)
     breaks = [k + 1 for k, pair in enumerate(pairs) if ways[pair] is None]
     apart = sorted({*path.tolist()} - {*max(np.split(path, breaks), key=len).tolist()})
     if apart and keep_order:  # by way of other postures there may be one to some of them, and to all
@@ -224,9 +277,8 @@ def route(
             for pair in (pair for pair in pairs if ways[pair] is None):
                 whole = np.array([*along(other, postures, *pair), aims[pair[1]]])
                 ways[pair] = pulled(whole, room, space)[1:-1]
-    none = np.empty((0, postures.shape[1]))
-    found = [none, *(ways[pair] for pair in pairs)]
-    vias = [none if way is None else way for way in found]
+    found = [straight, *(ways[pair] for pair in pairs)]
+    vias = [straight if way is None else way for way in found]
     if entries is not None:
         vias = [np.vstack([way, entries[row]]) for way, row in zip(vias, path, strict=True)]
     return Route(path, vias, apart)

@@ -9,6 +9,7 @@ as fast at its fastest as on average and stops without a jerk.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import count
@@ -18,6 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from doe.plan.driving import in_sentences, room_of, unproven
+from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
 from identification import Arm, Array, InputError, Model, Plan
 
@@ -149,15 +152,23 @@ def program(
 
 
 def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
-    """Raises `InputError` for the first row beyond a joint limit or a constraint; a way-point need not be seen."""
+    """Raises `InputError` for the first row beyond a joint limit or a constraint; a way-point need not be seen, and
+    where bodies are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
     columns, (low, high) = in_units(arm, postures), limits_in_units(arm)
     for row, j in np.argwhere((columns < low - FITS) | (columns > high + FITS))[:1]:
         found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
         raise InputError(f"{found}, allowed: {low[j]:.7g} to {high[j]:.7g}")
-    for constraint in constraints_of(Model(arm)):
-        broken = np.any(constraint.margin(postures) < -FITS, axis=1) & ~(via & (constraint.kind == "line_of_sight"))
+    constraints = constraints_of(Model(arm))
+    room = room_of(constraints)
+    for constraint in constraints:
+        passed = via & (constraint.kind == "line_of_sight" or room is not None)
+        broken = np.any(constraint.margin(postures) < -ROUNDING, axis=1) & ~passed
         for row in np.flatnonzero(broken)[:1]:
             raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
+    for row in [] if room is None else np.flatnonzero(np.any(room.margin(postures) < -ROUNDING, axis=1)):
+        raise InputError(f"row {row + 1}: a way-point in which bodies collide, allowed: one with half the clearance")
+    for sentence in in_sentences(unproven(constraints, postures) or []):
+        warnings.warn(sentence.strip(), UserWarning, stacklevel=4)
 
 
 def in_units(arm: Arm, postures: Array) -> Array:

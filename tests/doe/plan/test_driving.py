@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doe.plan.driving import MOVING, check_approach, drive, room_of, with_approach
-from doe.plan.moves import APPROACH, Room, Space, free, route
+from doe.plan.moves import APPROACH, Space, free, route
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from doe.problem.problem import DesignProblem
@@ -44,13 +44,7 @@ def test_moves_of_an_arm_keep_half_the_clearance(arm: Arm) -> None:
     assert room is not None
     drawn = np.random.default_rng(1).uniform(arm.lower, arm.upper, (800, 6))
     postures = drawn[np.all(clearance.margin(drawn) >= 0.0, axis=1) & room.allows(drawn)][:12]
-    looked = [0]
-
-    def margin(q: Array) -> Array:
-        looked[0] += len(q)
-        return room.margin(q)
-
-    found = route(postures, Room(margin, room.levers, room.allows), Space(arm.lower, arm.upper, np.ones(6)))
+    found = route(postures, room, Space(arm.lower, arm.upper, np.ones(6)))
     assert found.unreached == []
     way = whole_way(postures, found)
     shares = np.linspace(0.0, 1.0, 3000)[:, None]
@@ -58,7 +52,6 @@ def test_moves_of_an_arm_keep_half_the_clearance(arm: Arm) -> None:
     for a, b in pairwise(way):
         apart = clearance.distance(a + shares * (b - a))[:, solid]
         assert np.all(apart >= MOVING * clearance.asked[solid] - 2e-3)
-    assert looked[0] < 5000
 
 
 def test_a_wall_may_be_left_and_reached_again() -> None:
@@ -144,6 +137,7 @@ def test_joints_come_from_the_side_that_is_asked_for(approach: str) -> None:
         postures[0] = asked.lower * [0.3, 1.0]
         found = drive(problem, Plan(postures), None, approach, signs)
         assert found.replaced == 0
+        assert found.moves is not None
         assert found.moves.via is not None
         come = np.sign(np.diff(found.moves.postures, axis=0)[~found.moves.via[1:]]) * signs
         assert np.all(come == come[:, :1])

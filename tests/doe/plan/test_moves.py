@@ -3,6 +3,7 @@ bodies; every move sampled a hundred times finer than it was proven, and all ord
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -25,7 +26,11 @@ def discs(*places: tuple[float, float, float]) -> Room:
 
     # by Cauchy and Schwarz a distance changes by at most the way, and that is at most |dq_1| + |dq_2|
     levers = np.full((len(places), 2), 100.0)
-    return Room(margin, levers, lambda q: np.all(margin(q) >= 0.0, axis=1))
+    return room_with(margin, levers)
+
+
+def room_with(margin: Callable[[Array], Array], levers: Array) -> Room:
+    return Room(margin, levers, lambda q: np.all(margin(q) >= 0.0, axis=1), lambda k: lambda q: margin(q)[:, [k]])
 
 
 def sampled(room: Room, way: Array, count: int = 4000) -> float:
@@ -70,8 +75,7 @@ def test_a_move_along_a_wall_is_not_proven_and_ends_all_the_same() -> None:
 
 
 def test_nothing_in_the_way_and_no_move() -> None:
-    nothing = Room(lambda q: np.empty((len(q), 0)), np.empty((0, 2)), lambda q: np.ones(len(q), dtype=bool))
-    assert free(np.zeros((3, 2)), np.ones((3, 2)), nothing).all()
+    assert free(np.zeros((3, 2)), np.ones((3, 2)), room_with(lambda q: np.empty((len(q), 0)), np.empty((0, 2)))).all()
     here = np.array([[0.7, 0.0]])
     assert free(here, here, discs((0.0, 0.0, 0.5))).all()
     assert not free(0.5 * here, 0.5 * here, discs((0.0, 0.0, 0.5))).any()
@@ -125,8 +129,8 @@ def whole_way(postures: Array, found: Route) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_order_is_the_shortest_of_all_permutations_that_are_free(seed: int) -> None:
-    """Of six postures; where none is free, no order is said to be."""
+def test_no_permutation_that_is_free_is_shorter_than_the_order(seed: int) -> None:
+    """Of six postures; where the shortest of all is free, it is that."""
     generator = np.random.default_rng(seed)
     room = discs((0.0, 0.0, 0.6), (1.2, -1.0, 0.4), (-1.1, 1.0, 0.4))
     postures = generator.uniform(-2.0, 2.0, (60, 2))
@@ -139,21 +143,19 @@ def test_the_order_is_the_shortest_of_all_permutations_that_are_free(seed: int) 
         for i, k in permutations(range(6), 2)
     }
     assert not any(0.0 <= each < 0.5 for each in gap.values())  # none so near that it is left open
-    lengths = [
-        sum(np.abs(postures[i] - postures[k]).max() for i, k in pairwise(order))
+    lengths = {
+        order: sum(np.abs(postures[i] - postures[k]).max() for i, k in pairwise(order))
         for order in permutations(range(6))
-        if all(gap[pair] > 0.0 for pair in pairwise(order))
-    ]
+    }
+    straight = [length for order, length in lengths.items() if all(gap[pair] > 0.0 for pair in pairwise(order))]
     found = route(postures, room, PLANE)
     way = whole_way(postures, found)
     assert sorted(found.rows) == list(range(6))
     assert sampled(room, way) >= 0.0
     assert found.unreached == []
-    if lengths:
+    assert min(lengths.values()) - 1e-9 <= PLANE.length(way) <= min(straight, default=np.inf) + 1e-9
+    if straight and min(straight) == min(lengths.values()):
         assert len(way) == 6
-        assert PLANE.travel(way[:-1], way[1:]).sum() == pytest.approx(min(lengths))
-    else:
-        assert len(way) > 6
 
 
 def test_an_order_that_is_kept_goes_round() -> None:

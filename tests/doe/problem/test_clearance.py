@@ -132,6 +132,25 @@ def test_bends_are_differences_of_slopes(clearance: Clearance, postures: Array) 
     assert wrong.mean() < 0.1  # kinks, where other pieces become the nearest
 
 
+def test_a_pair_alone_is_as_far_apart_as_among_all(clearance: Clearance, postures: Array) -> None:
+    whole = clearance.distance(postures)
+    for k, pair in enumerate(clearance.pairs):
+        alone = clearance.of_pair(k)
+        assert alone.pairs == (pair,)
+        np.testing.assert_array_equal(alone.distance(postures)[:, 0], whole[:, k])
+        np.testing.assert_array_equal(alone.levers()[0], clearance.levers()[k])
+
+
+def test_walls_of_bodies_alone(arm: Arm, postures: Array) -> None:
+    """Without any expression beside them."""
+    (clearance,) = constraints_of(Model(arm))
+    walls = DesignProblem.of(Model(arm)).wall_derivatives([1, 4])
+    margins, slopes = walls.first(postures)
+    np.testing.assert_allclose(margins, clearance.margin(postures))
+    weights = np.ones_like(margins)
+    np.testing.assert_allclose(walls.slope(postures, weights), slopes.sum(axis=2), atol=1e-9)
+
+
 def test_no_distance_changes_faster_than_the_levers_say(arm: Arm, clearance: Clearance, postures: Array) -> None:
     others = np.random.default_rng(4).uniform(arm.lower, arm.upper, postures.shape)
     for step in (0.05, 1.0, np.eye(6)):

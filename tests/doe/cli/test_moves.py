@@ -1,0 +1,98 @@
+"""`armcal design` with moves: ways round what is in the way, the side of approach, and who reads what it writes."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from doe.plan.driving import room_of
+from doe.problem.constraints import constraints_of
+from identification import Model, load_arm, load_plan
+from tests.doe.cli.conftest import ARM, Folder, table
+from tests.doe.plan.test_moves import sampled
+
+POSTS = """
+[cell]
+clearance_mm = 10.0
+
+[[cell.bodies]]
+name = "post"
+kind = "sphere"
+center_mm = [330.0, 260.0]
+radius_mm = 40.0
+
+[[cell.bodies]]
+name = "other post"
+kind = "sphere"
+center_mm = [-330.0, 260.0]
+radius_mm = 40.0
+"""
+DESIGN = "design arm.toml --runs 10 --solver exchange --starts 1 --seconds 2"
+
+
+@pytest.fixture
+def cell(folder: Folder) -> Folder:
+    folder.write("arm.toml", ARM.replace("links_mm", "link_width_mm = 30.0\nlinks_mm") + POSTS)
+    return folder
+
+
+def rows_of(folder: Folder, name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(folder.read(name).splitlines()))
+
+
+def test_a_plan_among_posts(cell: Folder) -> None:
+    """Every move is free by a fine sample; program agrees, and score says of another order what collides."""
+    data = cell.said("design arm.toml --runs 10 --solver best_of_random --seconds 0.5 --out plan.csv --force")
+    moves, rows = data["moves"], rows_of(cell, "plan.csv")
+    assert [row["kind"] for row in rows] == [row["kind"] for row in moves["rows"]]
+    assert [row["run"] for row in rows if row["kind"] == "measure"] == [str(k) for k in range(1, 11)]
+    assert moves["vias"] == sum(row["kind"] == "via" for row in rows)
+    joints = [[float(row[f"q{j}_deg"]) for j in range(1, 5)] for row in rows]
+    np.testing.assert_allclose(joints, [row["joints"] for row in moves["rows"]], atol=1e-9)
+    measured = [q for q, row in zip(joints, rows, strict=True) if row["kind"] == "measure"]
+    np.testing.assert_allclose(data["postures_deg"], measured, atol=1e-9)
+    assert data["travel_deg"]["order"] == "travel"
+    assert data["travel_deg"]["after"] == pytest.approx(np.abs(np.diff(joints, axis=0)).max(axis=1).sum())
+    assert data["travel_deg"]["after"] >= moves["shortest_deg"] - 1e-9
+    arm = load_arm("arm.toml")
+    room = room_of(constraints_of(Model(arm)))
+    assert room is not None
+    assert sampled(room, np.radians(joints), 1500) >= 0.0
+    done = cell.armcal("program arm.toml plan.csv --robot kuka --out plan.src")
+    assert (done.code, done.err) == (0, "")
+    # the same postures without way-points, in an order that was not looked at
+    other = table({f"q{j}_deg": column for j, column in enumerate(np.array(sorted(measured)).T, start=1)})
+    cell.write("other.csv", other)
+    found = cell.said("score arm.toml other.csv --seconds 0.2")["moves"]["not_free"]
+    way = load_plan("other.csv", 4).postures
+    collide = [k + 2 for k in range(9) if sampled(room, way[k : k + 2]) < 0.0]
+    assert collide
+    assert {*collide} <= {each["row"] for each in found}
+    assert all(each["distance_mm"] < 6.0 for each in found)
+    done = cell.armcal("program arm.toml other.csv --robot kuka --out other.src")
+    assert done.code == 0
+    assert "Moves: " in done.err
+    assert f"to row {collide[0]}: " in done.err
+
+
+@pytest.mark.parametrize("approach", ["positive", "negative"])
+def test_every_joint_from_one_side(folder: Folder, approach: str) -> None:
+    """Without bodies: a way-point before each run, the sign of the last motion in its file and in what is simulated."""
+    data = folder.said(f"{DESIGN} --approach {approach} --out plan.csv --force")
+    rows, sign = rows_of(folder, "plan.csv"), {"positive": 1, "negative": -1}[approach]
+    assert [row["kind"] for row in rows] == ["via", "measure"] * 10
+    joints = np.array([[float(row[f"q{j}_deg"]) for j in range(1, 5)] for row in rows])
+    assert np.all(sign * (joints[1::2] - joints[::2]) > 0.5)
+    assert [row[f"direction{j}"] for row in rows[1::2] for j in range(1, 5)] == [str(sign)] * 40
+    assert data["moves"]["approach"] == approach
+    folder.said("simulate arm.toml plan.csv --truth truth.toml --out data.csv")
+    assert [row["direction2"] for row in rows_of(folder, "data.csv")] == [str(sign)] * 10
+
+
+def test_what_is_said_without_moves_and_what_is_refused(folder: Folder) -> None:
+    data = folder.said(f"{DESIGN} --out plan.csv --force")
+    assert not {"moves", "travel_deg"} & set(data)
+    assert folder.read("plan.csv").startswith("run,q1_deg,")
+    folder.refused(f"{DESIGN} --approach up", "approach: unknown 'up', allowed: alternate, any, negative, positive")
