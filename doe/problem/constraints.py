@@ -140,6 +140,9 @@ Constraint = Expression | Clearance
 def constraints_of(model: Any) -> tuple[Constraint, ...]:
     """The constraints that a model has, ready to be evaluated; none of one that has none."""
     model, made = design_model(model), list[Constraint]()
+    sights = [np.array(each.tracker) for each in getattr(model, "constraints", ()) if getattr(each, "kind", "") == "line_of_sight"]
+    if sights and offers(model, "placed"):
+        model = model.placed()  # what is to be seen is where plans assume it, if the arm does not say
     for limit in getattr(model, "constraints", ()):
         space = offered(model, "space", "constraints")
         build = {"line_of_sight": in_sight if space == 2 else in_view}.get(limit.kind) or KINDS[limit.kind]
@@ -147,7 +150,6 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
             raise InputError(f"line_of_sight: a tracker in {len(limit.tracker)} dimensions, allowed: in {space}")
         made.append(Expression(partial(build, model, limit), len(model.joint_types), limit.kind))
     if offers(model, "cell") and model.cell.bodies:
-        sights = [np.array(limit.tracker) for limit in model.constraints if limit.kind == "line_of_sight"]
         made.append(Clearance(model, sights if model.space == 3 else ()))
     return tuple(made)
 
