@@ -36,7 +36,8 @@ LAST_WEIGHTS = 300.0, 3000.0, 10000.0
 STEPS, FEWER = 30, 25  # of L-BFGS for each of them, and while capsules are added
 CUTS = 0.2, 0.5, 0.8  # of what a capsule covers along an axis
 TIGHT, TIGHT_ENOUGH = 0.3, 3.0  # of a cell, and [mm]: if no point around is farther inside, no capsule more is tried
-ENOUGH = 0.93  # of the objective: one of fewer capsules that is not larger than that of more by this
+FINISHED = 3  # covers, of which the best one is taken
+ROUNDING = 1e-6  # [mm] by which radii are larger than need be
 SAVED, FINE_CELLS = 1e-2, 64  # of a body covered by boxes: what a cut must save of it; cells along its longest side
 THINNEST = 1e-3  # [mm] half of the thickness of a box
 Index = NDArray[np.intp]
@@ -189,15 +190,23 @@ def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
         capsules = more
         capsules = _fitted(capsules, surface, around, WEIGHTS[-1], FEWER)
         fits.append(capsules)
-    values = [_objective(each.ravel(), len(each), surface, around, WEIGHTS[-1])[0] for each in fits]
-    capsules = next(each for each, value in zip(fits, values, strict=True) if value <= min(values) / ENOUGH)
+    value = {len(each): _objective(each.ravel(), len(each), surface, around, WEIGHTS[-1])[0] for each in fits}
+    closed = [
+        _closed(each, surface, around, triangles, FINEST * cell)
+        for each in sorted(fits, key=lambda each: value[len(each)])[:FINISHED]
+    ]
+    return min(closed, key=lambda each: _objective(each.ravel(), len(each), surface, around, 1.0)[0])
+
+
+def _closed(capsules: Array, surface: Array, around: Array, triangles: Array, finest: float) -> Array:
+    """The capsules fitted until hardly a face sticks out, and then so much larger that none does."""
     for weight in LAST_WEIGHTS:
-        faces, _, lacking = _sticking_out(capsules, triangles, FINEST * cell)
+        faces, _, lacking = _sticking_out(capsules, triangles, finest)
         surface = np.concatenate([surface, faces[np.argsort(-lacking)[:STICKING_OUT]].reshape(-1, 3)])
         capsules = _fitted(capsules, surface, around, weight)
-    _, best, lacking = _sticking_out(capsules, triangles, FINEST * cell)
+    _, best, lacking = _sticking_out(capsules, triangles, finest)
     np.maximum.at(grown := np.zeros(len(capsules)), best, lacking)
-    capsules[:, 6] += grown + 1e-9 * longest  # but for rounding
+    capsules[:, 6] += grown + ROUNDING
     return capsules
 
 
