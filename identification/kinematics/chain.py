@@ -366,8 +366,8 @@ class KinematicChain(ByValue):
     # -- numbers -------------------------------------------------------------------------------------------------------
     def points(self, postures: Array, values: Array) -> Array:
         """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
-        frames = self._poses(self._named(values))(postures)
-        return np.delete(frames[..., :3, 3], -2, axis=-2)
+        placed = _frames(self, tuple(self._named(values).items()))(postures)[0]
+        return np.delete(np.swapaxes(placed[..., 3::4], -1, -2), -2, axis=-2)
 
     def joint_frames(self, values: Array) -> Callable[[Array], Array]:
         """What gives the frames (..., n + 1, 4, 4) [mm] at postures (..., n), in that of the base: each of a joint
