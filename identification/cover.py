@@ -6,7 +6,7 @@ contains are cut, so that no piece need reach farther than it must.
 Capsules are fitted: with d(x) the distance from their union, negative inside, of points x_i of the surface and points
 y_j around it,
 
-    weight * mean(max(d(x_i), 0)^2) + mean(max(-d(y_j), 0)^2) -> min
+    weight * mean(max(d(x_i), 0)^2) + s^0.5 mean(max(-d(y_j), 0)^1.5) -> min,    s = 10 mm,
 
 by L-BFGS with a growing weight. One more capsule takes a part of what the worst one covers. Then those points of the
 surface are added that stick out most, and in the end radii grow until every face is contained.
@@ -27,7 +27,8 @@ MOST_CAPSULES, MOST_BOXES = 8, 32  # of a body
 CELLS = 24  # of a grid, along the side of a cube as large as the box around a body
 FARTHEST = 6  # cells from the surface, of points around it
 CLOSE, OUTSIDE = 0.2, 1.8  # cells from the surface: of points close to it, which has two sides, and of an outer cell
-POINTS = 1000  # of the surface, as many close to it, and a half of these around it
+POINTS = 1500  # of the surface, as many close to it, and a half of these around it
+SCALE = 10.0  # [mm] s
 STICKING_OUT = 200  # points of the surface that are added, each time
 FINEST = 0.4  # of a cell: faces that stick out are cut to it
 WEIGHTS = 3.0, 30.0, 300.0  # of the first fits, in this order
@@ -88,12 +89,13 @@ def _objective(flat: Array, count: int, surface: Array, around: Array, weight: f
         d = np.take_along_axis(from_each, nearest, axis=1)
         rows, covers = np.nonzero(sign * d > 0.0)
         d, own = d[rows, covers], nearest[rows, covers]
-        value += factor * float(d @ d)
+        slope = 2.0 * d if sign > 0.0 else -1.5 * np.sqrt(-SCALE * d)
+        value += factor * float(slope @ d) / (2.0 if sign > 0.0 else 1.5)
         ends, at = capsules[own], at[rows, own][:, None]
         away = points[rows] - ends[:, :3] - at * (ends[:, 3:6] - ends[:, :3])
         away /= np.maximum(d + ends[:, 6], 1e-9)[:, None]
         slopes = np.zeros((len(capsules), len(rows)))
-        slopes[own, np.arange(len(rows))] = 2.0 * factor * d
+        slopes[own, np.arange(len(rows))] = factor * slope
         gradient -= np.concatenate([slopes @ ((1.0 - at) * away), slopes @ (at * away), slopes.sum(axis=1)[:, None]], 1)
     return value, gradient.ravel()
 
