@@ -8,6 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -200,7 +201,7 @@ class Arm(ByValue):
         if self.counting is not None:
             check_kinds(self.counting, self.joint_types)
 
-    @property
+    @cached_property
     def links(self) -> int:
         """n, the number of links (and joints)."""
         return len(self.chain)

@@ -170,8 +170,8 @@ class Campaign:
         lines = [validation_verdict(test.to_json(), model, rows) for rows, test in self.elsewhere.items()]
         lines = lines or [validation_verdict(data) for data in self.results["validate"].values()]
         lines = lines or [gap_in_words(data) for data in diagnoses if data["confirmation"] is not None]
-        said = (sentence for data in diagnoses for sentence in (*diagnosis_verdict(data), gap_in_words(data)))
-        lines += [sentence for sentence in said if sentence not in lines]
+        sentences = (sentence for data in diagnoses for sentence in (*diagnosis_verdict(data), gap_in_words(data)))
+        lines += [sentence for sentence in sentences if sentence not in lines]
         seen = (rows for rows in self.tests if rows not in self.elsewhere)  # what other models leave is in the tables
         lines += [validation_verdict(self.tests[rows][model].to_json(), model, rows, seen=True) for rows in seen]
         if len(self.calibrated) > 1:

@@ -455,26 +455,26 @@ def best_of_seeds(task: Task) -> tuple[Array, Array]:
     postures, errors = np.empty_like(task.near), np.empty(len(task.goals))
     for start in range(0, len(task.goals), 1_000):  # targets at a time, times SEEDS starts
         rows = np.arange(start, min(start + 1_000, len(task.goals)))
-        some = task.at(rows)
+        part = task.at(rows)
         chosen = seeds[:SEEDS]
         if redundant:  # reaches most goals from most seeds: the six whose linear steps to the goal end nearest
             positions, jacobians = linearization(task.model, Conditions())(seeds, np.arange(len(seeds)))
             scale = metric(task.model) / task.model.reach
             shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
-            steps = np.einsum("snd,ksd->ksn", shortest, some.goals[:, None] - positions)
+            steps = np.einsum("snd,ksd->ksn", shortest, part.goals[:, None] - positions)
             ends = np.clip(seeds + steps, arm.lower, arm.upper)
-            away = np.linalg.norm((ends - some.near[:, None]) * scale, axis=2)
+            away = np.linalg.norm((ends - part.near[:, None]) * scale, axis=2)
             chosen = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
-        first = tried(some, chosen)
+        first = tried(part, chosen)
         postures[rows], errors[rows] = first[0][:, 0], first[1][:, 0]
         rest = first[2][:, 0] >= MISSED
         if task.constraints and rest.any():
-            rest[rest] = ~_barred(some.at(rest), *(values[rest] for values in first[:2]))
+            rest[rest] = ~_barred(part.at(rest), *(values[rest] for values in first[:2]))
         if rest.any():
             again = first[0][rest], first[1][rest], first[2][rest]
             if task.constraints or redundant:
-                again = tried(some.at(rest), seeds[:SEEDS], MAX_ITERATIONS if task.constraints else QUICK)
-            postures[rows[rest]], errors[rows[rest]] = _led_on(some.at(rest), *again)
+                again = tried(part.at(rest), seeds[:SEEDS], MAX_ITERATIONS if task.constraints else QUICK)
+            postures[rows[rest]], errors[rows[rest]] = _led_on(part.at(rest), *again)
     missed = np.flatnonzero(errors > TOLERANCE) if not redundant else np.arange(0)
     missed = missed[np.argsort(errors[missed], kind="stable")]
     # effort: those missed by least with the other seeds, while there is progress

@@ -92,8 +92,8 @@ class Conditions(ByValue):
         """
         shape = np.atleast_1d(m)
         table = np.empty((*shape, 4 + n + (0 if postures is None else n * REMEMBERED)))
-        given = (self.payload, payload), (self.temperature, 0.0), (self.time, 0.0), (self.session, 0.0)
-        for column, (values, neutral) in enumerate(given):
+        plain = (self.payload, payload), (self.temperature, 0.0), (self.time, 0.0), (self.session, 0.0)
+        for column, (values, neutral) in enumerate(plain):
             table[..., column] = neutral if values is None else values
         table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
         if postures is not None:

@@ -6,7 +6,7 @@ contains are cut, so that no piece need reach farther than it must.
 Capsules are fitted: with d(x) the distance from their union, negative inside, of points x_i of the surface and points
 y_j around it,
 
-    weight * mean(max(d(x_i), 0)^2) + mean(max(-d(y_j), 0)^2) -> min
+    weight * mean(max(d(x_i), 0)^2) + s^0.5 mean(max(-d(y_j), 0)^1.5) -> min,    s = 10 mm,
 
 by L-BFGS with a growing weight. One more capsule takes a part of what the worst one covers. Then those points of the
 surface are added that stick out most, and in the end radii grow until every face is contained.
@@ -27,12 +27,13 @@ MOST_CAPSULES, MOST_BOXES = 8, 32  # of a body
 CELLS = 24  # of a grid, along the side of a cube as large as the box around a body
 FARTHEST = 6  # cells from the surface, of points around it
 CLOSE, OUTSIDE = 0.2, 1.8  # cells from the surface: of points close to it, which has two sides, and of an outer cell
-POINTS = 1000  # of the surface, as many close to it, and a half of these around it
+POINTS = 1500  # of the surface, as many close to it, and a half of these around it
+SCALE = 10.0  # [mm] s
 STICKING_OUT = 200  # points of the surface that are added, each time
 FINEST = 0.4  # of a cell: faces that stick out are cut to it
 WEIGHTS = 3.0, 30.0, 300.0  # of the first fits, in this order
 LAST_WEIGHTS = 300.0, 3000.0, 10000.0
-STEPS, FEWER = 30, 15  # of L-BFGS for each of them, and while capsules are added
+STEPS, FEWER = 30, 25  # of L-BFGS for each of them, and while capsules are added
 CUTS = 0.2, 0.5, 0.8  # of what a capsule covers along an axis
 TIGHT, TIGHT_ENOUGH = 0.3, 3.0  # of a cell, and [mm]: if no point around is farther inside, no capsule more is tried
 ENOUGH = 0.93  # of the objective: one of fewer capsules that is not larger than that of more by this
@@ -78,35 +79,34 @@ def from_capsules(capsules: Array, points: Array) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(to_start + at * (at * squared - 2.0 * offset), 0.0)) - radius, at
 
 
-def _objective(flat: Array, surface: Array, around: Array, weight: float) -> tuple[float, Array]:
-    """As above, and its gradient by the numbers of the capsules."""
+def _objective(flat: Array, count: int, surface: Array, around: Array, weight: float) -> tuple[float, Array]:
+    """As above, and its gradient; of several covers, of so many capsules each, the sum."""
     capsules = flat.reshape(-1, 7)
     value, gradient = 0.0, np.zeros_like(capsules)
     for points, sign, factor in ((surface, 1.0, weight / len(surface)), (around, -1.0, 1.0 / max(len(around), 1))):
         from_each, at = from_capsules(capsules, points)
-        nearest = from_each.argmin(axis=1)
-        d = from_each[np.arange(len(points)), nearest]
-        wrong = np.flatnonzero(sign * d > 0.0)
-        d, own, points, at = d[wrong], nearest[wrong], points[wrong], at[wrong, nearest[wrong]][:, None]
-        value += factor * float(d @ d)
-        ends = capsules[own]
-        away = points - ends[:, :3] - at * (ends[:, 3:6] - ends[:, :3])
+        nearest = from_each.reshape(len(points), -1, count).argmin(axis=2) + np.arange(0, len(capsules), count)
+        d = np.take_along_axis(from_each, nearest, axis=1)
+        rows, covers = np.nonzero(sign * d > 0.0)
+        d, own = d[rows, covers], nearest[rows, covers]
+        slope = 2.0 * d if sign > 0.0 else -1.5 * np.sqrt(-SCALE * d)
+        value += factor * float(slope @ d) / (2.0 if sign > 0.0 else 1.5)
+        ends, at = capsules[own], at[rows, own][:, None]
+        away = points[rows] - ends[:, :3] - at * (ends[:, 3:6] - ends[:, :3])
         away /= np.maximum(d + ends[:, 6], 1e-9)[:, None]
-        slopes = np.zeros((len(capsules), len(wrong)))
-        slopes[own, np.arange(len(wrong))] = 2.0 * factor * d
-        gradient -= np.c_[slopes @ ((1.0 - at) * away), slopes @ (at * away), slopes.sum(axis=1)]
+        slopes = np.zeros((len(capsules), len(rows)))
+        slopes[own, np.arange(len(rows))] = factor * slope
+        gradient -= np.concatenate([slopes @ ((1.0 - at) * away), slopes @ (at * away), slopes.sum(axis=1)[:, None]], 1)
     return value, gradient.ravel()
 
 
-def _fitted(capsules: Array, surface: Array, around: Array, weight: float, steps: int = STEPS) -> tuple[Array, float]:
-    """The capsules after some steps, and their objective."""
-    options = {"maxiter": steps}
-    found = minimize(
-        _objective, capsules.ravel(), (surface, around, weight), jac=True, method="L-BFGS-B", options=options
-    )
-    better = found.x.reshape(-1, 7)
-    better[:, 6] = np.abs(better[:, 6])
-    return better, float(found.fun)
+def _fitted(capsules: Array, surface: Array, around: Array, weight: float, steps: int = STEPS) -> Array:
+    """Capsules (.., k, 7) after some steps."""
+    data, options = (capsules.shape[-2], surface, around, weight), {"maxiter": steps}
+    found = minimize(_objective, capsules.ravel(), data, jac=True, method="L-BFGS-B", options=options)
+    better = found.x.reshape(capsules.shape)
+    better[..., 6] = np.abs(better[..., 6])
+    return better
 
 
 def _like(points: Array) -> tuple[Array, Array]:
@@ -181,21 +181,20 @@ def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
     surface, around, inside = _points(triangles, cell)
     capsules = _like(inside)[0][None]
     for weight in WEIGHTS:
-        capsules, value = _fitted(capsules, surface, around, weight)
-    fits = [(value, capsules)]
+        capsules = _fitted(capsules, surface, around, weight)
+    fits = [capsules]
     while len(capsules) < most and -from_capsules(capsules, around)[0].min() > max(TIGHT * cell, TIGHT_ENOUGH):
         if (more := _with_one_more(capsules, surface, around, inside)) is None:
             break
         capsules = more
-        for weight in WEIGHTS[1:]:
-            capsules, value = _fitted(capsules, surface, around, weight, FEWER)
-        fits.append((value, capsules))
-    enough = min(fit[0] for fit in fits) / ENOUGH
-    capsules = next(capsules for value, capsules in fits if value <= enough)
+        capsules = _fitted(capsules, surface, around, WEIGHTS[-1], FEWER)
+        fits.append(capsules)
+    values = [_objective(each.ravel(), len(each), surface, around, WEIGHTS[-1])[0] for each in fits]
+    capsules = next(each for each, value in zip(fits, values, strict=True) if value <= min(values) / ENOUGH)
     for weight in LAST_WEIGHTS:
         faces, _, lacking = _sticking_out(capsules, triangles, FINEST * cell)
         surface = np.concatenate([surface, faces[np.argsort(-lacking)[:STICKING_OUT]].reshape(-1, 3)])
-        capsules = _fitted(capsules, surface, around, weight)[0]
+        capsules = _fitted(capsules, surface, around, weight)
     _, best, lacking = _sticking_out(capsules, triangles, FINEST * cell)
     np.maximum.at(grown := np.zeros(len(capsules)), best, lacking)
     capsules[:, 6] += grown + 1e-9 * longest  # but for rounding
@@ -216,17 +215,14 @@ def _with_one_more(capsules: Array, surface: Array, around: Array, inside: Array
     inside = inside[from_capsules(capsules, inside)[0].argmin(axis=1) == worst]
     if len(inside) < 8 or not len(surface):
         return None
-    fits = []
-    for axis in _like(inside)[1]:
-        along = inside @ axis
-        for part in CUTS:
-            side = along < along.min() + part * np.ptp(along)
-            if 3 < side.sum() < len(inside) - 3:
-                two = np.stack([_like(inside[side])[0], _like(inside[~side])[0]])
-                fits.append(_fitted(two, surface, around, WEIGHTS[1], FEWER))
-    if not fits:
+    along = inside @ _like(inside)[1].T
+    sides = (along[:, axis] < along[:, axis].min() + cut * np.ptp(along[:, axis]) for axis in range(3) for cut in CUTS)
+    halves = [np.stack([_like(inside[part])[0] for part in (s, ~s)]) for s in sides if 3 < s.sum() < len(s) - 3]
+    if not halves:
         return None
-    return np.concatenate([np.delete(capsules, worst, axis=0), min(fits, key=lambda fit: fit[1])[0]])
+    tried = _fitted(np.stack(halves), surface, around, WEIGHTS[1], FEWER)
+    best = min(tried, key=lambda two: _objective(two.ravel(), 2, surface, around, WEIGHTS[1])[0])
+    return np.concatenate([np.delete(capsules, worst, axis=0), best])
 
 
 # -- boxes -------------------------------------------------------------------------------------------------------------

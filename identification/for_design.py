@@ -33,7 +33,7 @@ from identification.kinematics.frames import pose
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.placed import led_to_contact, of_positions, tip_jacobian
-from identification.workspace import WorkspaceConstraint, circle_across, nearest_on_segment
+from identification.workspace import WorkspaceConstraint, circle_across
 
 if TYPE_CHECKING:
     from identification.arm import Arm
@@ -169,7 +169,9 @@ class ArmModel(Model):
         chain = self.arm.chain
         points = self.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
         # of a segment the nearest point to a sphere is that to its center, to a plane an end
-        points = np.concatenate([points, nearest_on_segment(np.zeros(3), points[:, :-1], points[:, 1:])], axis=1)
+        start, along = points[:, :-1], np.diff(points, axis=1)
+        share = -np.sum(start * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-300)
+        points = np.concatenate([points, start + np.clip(share, 0.0, 1.0)[..., None] * along], axis=1)
         own = np.array([self.best_known[p.name] for p in chain.instrument.parameters])
         return chain.instrument.clear(points, own, 2.0 * TOUCHES)
 

@@ -7,7 +7,7 @@ mounted elsewhere than in the session before.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -29,7 +29,7 @@ from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ER
 from identification.measurements import ROW_DIGESTS, Measurements, rows_shared, union
 from identification.model import Model
 from identification.model.placed import with_markers
-from identification.origin import HELD_FROM, comes_from, identified
+from identification.origin import HELD_FROM, comes_from
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
 
@@ -42,11 +42,6 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "tool": (TOOL,),
     "effects": (EFFECT,),
 }
-
-
-def words_of(texts: Iterable[str]) -> list[str]:
-    """The words of `lengths,base`, given once or several times."""
-    return [word.strip() for text in texts for word in text.split(",") if word.strip()]
 
 
 def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = None) -> Model:
@@ -90,13 +85,6 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     if several and arm.chain.planar and set(PLANAR_BASE) & frozen:
         raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
     return replace(model, held=held)
-
-
-def at_reference(measurements: Measurements, calibrated: Arm) -> Measurements:
-    """Temperatures counted from where the calibration counts them, where it says so: what it says of lengths and of
-    their growth is right there."""
-    reference = identified(calibrated).get("mean_temperature_C")
-    return measurements if reference is None else replace(measurements, reference=float(reference))
 
 
 def with_held(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:

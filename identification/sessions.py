@@ -97,7 +97,7 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
         return placed_model(Model(arm), measurements).arm
     if count < 2:
         return arm
-    spec, given, base_values = {"sessions": float(count)}, arm.calibration, dict[str, float]()
+    spec, calibration, base_values = {"sessions": float(count)}, arm.calibration, dict[str, float]()
     if chain.planar:
         wide, model = with_base(arm), Model(with_base_offset(arm))
         start = model.parameters.vector(model.best_known)
@@ -114,20 +114,20 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
             first = (values[name] for name in BASE)
             moved = {short: a - b for short, a, b in zip("xyw", base, first, strict=True)}
             base_values |= {f"{short}{number}": value for short, value in moved.items()}
-        given = Calibration({}, provenance={} if given is None else given.provenance)
+        calibration = Calibration({}, provenance={} if calibration is None else calibration.provenance)
     else:
         # base of session k = that of the first, shifted along the axes of the instrument and turned about its own
         wide = arm if chain.fixed else placed_model(Model(arm), measurements).arm
         chain, in_sessions = session_bases(wide, measurements)
-        wide, given = replace(wide, chain=chain), wide.calibration or Calibration({})
-        values = dict(given.values)
+        wide, calibration = replace(wide, chain=chain), wide.calibration or Calibration({})
+        values = dict(calibration.values)
         for number, pose in enumerate(in_sessions[1:], start=2):
             moved, hidden = chain.instrument.between(in_sessions[0], pose)
             base_values |= {f"{short}{number}": value for short, value in moved.items()}
             spec |= {f"{short}{number}": moved[short] for short in hidden}
     values |= {f"{SESSIONS}.{short}": value for short, value in base_values.items()}
     wide = wide.with_effects(*wide.effects, EffectSpec(SESSIONS, values=spec))
-    return replace(wide, calibration=replace(given, values=values))
+    return replace(wide, calibration=replace(calibration, values=values))
 
 
 def without_sessions(calibration: Calibration) -> Calibration:

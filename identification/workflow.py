@@ -12,7 +12,7 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, TypeVar
 
@@ -45,6 +45,11 @@ def declares(example: str) -> Callable[[Verb], Verb]:
         return function
 
     return declare
+
+
+def words_in(text: str) -> list[str]:
+    """The words of `a, b`."""
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -277,20 +282,20 @@ def identify_files(
     """
     from identification.documents.identification import identification_actions, identification_document
     from identification.files.arm import load_arm
-    from identification.origin import diagnosed
-    from identification.reuse import at_reference, words_of
+    from identification.origin import diagnosed, identified
     from identification.simulate import with_servo_errors
 
-    loaded, words, minimal = load_arm(arm), words_of(only), parameters == "minimal"
+    loaded, words, minimal = load_arm(arm), [each for text in only for each in words_in(text)], parameters == "minimal"
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
         if value is not None and loaded.chain.planar:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
     loaded = with_servo_errors(loaded, measurements)
-    if old or words or any(effect.values for effect in loaded.effects):
+    reference = identified(old or loaded).get("mean_temperature_C")
+    if reference is not None and (old or words or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
-        measurements = at_reference(measurements, old or loaded)
+        measurements = replace(measurements, reference=float(reference))
     against = {
         "--no-library-prior": prior is False,
         f"--method {method}": method not in (None, "gauss_newton"),
@@ -305,20 +310,19 @@ def identify_files(
             raise InputError("--parameters: minimal with --prior, allowed: all")
         if method not in (None, "gauss_newton"):
             raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
-    names = None if missing is None else [name.strip() for name in missing.split(",")]
+    names = None if missing is None else words_in(missing)
 
     progress(0, None, f"fitting {len(measurements)} rows")
     before = None if prior_from is None or old is None else (prior_from, old)
-    how: dict[str, Any] = {"prior": bool(prior), "minimal": minimal, "method": method, "sigma": sigma}
-    identified, rows, effects, told, mounted_anew = _fitted(
-        loaded, measurements, words, names, before, without_outliers=without_outliers, **how
-    )
+    fit = _Fit(loaded, words, names, before, bool(prior), minimal, method, sigma)
+    fitted, rows, told, mounted_anew = _fitted(fit, measurements, without_outliers=without_outliers)
+    effects = fit.library(rows)
 
     hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
     keys = ({"only": words} if words else {}) | planned | told
-    result, doubts = _identified_in_json(identified, arm, loaded, measurements, rows, effects, hidden, keys)
+    result, doubts = _identified_in_json(fitted, arm, loaded, measurements, rows, effects, hidden, keys)
     kept = loaded.calibration if words else None, None if old is None else old.calibration
-    written, refused = _write_calibrated(identified, arm, (out, urdf), force, hidden, kept)
+    written, refused = _write_calibrated(fitted, arm, (out, urdf), force, hidden, kept)
     lines += [*([] if effects is None else [effects.sentence]), *written]
     if words:
         lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
@@ -328,7 +332,7 @@ def identify_files(
     if (earlier := keys.get("prior_from")) is not None:
         free = f"; without a prior: {', '.join(earlier['anew'])}" if earlier["anew"] else ""
         lines.append(f"Prior: {len(earlier['parameters'])} parameters from {earlier['file']}{free}.")
-    every = full or old is not None or identified.machining_factor is None  # as where [machining] holds no value
+    every = full or old is not None or fitted.machining_factor is None  # as where [machining] holds no value
     actions = identification_actions(
         str(arm),
         str(data),
@@ -338,9 +342,9 @@ def identify_files(
         better=keys.get("offered", {"better": True})["better"],
         mounted_anew=mounted_anew,
     )
-    failed = bool(identified.not_identifiable) or refused
-    document = identification_document(identified, result, hidden, full=every).plus(*lines)
-    return Answer(result, [replace(document, actions=[] if failed else actions)], identified, int(failed), doubts)
+    failed = bool(fitted.not_identifiable) or refused
+    document = identification_document(fitted, result, hidden, full=every).plus(*lines)
+    return Answer(result, [replace(document, actions=[] if failed else actions)], fitted, int(failed), doubts)
 
 
 def _has_all(arm: Arm, measurements: Measurements) -> bool:
@@ -374,54 +378,60 @@ def _as_planned(
     return prior, missing, told, [f"{how}, although {meant}: what the plan promises is of a fit with it."]
 
 
-def _fitted(
-    arm: Arm,
-    measurements: Measurements,
-    words: list[str],
-    names: list[str] | None,
-    old: tuple[Path, Arm] | None,
-    *,
-    prior: bool,
-    minimal: bool,
-    method: str | None,
-    sigma: Literal["given", "estimated"] | None,
-    without_outliers: bool,
-) -> tuple[Identification, Measurements, LibraryPrior | None, dict[str, Any], bool]:
-    """The fit with its doubts, the rows that are no outliers, the library's effects in it, what JSON says of outliers
-    and of the earlier calibration, and whether reflectors are mounted elsewhere in some session.
+@dataclass(frozen=True)
+class _Fit:
+    """How rows are fitted: the arm; all that is estimated, none: everything (`words`); an earlier calibration as the
+    prior, and its file (`old`); whether the effects of the library are fitted too, those of `names`."""
 
-    words : all that is estimated, none: everything;  prior : the library's effects are fitted too, those of `names`
-    old : an earlier calibration as the prior, and its file
-    """
-    from identification.estimation import estimate, estimate_with_prior
-    from identification.estimation import without_outliers as fitted_without_outliers
-    from identification.estimation.problem import Prior
-    from identification.gap.noise import with_repeats_doubted
-    from identification.model import Model
-    from identification.reuse import earlier, only, with_base_doubt, with_mounting_doubt
-    from identification.sessions import with_sessions
+    arm: Arm
+    words: list[str]
+    names: list[str] | None
+    old: tuple[Path, Arm] | None
+    prior: bool
+    minimal: bool
+    method: str | None
+    sigma: Literal["given", "estimated"] | None
 
-    library: LibraryPrior | None = None
+    def library(self, rows: Measurements) -> LibraryPrior | None:
+        """The library's effects that these rows can show."""
+        from identification.gap.library_prior import given_by, library_prior
+        from identification.sessions import with_sessions
 
-    def fit(rows: Measurements) -> Identification:
-        """The library's effects in it are those that these rows can show, and are always free."""
-        nonlocal library
-        wide, held = with_sessions(arm, rows), Prior({})
-        if prior:
-            from identification.gap.library_prior import given_by, library_prior
+        return library_prior(with_sessions(self.arm, rows), given_by(rows), self.names) if self.prior else None
 
-            library = library_prior(wide, given_by(rows), names)
+    def __call__(self, rows: Measurements) -> Identification:
+        """The fit, in which the library's effects are always free."""
+        from identification.estimation import estimate, estimate_with_prior
+        from identification.estimation.problem import Prior
+        from identification.gap.noise import with_repeats_doubted
+        from identification.model import Model
+        from identification.reuse import earlier, only
+        from identification.sessions import with_sessions
+
+        if (library := self.library(rows)) is None:
+            wide, held = with_sessions(self.arm, rows), Prior({})
+        else:
             wide, held = library.arm, library.prior
-        model = only(wide, [*words, *held.deviations], rows) if words else Model(wide)
-        if not prior and old is None:
-            model = minimal_model(model, rows) if minimal else model
-            return with_repeats_doubted(estimate(model, rows, method=method, sigma=sigma), rows)
-        if old is not None:
+        model = only(wide, [*self.words, *held.deviations], rows) if self.words else Model(wide)
+        if library is None and self.old is None:
+            model = minimal_model(model, rows) if self.minimal else model
+            return with_repeats_doubted(estimate(model, rows, method=self.method, sigma=self.sigma), rows)
+        if self.old is not None:
             try:
-                held = replace(held, earlier=earlier(old[1], model, rows))
+                held = replace(held, earlier=earlier(self.old[1], model, rows))
             except InputError as error:
-                raise InputError(f"{old[0]}: {error}") from None
-        return with_repeats_doubted(estimate_with_prior(model, rows, held, sigma=sigma), rows)
+                raise InputError(f"{self.old[0]}: {error}") from None
+        return with_repeats_doubted(estimate_with_prior(model, rows, held, sigma=self.sigma), rows)
+
+
+def _fitted(
+    fit: _Fit, measurements: Measurements, *, without_outliers: bool
+) -> tuple[Identification, Measurements, dict[str, Any], bool]:
+    """The fit with its doubts, the rows that are no outliers, what JSON says of outliers and of the earlier
+    calibration, and whether reflectors are mounted elsewhere in some session."""
+    from identification.estimation import without_outliers as fitted_without_outliers
+    from identification.reuse import with_base_doubt, with_mounting_doubt
+    from identification.sessions import with_sessions
 
     rows, told = measurements, dict[str, Any]()
     if without_outliers:
@@ -430,19 +440,18 @@ def _fitted(
         rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
     else:
         identified = fit(measurements)
-    effects = library  # of this fit: that for the doubt may have others
-    if old is not None and identified.prior is not None and (known := identified.prior.earlier) is not None:
+    if fit.old is not None and identified.prior is not None and (known := identified.prior.earlier) is not None:
         held = {*identified.prior.names, *identified.model.prior}
         told["prior_from"] = {
-            "file": str(old[0]),
+            "file": str(fit.old[0]),
             "parameters": list(known.parameter_names),
             "anew": [name for name in identified.names if name not in held],
             "contradicted": [one._asdict() for one in identified.contradictions],
         }
-    if words:
-        identified = with_base_doubt(identified, with_sessions(arm, rows), words, rows)
+    if fit.words:
+        identified = with_base_doubt(identified, with_sessions(fit.arm, rows), fit.words, rows)
     doubted = with_mounting_doubt(identified, rows, fit)
-    return doubted, rows, effects, told, doubted is not identified
+    return doubted, rows, told, doubted is not identified
 
 
 def _identified_in_json(

@@ -130,14 +130,6 @@ class PostureCondition(Protocol):
         ...
 
 
-def nearest_on_segment(point: Array, start: Array, end: Array) -> Array:
-    """(..., d) the points of segments that are nearest to points (..., d)."""
-    along = end - start
-    square = np.maximum(np.sum(along**2, axis=-1), 1e-300)
-    fraction = np.clip(np.sum((point - start) * along, axis=-1) / square, 0.0, 1.0)
-    return np.asarray(start + fraction[..., None] * along)
-
-
 def circle_across(axis: Array) -> tuple[Array, Array]:
     """Two unit vectors (3,) perpendicular to an axis and to each other."""
     unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)

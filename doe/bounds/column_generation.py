@@ -443,8 +443,8 @@ def relax(
         if weights is None:
             raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")
         weights = proper_weights(weights)
-        known = {"optimal": Status.converged, "optimal_inaccurate": Status.almost_solved}
-        known["user_limit"] = Status.iteration_limit
+        statuses = {"optimal": Status.converged, "optimal_inaccurate": Status.almost_solved}
+        statuses["user_limit"] = Status.iteration_limit
         carried = np.where(weights > 1e-7, weights, 0.0)  # interior points give every posture a little
         design = ApproximateDesign.heaviest_first(problem, prior, chosen, carried, dual)
         return replace(
@@ -452,7 +452,7 @@ def relax(
             largest=float(CandidateSet(problem, chosen, prior).sensitivities(design.gradient).max()),
             candidates=len(chosen),
             rigorous=True,
-            status=known.get(solver_status, Status.solver_failed),
+            status=statuses.get(solver_status, Status.solver_failed),
             solver=solver,
             solver_status=solver_status,
             seconds=perf_counter() - began,

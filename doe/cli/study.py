@@ -84,13 +84,13 @@ def command(
         force = job.force or job.resume
         if folder.exists():
             check_writable(folder / "errata.parquet", force)
-        found = paper_study(replications, seed=seed, progress=progress)
-        files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in found.items()}
-        files |= {folder / "figure_1.svg": svg(figure_1_picture(found["figure_1"]))}
-        files |= {folder / "figure_2.svg": svg(figure_2_picture(found["figure_2"]))}
+        results = paper_study(replications, seed=seed, progress=progress)
+        files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in results.items()}
+        files |= {folder / "figure_1.svg": svg(figure_1_picture(results["figure_1"]))}
+        files |= {folder / "figure_2.svg": svg(figure_2_picture(results["figure_2"]))}
         with tables(folder):
             write_together(files, force)
-        return _tables_answer(found, passed(found), folder, paper_parts(found))
+        return _tables_answer(results, passed(results), folder, paper_parts(results))
     where = job.where()
     with interruptible(folder):
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}

@@ -18,7 +18,7 @@ import tempfile
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -163,12 +163,24 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
             declared("quiet", bool, False, "No progress and no warnings on standard error."),
         ]
 
+        def page(document: Document, read: Sequence[Path]) -> str:
+            from doe.report import page
+
+            context = click.get_current_context()
+            typed = shlex.join(("armcal", *(context.find_root().obj or ())))
+            return page.page(document, page.origin(typed, context.params["seed"], read))
+
+        def constraints(model: Any) -> Any:
+            from doe.problem.constraints import constraints_of
+
+            return constraints_of(model)
+
         def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
             for group, type_ in groups.items():
                 values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
             logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
             with warnings_as_lines(quiet), shown_progress(called, quiet) as progress:
-                provided = dict(zip(PROVIDED, (seed, progress, made_page, made_constraints), strict=True))
+                provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints}
                 values |= {key: value for key, value in provided.items() if key in signature}
                 with errors_as_lines():
                     check_outputs(click.get_current_context())
@@ -253,22 +265,6 @@ def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click
         return click.Option(words, is_flag=True, default=default, show_default=bool(default), help=help_text)
     shown_default = settings.get("default") is not None
     return click.Option(words, multiple=several, show_default=shown_default, help=help_text, **settings)
-
-
-def made_page(document: Document, read: Iterable[Path]) -> str:
-    """A page that the running command makes, with the command line as it was typed and the files that were read."""
-    from doe.report.page import origin, page
-
-    context = click.get_current_context()
-    typed = shlex.join(("armcal", *(context.find_root().obj or ())))
-    return page(document, origin(typed, context.params["seed"], [*read]))
-
-
-def made_constraints(model: Any) -> Any:
-    """What keeps the postures of a model's arm, as its file says it."""
-    from doe.problem.constraints import constraints_of
-
-    return constraints_of(model)
 
 
 # -- errors and signals ------------------------------------------------------------------------------------------------

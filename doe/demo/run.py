@@ -52,7 +52,6 @@ LIMITS = np.radians([180.0, 180.0, 150.0, 180.0, 180.0, 180.0])
 REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
 HIDDEN_JOINT, HIDDEN_WAVE = 2, {"a": 0.03, "b": -0.025}  # encoder off centre: joint from 1; cosine, sine [deg]
 SEED = 2026  # of the errors of the real arm
-STEPS = ("arm files", "plan", "measurements", "identification", "diagnosis", "identification again", "commands", "page")
 
 
 @dataclass(frozen=True)
@@ -130,12 +129,9 @@ class Demo:
     diagnosed: Answer
     extended: Answer  # the named effect identified, from the drawing
     validated: Answer  # what that leaves of `fresh`
-    gaps: Mapping[
-        str, float
-    ]  # `fresh_gap_mm` of the JSON object: RMS distances from `fresh`, `noise` of a perfect model
-    hidden: Mapping[
-        str, Any
-    ]  # `hidden` of it: what was found beside what was hidden, RMS distances from the hidden arm
+    left: tuple[Array, Array]  # (200, d) [mm] of `fresh`, measured less what `identified` and `extended` say
+    gaps: Mapping[str, float]  # `fresh_gap_mm` of JSON: RMS distances from `fresh`, `noise` of a perfect model
+    hidden: Mapping[str, Any]  # of JSON: what the fit says beside what was hidden, RMS distances from the hidden arm
     files: tuple[str, ...]
 
     @property
@@ -150,22 +146,11 @@ class Demo:
         return {"directory": directory, **steps, **others}
 
 
-def predicted(fitted: Answer, rows: Measurements) -> Array:
-    """(m, d) positions [mm] of a fitted model at measured postures."""
-    fit = fitted.result
-    return np.asarray(fit.model.position(rows.postures, fit.parameters, rows.conditions))
-
-
 def run_demo(
     directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = silent, force: bool = True
 ) -> Demo:
     """Make the files and results of the demo in a directory that exists; files there are replaced with `force`."""
     files: list[str] = []
-    steps = iter(enumerate(STEPS))
-
-    def begin() -> None:
-        number, name = next(steps)
-        progress(number, len(STEPS), name)
 
     def write(name: str, text: str) -> None:
         write_together({directory / name: text}, force=force)
@@ -183,39 +168,44 @@ def run_demo(
         write(name, table.write_csv())
         return Measurements.from_frame(table, arm)
 
-    begin()
+    progress(0, 8, "arm files")
     for name, text in scenario.files.items():
         write(name, text)
     arm = load_arm(directory / "arm.toml")
-    begin()
+    progress(1, 8, "plan")
     problem = DesignProblem.of(Model(arm))
     design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
     write("plan.csv", design.plan.text())
-    begin()
+    progress(2, 8, "measurements")
     generator = np.random.default_rng(seed)
     measured("data.csv", design.plan.postures)
     fresh = measured("fresh.csv", random_postures(problem, 200, generator))
-    begin()
+    progress(3, 8, "identification")
     verbs = ("identify", "diagnose", "validate", "compensate")
     identify, diagnose, validate, compensate = (VERBS[name][0] for name in verbs)
     path, rows = directory / "arm.toml", directory / "data.csv"
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
-    begin()
+    progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
-    begin()
+    progress(5, 8, "identification again")
     write("extended.toml", with_effects(scenario.files["arm.toml"], diagnosed.result.named.specs, directory))
     named = Written(directory / "extended.toml")
     extended = identify(named, rows, out=named, force=True)
-    begin()
+    progress(6, 8, "commands")
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
     write("targets.csv", Plan(targets).text(arm.joint_types))
     sent = compensate(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
-    begin()
+    progress(7, 8, "page")
+    places = [
+        fit.model.position(fresh.postures, fit.parameters, fresh.conditions)
+        for fit in (identified.result, extended.result)
+    ]
+    before, after = (fresh.positions - place for place in places)
     gaps = {
         "drawing": rms_distance(identified.result.model.position(fresh.postures) - fresh.positions),
-        "identified": rms_distance(predicted(identified, fresh) - fresh.positions),
-        "extended": rms_distance(predicted(extended, fresh) - fresh.positions),
+        "identified": rms_distance(before),
+        "extended": rms_distance(after),
         "noise": float(np.sqrt(arm.dimension) * (arm.sigma or 0.0)),
     }
     near, effects = sent.reached, [f"{label}." for label in diagnosed.result.effects]
@@ -226,13 +216,13 @@ def run_demo(
             for row in extended.data["parameters"]
             if row["name"] in scenario.hidden or any(row["name"].startswith(label) for label in effects)
         ],
-        "model_error_mm": rms_distance(predicted(extended, fresh) - scenario.real(fresh.postures)),
+        "model_error_mm": rms_distance(places[1] - scenario.real(fresh.postures)),
         "targets_reached": int(near.sum()),
         "targets_as_drawn_mm": rms_distance(drawn),
         "targets_corrected_mm": rms_distance(corrected),
     }
     answers = identified, diagnosed, extended, validate(named, directory / "fresh.csv")
-    return Demo(scenario, arm, problem, design, fresh, *answers, gaps, hidden, tuple(files))
+    return Demo(scenario, arm, problem, design, fresh, *answers, (before, after), gaps, hidden, tuple(files))
 
 
 # -- its page ----------------------------------------------------------------------------------------------------------
@@ -248,7 +238,7 @@ def demo_document(demo: Demo) -> Document:
         last: (extended["rms_after_mm"], gaps["extended"]),
     }
     rows = [[name, *map(number, figures)] for name, figures in errors.items()]
-    before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
+    before, after = demo.left
     calibrated = demo.extended.result.calibrated_arm()
     compared = Compared(calibrated, fresh.postures, before, after, fresh.conditions, Model(calibrated), named)
     identified: list[Any] = [
@@ -354,8 +344,7 @@ def overview_figure(demo: Demo) -> Figure:
     axes = figure.add_subplot(places[2])
     joint = next((spec.joint for spec in demo.diagnosis.named.specs if spec.joint), 1)
     fresh, q = demo.fresh, np.degrees(demo.fresh.postures[:, joint - 1])
-    before, after = (fresh.positions - predicted(fit, fresh) for fit in (demo.identified, demo.extended))
-    errors = Compared(demo.arm, fresh.postures, before, after, fresh.conditions).errors
+    errors = Compared(demo.arm, fresh.postures, *demo.left, fresh.conditions).errors
     for each, color, name in zip(errors, (BEFORE, AFTER), ("identified", "effect added"), strict=True):
         axes.plot(q, np.degrees(each[:, joint - 1]), ".", color=color, ms=4, label=name)
     axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")

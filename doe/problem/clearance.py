@@ -190,7 +190,7 @@ class Clearance:
         for run, pair, gap in near:
             amount = f"overlap by {-gap:.1f} mm" if gap < 0.0 else f"are {gap:.1f} mm apart"
             lines.append(f"  run {run}: {_and(pair)} {amount}")
-        narrow = [f"{_and(self.pairs[k])} {self.asked[k]:.0f} mm" for k in np.flatnonzero(self.asked < self.usual)]
+        narrow = [f"{_and(self.pairs[k])} ({self.asked[k]:.0f} mm)" for k in np.flatnonzero(self.asked < self.usual)]
         if not near:
             kept = _counted(len(self.pairs) - len(narrow))
             lines.append(f"Collisions: {kept} of bodies stay {self.usual:g} mm apart in all {len(postures)} postures.")

@@ -65,10 +65,10 @@ class Study:
         if asked.replications / asked.block > (most_tasks := 100_000):  # of a cell: each is a row of a table
             least = f"at least {-(-asked.replications // most_tasks)} for {asked.replications} replications"
             raise InputError(f"block: found {asked.block}, allowed: {least}")
-        known = {*SOLVERS, DFT, RANDOM}
+        methods = {*SOLVERS, DFT, RANDOM}
         for name, plan in plans.items():
-            if plan is None and name not in known:
-                raise InputError(f"plans: unknown {name!r}, {nearest(name, known)}, or NAME.csv")
+            if plan is None and name not in methods:
+                raise InputError(f"plans: unknown {name!r}, {nearest(name, methods)}, or NAME.csv")
             if plan is None and not asked.runs:
                 raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {name!r} needs them")
         needs = []  # runs of each fit; where one can be done, the others are rows that say why there is nothing

@@ -323,20 +323,20 @@ def holds_in_words(test: Data) -> tuple[str, str]:
     how = "" if test["by"] == "holdout" else "cross-validated, "
     where = f"{which} ({how}{groups})"
     if confirmed is None:
-        answer, said = "too few rows", f"The rows are too few to say whether the model holds for {where}."
+        answer, sentence = "too few rows", f"The rows are too few to say whether the model holds for {where}."
     elif confirmed and not test["as_predicted"]:  # whether as far as expected stays open
         unsure = f"{groups} are too few to say whether by as much as expected"
-        answer, said = "shrinks", f"The error shrinks on rows not fitted ({how}{which}); {unsure}."
+        answer, sentence = "shrinks", f"The error shrinks on rows not fitted ({how}{which}); {unsure}."
     elif confirmed:
-        answer, said = "yes", f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
+        answer, sentence = "yes", f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
     elif test["shrinks"]:
-        answer, said = "no", f"For {where} the gap shrinks, but by less than predicted."
+        answer, sentence = "no", f"For {where} the gap shrinks, but by less than predicted."
     else:
         why = ["the gap does not shrink"] if test["shrinks"] is False else []
         why += ["the gap exceeds the prediction"] if test["as_predicted"] is False else []
-        answer, said = "no", f"The model does not hold for {where}: {' and '.join(why)}."
+        answer, sentence = "no", f"The model does not hold for {where}: {' and '.join(why)}."
     refitted = " and ".join(test["refitted"])
-    return answer, said + (f" Another set-up: {refitted} refitted to these rows." if refitted else "")
+    return answer, sentence + (f" Another set-up: {refitted} refitted to these rows." if refitted else "")
 
 
 def scatter_in_words(finding: Data) -> str:

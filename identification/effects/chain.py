@@ -185,9 +185,9 @@ def position_and_state(
     additions = by_place(ca.SX.zeros(sum(sizes.values())) if added is None else added, drawn)
 
     def add(places: Collection[str], chain: Chain, lengths: ca.SX | None = None, tip: ca.SX | None = None) -> None:
-        for effect, own in zip(effects, parts, strict=True):
+        for effect, part in zip(effects, parts, strict=True):
             for place in (place for place in places if hasattr(effect, place)):
-                additions[place] += contribution(effect, place, chain, own, lengths, tip)
+                additions[place] += contribution(effect, place, chain, part, lengths, tip)
 
     add(OF_LOAD, chain)
     additions["payload"] += chain.payload
@@ -195,9 +195,9 @@ def position_and_state(
     add([place for place in sizes if place not in (*OF_LOAD, "instrument")], chain.loaded(*loads), lengths)
     tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.reference)
     add(["instrument"], chain, tip=tip)
-    own = geometry[geometry.numel() - len(drawn.instrument.parameters) :]
+    settings = geometry[geometry.numel() - len(drawn.instrument.parameters) :]
     target = ca.SX(0) if chain.marker is None else chain.marker
-    reading = drawn.instrument.reading(tip + additions["instrument"], own, target)
+    reading = drawn.instrument.reading(tip + additions["instrument"], settings, target)
     return ca.vertcat(reading, turned), ca.vertcat(*loads, lengths, tip)
 
 
@@ -206,8 +206,8 @@ def contribution(
 ) -> ca.SX:
     """What an effect adds at a place at which it has a formula, for all elements of the place."""
     size = widths(effect.chain)[place]
-    more = (lengths,) if place == "extensions" else ()
-    value = ca.SX(getattr(effect, place)(tip if place == "instrument" else chain, values, *more))
+    lengthened = (lengths,) if place == "extensions" else ()
+    value = ca.SX(getattr(effect, place)(tip if place == "instrument" else chain, values, *lengthened))
     if effect.joint is not None and place in BY_JOINT and value.numel() * len(effect.chain) == size:
         return effect.at_joint(value)
     return ca.SX.zeros(size) + value

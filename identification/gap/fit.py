@@ -178,11 +178,6 @@ class Fit(At):
     free: NDArray[np.bool_]
     status: Status
 
-    @property
-    def squares(self) -> float:
-        """Sum of squared whitened residuals."""
-        return float(self.residual @ self.residual)
-
     @cached_property
     def jacobian(self) -> Array:
         """(N, p) derivative of the whitened positions with respect to the parameters."""
@@ -201,7 +196,7 @@ class Fit(At):
     @property
     def sigma(self) -> float:
         """Scale of the noise [mm] estimated from the residuals."""
-        return float(np.sqrt(self.squares / max(self.freedom, 1)))
+        return float(np.linalg.norm(self.residual) / np.sqrt(max(self.freedom, 1)))
 
     @property
     def covariance(self) -> Array:

@@ -196,7 +196,9 @@ class State:
         if self.larger is not None:
             out = self._more[0]
             return np.delete(np.delete(self.larger.inner, out, axis=0), out, axis=1)
-        return self.rows[:, self.places] + np.diag(self.sizes**-2.0)
+        inner = self.products.gram[np.ix_(self.places, self.places)]
+        inner[np.diag_indices(len(inner))] += self.sizes**-2.0
+        return inner
 
     @cached_property
     def _factor(self) -> Array:
@@ -223,9 +225,8 @@ class State:
         """Of the larger set's block with w columns their places there, their mean (w,), by what V is larger in its
         coefficients (w, w), and (w, P) how they take up a unit of each column."""
         assert self.larger is not None
-        (block,) = {*self.larger.blocks} - {*self.blocks}
-        first = int(np.sum(self.products.widths[self.larger._own[: self.larger._own.index(block)]]))
-        out = slice(first, first + int(self.products.widths[block]))
+        first = int(np.argmax(np.append(self.places, -1) != self.larger.places[: len(self.places) + 1]))
+        out = slice(first, first + len(self.larger.places) - len(self.places))
         part = self.larger.solve(np.eye(len(self.larger.places))[:, out]).T
         return out, self.larger.mean[out], np.asarray(np.linalg.inv(part[:, out])), part @ self.larger.rows
 

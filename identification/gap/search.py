@@ -178,24 +178,20 @@ class Search:
 
     def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], draws: dict[Key, float]) -> list[Weighed]:
         """The sets, from the probabilities with which each was drawn."""
-        total: defaultdict[tuple[int, ...], defaultdict[tuple[int, ...], float]]
-        total = defaultdict(lambda: defaultdict(float))
+        total, sets = defaultdict[Key, float](float), defaultdict[tuple[int, ...], list[tuple[float, Key]]](list)
         for key, count in visits.items():
             shares = steps[key] * (count / visits.total())
-            blocks, sizes = tuple(b for b, _ in key), tuple(s for _, s in key)
-            total[blocks][sizes] += float(shares[-1])
+            total[key] += float(shares[-1])
             for k in np.flatnonzero(shares[:-1] > 0.1 * LEAST).tolist():
-                block, size = divmod(k, len(SIZES))
-                at = bisect(blocks, block)
-                total[(*blocks[:at], block, *blocks[at:])][(*sizes[:at], size, *sizes[at:])] += float(shares[k])
+                at = bisect(key, pair := divmod(k, len(SIZES)))
+                total[(*key[:at], pair, *key[at:])] += float(shares[k])
         # these draws have these odds together, and this share of the probability: of a single one, its frequency
-        share = sum(total[tuple(b for b, _ in key)][tuple(s for _, s in key)] for key in draws)
+        share = sum(total[key] for key in draws)
         evidence = float(logsumexp([*draws.values()]) - np.log(max(share, 1.0 / visits.total())))
-        listed = [(sum(of_sizes.values()), blocks, of_sizes) for blocks, of_sizes in total.items()]
-        ordered = [one for one in sorted(listed, key=lambda one: (-one[0], one[1])) if one[0] > LEAST]
-        likeliest = [max(of_sizes, key=lambda s: (of_sizes[s], s)) for _, _, of_sizes in ordered]
-        keys = [tuple(zip(blocks, s, strict=True)) for (_, blocks, _), s in zip(ordered, likeliest, strict=True)]
-        return [(key, float(np.log(p)) + evidence) for key, (p, _, _) in zip(keys, ordered, strict=True)]
+        for key, p in total.items():
+            sets[tuple(block for block, _ in key)].append((p, key))
+        listed = sorted((-sum(p for p, _ in of_sizes), max(of_sizes)[1]) for of_sizes in sets.values())
+        return [(key, float(np.log(-less)) + evidence) for less, key in listed if -less > LEAST]
 
     def _each(self, left: State) -> Array:
         """(B, S) log odds of a set with each further block in each size against the set; -inf where it may not be."""

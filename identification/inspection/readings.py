@@ -27,7 +27,7 @@ from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import one_unnamed, placed_model, some
+from identification.model.placed import one_unnamed, placed_model, spread_rows
 
 UNITS = {10.0: "centimetres", 100.0: "decimetres", 1000.0: "metres", 25.4: "inches", 304.8: "feet"}  # to millimetres
 DRAWN = 0.02  # of the reach: what may well be the drawing's errors
@@ -42,7 +42,7 @@ def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
     tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
-    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument))
+    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument.unplaced))
 
 
 def some_of_one_point(measurements: Measurements) -> Measurements:
@@ -167,9 +167,9 @@ def wrong_units(measurements: Measurements, arm: Arm) -> tuple[tuple[str, ...], 
 
 def _spread(points: Array) -> float:
     """Median distance of points (m, d) from their median, of distances (m, 1) that of the points they are of, if these
-    lie on all sides."""
+    lie on all sides: of normal ones 1.54 and 0.67 standard deviations of a coordinate."""
     off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    return float(np.median(off) * (np.sqrt(3.0) if points.shape[1] == 1 else 1.0))
+    return float(np.median(off) * (1.54 / 0.67 if points.shape[1] == 1 else 1.0))
 
 
 # -- orientations, markers, rows far from all others -------------------------------------------------------------------
@@ -575,7 +575,7 @@ def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, 
     start = placed_model(model, measurements)
     if start is model or (arm := model.arm).chain.planar or arm.calibration is not None:
         return start, {}
-    rows = some(measurements, measurements.session_rows[0])  # later ones have another base
+    rows = spread_rows(measurements, measurements.session_rows[0])  # later ones have another base
     left = rows.positions - start.position(rows.postures, conditions=rows.conditions)
     better = read_differently(arm, measurements).better if rms_distance(left) > DRAWN * start.reach else None
     if better is None or not better.moved_zeros:

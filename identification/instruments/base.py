@@ -145,8 +145,10 @@ class Instrument:
         """Base and measured point that explain readings best, from nothing."""
         return searched(self, rows, random_starts(self, rows))
 
-    def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
-        """Starts (K, p) with its own parameters, whose numbers are `own`, as they explain the readings best, and the
+    def settled(
+        self, starts: Array, residuals: Callable[[Array], Array], numbers: list[int]
+    ) -> tuple[Array, list[int]]:
+        """Starts (K, p) with its own parameters, of these numbers, as they explain the readings best, and the
         numbers of those that a first fit of the others is to hold.
 
         residuals : of parameters (K, p) what is left, readings minus model (K, m, d)
@@ -161,6 +163,11 @@ class Instrument:
         points, readings : (m, 3 or 2) measured points in its frame, as best known, and (m, d) what was read
         numbers : (m,) of the targets, by their `names`
         """
+        return self
+
+    @property
+    def unplaced(self) -> Instrument:
+        """The same before anything is known of where it stands."""
         return self
 
     @property
@@ -217,11 +224,11 @@ def register_instrument(cls: type[Instrument]) -> type[Instrument]:
 
     A user's own class may be defined again, as in notebooks. Raises `InputError` for a word that is taken.
     """
-    known = kinds(cls.axes)
-    taken = known.get(cls.kind)
+    of_axes = kinds(cls.axes)
+    taken = of_axes.get(cls.kind)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
         raise InputError(f"instrument: the kind {cls.kind!r} is taken, allowed: another word")
-    in_order = sorted({**known, cls.kind: cls}.items())
-    known.clear()
-    known.update(in_order)
+    in_order = sorted({**of_axes, cls.kind: cls}.items())
+    of_axes.clear()
+    of_axes.update(in_order)
     return cls

@@ -161,12 +161,14 @@ class Sphere(Distance):
         best = np.argmin(squares.reshape(len(radii), -1), axis=1) + len(one.tools) * np.arange(len(radii))
         return searched(self, rows, Starts(*(part[best] for part in starts)), slice(0, 3), PATIENCE)
 
-    def settled(self, starts: Array, residuals: Callable[[Array], Array], own: list[int]) -> tuple[Array, list[int]]:
+    def settled(
+        self, starts: Array, residuals: Callable[[Array], Array], numbers: list[int]
+    ) -> tuple[Array, list[int]]:
         """An unknown radius is the mean distance from the center. An arm that shrinks with its sphere would explain any
         residual to first order, since heights above the sphere are homogeneous in all lengths, so the radius is held
         first; where nothing but noise is left, the arm explains no more than that."""
-        starts[:, own] -= residuals(starts).mean(axis=(1, 2))[:, None]
-        return starts, own
+        starts[:, numbers] -= residuals(starts).mean(axis=(1, 2))[:, None]
+        return starts, numbers
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
@@ -267,6 +269,10 @@ class AtTargets(Instrument):
     @property
     def targets(self) -> dict[str, Array]:
         return {name: np.array(place) for name, place in self.at}
+
+    @property
+    def unplaced(self) -> Self:
+        return replace(self, at=(), numbers=())
 
     def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
         """What belongs to the target of this number, of one for each target."""
@@ -406,8 +412,8 @@ class Socket(AtTargets):
 
     @property
     def size_is_open(self) -> tuple[str, str]:
-        known = self._pairs if self.at else self.distances  # between these cups, of all that are given
-        return ("", "") if known else ("cups without a distance that is known", "give distances_mm between them")
+        pairs = self._pairs if self.at else self.distances  # between these cups, of all that are given
+        return ("", "") if pairs else ("cups without a distance that is known", "give distances_mm between them")
 
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
         """Of a cup nothing is known but its center."""
@@ -501,5 +507,5 @@ class Socket(AtTargets):
 
     def table(self) -> dict[str, Any]:
         cups, distances = {name: list(place) for name, place in self.at}, [list(entry) for entry in self.distances]
-        more = {"distances_mm": distances, "cups": cups}
-        return super().table() | {key: value for key, value in more.items() if value}
+        keys = {"distances_mm": distances, "cups": cups}
+        return super().table() | {key: value for key, value in keys.items() if value}

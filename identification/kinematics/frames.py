@@ -197,8 +197,6 @@ class Frame:
     @cached_property
     def axes(self) -> ca.SX:
         """(3, 3), columns: its axes in the world."""
-        if self.about_z is not None:
-            return _turn(2, self.about_z)
         return self.rotation if self.before is None else ca.mtimes(self.before.axes, self.rotation)
 
     def point(self, place: ca.SX) -> ca.SX:
@@ -218,8 +216,11 @@ class Frame:
 
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
-        about_z = None if self.about_z is None or axis != 2 else self.about_z + angle
-        return self._followed(ca.SX(3, 1), _turn(axis, angle), about_z)
+        rotation = _turn(axis, angle)
+        if self.about_z is None or axis != 2:
+            return self._followed(ca.SX(3, 1), rotation)
+        about_z = self.about_z + angle
+        return self._followed(ca.SX(3, 1), rotation, about_z, _turn(2, about_z))
 
     def turned_about(self, axes: Sequence[int], angles: Any) -> Frame:
         """Turned by angles [rad] about own axes of these numbers, one after the other."""
@@ -243,11 +244,15 @@ class Frame:
         straight = np.array_equal(matrix[:3, :3], np.eye(3))
         return self._followed(placed[:3, 3], placed[:3, :3], self.about_z if straight else None)
 
-    def _followed(self, shift: ca.SX, rotation: ca.SX, about_z: ca.SX | None) -> Frame:
-        """The frame after this one; where it is cheap its origin follows at once, and not through all at the end."""
+    def _followed(
+        self, shift: ca.SX, rotation: ca.SX, about_z: ca.SX | None = None, axes: ca.SX | None = None
+    ) -> Frame:
+        """The frame after this one; where all turns were about z its axes and its origin follow at once, and not
+        through all frames at the end;  axes : None: as of this one."""
         frame = Frame(self, shift, rotation, about_z)
         if about_z is not None:
-            vars(frame)["origin"] = self.origin + ca.mtimes(self.axes, shift)
+            before = self.axes
+            vars(frame).update(axes=before if axes is None else axes, origin=self.origin + ca.mtimes(before, shift))
         return frame
 
 

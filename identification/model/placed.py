@@ -47,7 +47,7 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
         values = _without(calibration.values, {BASE, TOOL} - settled)
         calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
     drawn, geometry = replace(standing_in(chain, values), settled=settled), _without(values)
-    standing = _standing_chain(drawn, some(measurements, measurements.session_rows[0]), geometry)
+    standing = _standing_chain(drawn, spread_rows(measurements, measurements.session_rows[0]), geometry)
     if BASE not in settled:
         chain = replace(chain, base=standing.base)
     if TOOL not in settled:
@@ -66,7 +66,7 @@ def _without(values: Mapping[str, float], places: Collection[str] = (BASE, TOOL)
     return {name: value for name, value in values.items() if re.split(r"[.\[]", name)[0] not in places}
 
 
-def some(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:
+def spread_rows(measurements: Measurements, rows: NDArray[np.int64]) -> Measurements:
     """As many of these rows as a start needs to be good to far less than the errors of the geometry."""
     return measurements.rows(rows[np.unique(np.linspace(0, len(rows) - 1, 500).astype(int))])
 
@@ -111,7 +111,7 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
     first = seen = np.full(len(standing.tools), TOOL in standing.settled)
     for name in measurements.session_names:
         if name in parts:
-            rows = some(measurements, parts[name])
+            rows = spread_rows(measurements, parts[name])
             if bases:  # where these rows find the base, then the points that were not seen before
                 old = seen[_markers(rows)]
                 held = frozenset({TOOL}) if old.any() else frozenset()

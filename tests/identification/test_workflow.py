@@ -11,7 +11,15 @@ import pytest
 from identification import Arm, Calibration, Measurements, Model, load_arm
 from identification.document import Document
 from identification.errors import InputError
-from identification.workflow import VERBS, Written, compensate_files, identify_files, load_sessions, validate_files
+from identification.workflow import (
+    VERBS,
+    Written,
+    compensate_files,
+    identify_files,
+    load_sessions,
+    validate_files,
+    words_in,
+)
 
 LENGTHS = [300.0, 200.0]
 REAL = Arm(LENGTHS, calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
@@ -75,3 +83,7 @@ def test_every_verb_says_what_it_is_for() -> None:
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY:
                 provided = parameter.name in ("seed", "progress", "page", "constraints", "force")
                 assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)
+
+
+def test_words_of_a_list() -> None:
+    assert words_in("a, b,c ,") == ["a", "b", "c"]

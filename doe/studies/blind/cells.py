@@ -255,9 +255,9 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         later, count = np.random.default_rng([20261123, list(CELLS).index(cell), seed, len(q)]), len(q)
         s = session(truth, np.vstack([data.postures, q]), later).s[m:] if directions is None else directions
         t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), later.normal(0.0, 1.0, count)
-        more = RowConditions(q, t, warm, s, np.full(count, truth.payload), np.zeros(count, dtype=int))
-        whole = RowConditions(*map(np.concatenate, zip(vars(run).values(), vars(more).values(), strict=True)))
-        error = np.vstack([data.positions - simulator.position(truth, run), noise(truth, more, later)])
+        later_rows = RowConditions(q, t, warm, s, np.full(count, truth.payload), np.zeros(count, dtype=int))
+        whole = RowConditions(*map(np.concatenate, zip(vars(run).values(), vars(later_rows).values(), strict=True)))
+        error = np.vstack([data.positions - simulator.position(truth, run), noise(truth, later_rows, later)])
         return replace(simulator.recorded(truth, whole, error), payload=whole.payload)
 
     specs = []  # with their settings

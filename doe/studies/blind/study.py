@@ -199,13 +199,13 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = N
         arm, verdict = diagnosis.extended_arm(), diagnosis.verdict
         chances, named = diagnosis.probabilities, diagnosis.named
         low, high = zip(*named.limits_95.values(), strict=True)
-        said = diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys)
+        probability = diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys)
         row: Row = {
             "set": number,
             "verdict": verdict,
             "named": sorted(named.keys),
             "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
-            "probability": said,
+            "probability": probability,
             "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
             "where": diagnosis.where,
             "outlier_rows": list(diagnosis.outlier_rows),
@@ -295,12 +295,12 @@ def scored_set(row: Said) -> Judged:
         # with such a probability no name should be said where the library has none
         judged["named at 0.9"] = verdict in ("named", "ambiguous") and (row.get("probability") or 0.0) >= 0.9
     if outside and row["place"] is not None:  # an effect of the library is at its joint, or at what it follows
-        right, said = set(row["place"].split(" or ")), [{row["where"]}] if unknown and row["where"] else []
+        right, places = set(row["place"].split(" or ")), [{row["where"]}] if unknown and row["where"] else []
         for name, _, joint in (key.partition(":") for key in named):
             followed = {place for place, names in FOLLOWING.items() if name in names}
-            said.append(followed | ({f"joint:{joint}"} if joint else set()))
+            places.append(followed | ({f"joint:{joint}"} if joint else set()))
         judged["located"] = unknown and row["where"] in right
-        judged["wrong place"] = any(not at & right for at in said)
+        judged["wrong place"] = any(not at & right for at in places)
     if row["wrong_rows"]:
         judged["outliers listed"] = set(row["wrong_rows"]) <= set(row["outlier_rows"] or ())
     if row.get("probability") is not None:  # of nothing, the named set, or something outside the library
@@ -346,8 +346,10 @@ def scored_set(row: Said) -> Judged:
 
 def _classes(keys: Sequence[str], besides: str | None) -> str:
     """Classes of effects, joints left out; `nothing` for none."""
-    known = library()
-    names = sorted(known[name].family if name in known else name for name in (key.partition(":")[0] for key in keys))
+    effects = library()
+    names = sorted(
+        effects[name].family if name in effects else name for name in (key.partition(":")[0] for key in keys)
+    )
     return " + ".join([*names, *([besides] if besides else [])]) or NOTHING
 
 

@@ -112,20 +112,26 @@ def test_stops_when_independent_starts_agree_unless_a_number_is_asked_for() -> N
     assert solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 50)).status is Status.starts_finished
 
 
-def test_ctrl_c_returns_the_best_so_far() -> None:
-    design = solve(problem(FOUR), 8, Scripted([Offer(POOR, 1), KeyboardInterrupt()]))
-    assert design.status is Status.interrupted
+GIVEN = Bound(complex_log_det(POOR), "continuous")
+
+
+@pytest.mark.parametrize(
+    ("script", "options", "status", "starts"),
+    [
+        ([Offer(POOR, 1), KeyboardInterrupt()], {}, Status.interrupted, 1),
+        ([Offer(POOR, 1)] * 10, {"seconds": 1e-9}, Status.time_limit, 1),
+        ([Offer(POOR, 1)] * 3, {"bound": GIVEN}, Status.bound_reached, 1),
+    ],
+)
+def test_a_search_that_ends_early_has_the_best_so_far(
+    script: list[Any], options: dict[str, Any], status: Status, starts: int
+) -> None:
+    design = solve(problem(FOUR), 8, Scripted(script), **options)
+    assert (design.status, design.starts) == (status, starts)
     assert design.value == pytest.approx(complex_log_det(POOR))
-
-
-def test_ctrl_c_before_the_first_plan() -> None:
-    with pytest.raises(KeyboardInterrupt):
+    assert "bound" not in options or design.bound.source == "continuous"
+    with pytest.raises(KeyboardInterrupt):  # before the first plan there is none
         solve(problem(FOUR), 8, Scripted([KeyboardInterrupt()]))
-
-
-def test_time_limit() -> None:
-    design = solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 10), seconds=1e-9)
-    assert (design.status, design.starts) == (Status.time_limit, 1)
 
 
 def test_a_solver_without_a_useful_plan() -> None:
@@ -142,13 +148,6 @@ def test_a_plan_that_breaks_the_minimum_distance_is_no_result() -> None:
     apart = replace(problem(FOUR), minimum_distance=2.0)  # just 12 fit into the limits
     with pytest.raises(JobError, match=r"postures 114.592 deg apart was found by scripted"):
         solve(apart, 12, crowded)
-
-
-def test_a_bound_may_be_given() -> None:
-    value = complex_log_det(POOR)
-    design = solve(problem(FOUR), 8, Scripted([Offer(POOR, 1)] * 3), bound=Bound(value, "continuous"))
-    assert design.status is Status.bound_reached
-    assert design.bound.source == "continuous"
 
 
 # -- what cannot be solved ---------------------------------------------------------------------------------------------

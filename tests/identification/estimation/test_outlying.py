@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.stats import chi2
 
 from identification.arm import Arm
 from identification.estimation import estimate, without_outliers
-from identification.estimation.uncertainty import OUTLIER, limit_of, outlying, studentised, together
+from identification.estimation.uncertainty import OUTLIER, limit_of, log_choose, outlying, studentised, together
 from identification.information import column_space
 from identification.model import Model
 from identification.simulate import simulate
@@ -133,3 +134,9 @@ def test_postures_that_gravity_explains_are_no_outliers() -> None:
         lambda rows: estimate(Model(drawn_arm(gravity=False)), rows), replace(data, positions=positions)
     )
     assert left[1] == (11, 201, 331)
+
+
+def test_choices_are_counted_on_the_log_scale() -> None:
+    many, few = np.arange(30)[:, None], np.arange(-2, 35)
+    exact = [[comb(n, k) if k >= 0 else 0 for k in few.tolist()] for n in range(30)]
+    np.testing.assert_allclose(np.exp(log_choose(many, few)), exact, rtol=1e-12)

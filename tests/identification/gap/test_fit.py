@@ -47,7 +47,7 @@ def test_agrees_with_scipy_within_bounds(flexibility: float) -> None:
 
     start = np.clip(np.zeros(len(lower)), lower * model.scales, np.inf) + 1e-9
     other = least_squares(residual, start, bounds=(lower * model.scales, np.inf), xtol=1e-14, ftol=1e-14, gtol=1e-12)
-    assert found.squares == pytest.approx(2.0 * other.cost, rel=1e-6)
+    assert found.residual @ found.residual == pytest.approx(2.0 * other.cost, rel=1e-6)
     at_bound = flexibility < 0.0
     assert (found.by_name["link_bending.flexibility"] == 0.0) == at_bound
     assert bool(found.free.all()) != at_bound

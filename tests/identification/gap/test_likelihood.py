@@ -90,6 +90,10 @@ def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None
             state = state.beside((block, int(rng.integers(products.limits[block]))))
         once = products.state(state.key)
         assert state.key == once.key
+        assert state.ratio == pytest.approx(once.ratio, abs=1e-9)
+        own = np.argsort(state.places)
+        np.testing.assert_allclose(state.mean[own], once.mean, atol=1e-9)
+        np.testing.assert_allclose(state.covariance[np.ix_(own, own)], once.covariance, atol=1e-9)
         for own, made in zip(state.within, once.within, strict=True):
             np.testing.assert_allclose(own, made, atol=1e-9)
 

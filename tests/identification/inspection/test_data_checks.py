@@ -11,6 +11,7 @@ from identification.arm import Arm
 from identification.errors import InputError
 from identification.inspection.inspection import inspect
 from identification.inspection.readings import data_warnings, wrong_units
+from identification.instruments import PlanarDistance
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_own_axes, pose
 from identification.measurements import Measurements
@@ -153,8 +154,12 @@ def test_another_number_of_links() -> None:
 @pytest.mark.parametrize("wild", [0.5, 40.0, 5e3])
 def test_rows_that_are_wild_hide_no_unit(wild: float) -> None:
     """Metres in `_mm` columns, and three of twenty rows anywhere within this many."""
-    for arm, good in ((ARM, measured(20)), (PLANAR, simulated(3.0).rows(slice(20)))):
-        lost = np.random.default_rng(5).uniform(-wild, wild, (3, arm.dimension))
+    planar, center = simulated(3.0).rows(slice(20)), (400.0, 100.0)
+    bar = replace(PLANAR, chain=replace(PLANAR.chain, instrument=PlanarDistance((("1", center),))))
+    lengths = replace(planar, positions=np.linalg.norm(planar.positions - center, axis=1)[:, None])
+    bars = [(bar, lengths)] if wild > 1.0 else []  # of lengths alone half a metre is not wild
+    for arm, good in ((ARM, measured(20)), (PLANAR, planar), *bars):
+        lost = np.abs(np.random.default_rng(5).uniform(-wild, wild, (3, good.dimension)))
         metres = good.positions / 1000.0
         metres[[2, 9, 16]] = lost
         said = wrong_units(replace(good, positions=metres), arm)[0]

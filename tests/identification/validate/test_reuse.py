@@ -15,7 +15,7 @@ from identification.estimation.problem import Prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.reuse import earlier, only, with_base_doubt, with_held, words_of
+from identification.reuse import earlier, only, with_base_doubt, with_held
 
 LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1
 OFFSETS = np.array([0.01, -0.02, 0.015])
@@ -48,7 +48,7 @@ def test_only_is_least_squares_without_the_other_columns() -> None:
     np.testing.assert_allclose(found.parameters, expected, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.covariance, SIGMA**2 * np.linalg.inv(design.T @ design), rtol=1e-6)
     np.testing.assert_allclose(found.joint_offsets, OFFSETS)
-    two = estimate(only(ARM, words_of(["length_error:1", "base_offset"])), data, sigma="given")
+    two = estimate(only(ARM, ["length_error:1", "base_offset"]), data, sigma="given")
     design = np.column_stack([design[:, 0], np.tile(np.eye(2), (20, 1))])
     np.testing.assert_allclose(two.parameters, np.linalg.lstsq(design, beyond, rcond=None)[0], rtol=0, atol=1e-9)
 
@@ -135,7 +135,6 @@ def test_words_that_name_nothing() -> None:
     with pytest.raises(InputError, match="only: base is to be held, but the arm file does not say where it is"):
         only(Arm(CHAIN), ["joint_offsets", "tool"])
     assert only(Arm(LENGTHS), ["base"]).names == ("joint_offset:1", "base_offset.x0", "base_offset.y0")
-    assert words_of(["a, b", "c"]) == ["a", "b", "c"]
 
 
 def test_priors_that_do_not_fit() -> None:
