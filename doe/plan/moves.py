@@ -83,6 +83,10 @@ class Stretches(NamedTuple):
     before: Array
     after: Array
 
+    def of(self, rows: NDArray[np.bool_]) -> Stretches:
+        """Some of them."""
+        return Stretches(self.move[rows], self.first[rows], self.last[rows], self.before[rows], self.after[rows])
+
 
 def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
     """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free."""
@@ -94,12 +98,11 @@ def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
     def by_pair(k: int, levels: int | None = None) -> None:
         here = np.s_[:, k : k + 1]
         pair = left._replace(before=left.before[here], after=left.after[here])
-        pair = Stretches(*(part[proven[left.move]] for part in pair))
-        halved(pair, proven, room.alone(k), room.levers[k : k + 1], levels)
+        halved(pair.of(proven[left.move]), proven, room.alone(k), room.levers[k : k + 1], levels)
 
     for k in room.often:  # most moves that collide are found by few pairs, and one takes less time than all
         by_pair(k, COARSE)
-    left = halved(Stretches(*(part[proven] for part in left)), proven, room.margin, room.levers, COARSE)
+    left = halved(left.of(proven), proven, room.margin, room.levers, COARSE)
     for k in range(len(room.levers)):  # few are near each other for long
         by_pair(k)
     return proven
@@ -119,7 +122,7 @@ def halved(
         ways = np.abs(left.last - left.first) @ levers.T
         near = left.before + left.after < ways
         proven[left.move[np.any(near & (ways < NARROWEST), axis=1)]] = False
-        left = Stretches(*(part[np.any(near, axis=1) & proven[left.move]] for part in left))
+        left = left.of(np.any(near, axis=1) & proven[left.move])
         if not len(left.move) or level == levels:
             return left
         middle = 0.5 * (left.first + left.last)
