@@ -9,7 +9,8 @@ y_j around it,
     weight * mean(max(d(x_i), 0)^2) + s^0.5 mean(max(-d(y_j), 0)^1.5) -> min,    s = 10 mm,
 
 by L-BFGS with a growing weight. One more capsule takes a part of what the worst one covers. Then those points of the
-surface are added that stick out most, and in the end radii grow until every face is contained.
+surface are added that stick out most, and in the end radii grow until every face is contained; of the best few covers,
+with fewer and with more capsules, the one that then covers least around the body is taken.
 
 Boxes are those of a grid: the one that contains the body is cut where that leaves out most, again and again.
 """
@@ -36,7 +37,8 @@ LAST_WEIGHTS = 300.0, 3000.0, 10000.0
 STEPS, FEWER = 30, 25  # of L-BFGS for each of them, and while capsules are added
 CUTS = 0.2, 0.5, 0.8  # of what a capsule covers along an axis
 TIGHT, TIGHT_ENOUGH = 0.3, 3.0  # of a cell, and [mm]: if no point around is farther inside, no capsule more is tried
-FINISHED = 3  # covers, of which the best one is taken
+FINISHED = 2  # covers, of which the best one is taken
+MANY = 20_000  # faces that are looked at for the last fits; in the end radii grow to contain all
 ROUNDING = 1e-6  # [mm] by which radii are larger than need be
 SAVED, FINE_CELLS = 1e-2, 64  # of a body covered by boxes: what a cut must save of it; cells along its longest side
 THINNEST = 1e-3  # [mm] half of the thickness of a box
@@ -201,7 +203,7 @@ def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
 def _closed(capsules: Array, surface: Array, around: Array, triangles: Array, finest: float) -> Array:
     """The capsules fitted until hardly a face sticks out, and then so much larger that none does."""
     for weight in LAST_WEIGHTS:
-        faces, _, lacking = _sticking_out(capsules, triangles, finest)
+        faces, _, lacking = _sticking_out(capsules, _spread(triangles, MANY), finest)
         surface = np.concatenate([surface, faces[np.argsort(-lacking)[:STICKING_OUT]].reshape(-1, 3)])
         capsules = _fitted(capsules, surface, around, weight)
     _, best, lacking = _sticking_out(capsules, triangles, finest)
