@@ -268,7 +268,7 @@ def problem(seed: int = 0, d: int = 2, p: int = 3) -> tuple[np.ndarray, np.ndarr
     return jacobian, residual.reshape(-1, d), np.linalg.cholesky(np.linalg.inv(flat.T @ flat))
 
 
-def dense(jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def dense(jacobian: np.ndarray, residual: np.ndarray, groups: np.ndarray = GROUPS) -> tuple[np.ndarray, np.ndarray]:
     """Covariance and degrees of freedom from the definition, with (N, N) matrices."""
     m, d, p = jacobian.shape
     j, e, member = jacobian.reshape(-1, p), residual.reshape(-1), np.repeat(GROUPS, d)
@@ -286,6 +286,21 @@ def dense(jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.nd
         values = np.linalg.eigvalsh(rows @ rows.T)
         freedom.append(values.sum() ** 2 / np.sum(values**2))
     return np.stack(added).T @ np.stack(added), np.array(freedom)
+
+
+def test_what_two_of_many_groups_share_moves_no_interval_by_a_thousandth() -> None:
+    """More than a thousand rows: what is left out of the degrees of freedom, against their definition."""
+    rng, m = np.random.default_rng(1), 1001
+    j, residual = rng.standard_normal((m, 2)), rng.standard_normal((m, 1))
+    bread = np.linalg.inv(j.T @ j)
+    found = sandwich(j[:, None], residual, np.linalg.cholesky(bread), np.arange(m))
+    assert found is not None
+    rest = np.eye(m) - j @ bread @ j.T
+    for weights, freedom in zip((j @ bread / np.sqrt(np.diag(rest))[:, None]).T, found[1], strict=True):
+        inner = weights[:, None] * rest * weights  # P P^T, as the projection `rest` is its own square
+        exact = np.trace(inner) ** 2 / np.sum(inner**2)
+        assert freedom != pytest.approx(exact, rel=1e-9)
+        assert quantile_95(freedom) == pytest.approx(quantile_95(exact), rel=1e-3)
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
