@@ -6,10 +6,11 @@ contains are cut, so that no piece need reach farther than it must.
 Capsules are fitted: with d(x) the distance from their union, negative inside, of points x_i of the surface and points
 y_j around it,
 
-    weight * mean(max(d(x_i), 0)^2) + mean(max(-d(y_j), 0)^2) -> min
+    weight * mean(max(d(x_i), 0)^2) + s^0.5 mean(max(-d(y_j), 0)^1.5) -> min,    s = 10 mm,
 
 by L-BFGS with a growing weight. One more capsule takes a part of what the worst one covers. Then those points of the
-surface are added that stick out most, and in the end radii grow until every face is contained.
+surface are added that stick out most, and in the end radii grow until every face is contained; of the best few covers,
+with fewer and with more capsules, the one that then covers least around the body is taken.
 
 Boxes are those of a grid: the one that contains the body is cut where that leaves out most, again and again.
 """
@@ -27,7 +28,8 @@ MOST_CAPSULES, MOST_BOXES = 8, 32  # of a body
 CELLS = 24  # of a grid, along the side of a cube as large as the box around a body
 FARTHEST = 6  # cells from the surface, of points around it
 CLOSE, OUTSIDE = 0.2, 1.8  # cells from the surface: of points close to it, which has two sides, and of an outer cell
-POINTS = 1000  # of the surface, as many close to it, and a half of these around it
+POINTS = 1500  # of the surface, as many close to it, and a half of these around it
+SCALE = 10.0  # [mm] s
 STICKING_OUT = 200  # points of the surface that are added, each time
 FINEST = 0.4  # of a cell: faces that stick out are cut to it
 WEIGHTS = 3.0, 30.0, 300.0  # of the first fits, in this order
@@ -35,7 +37,9 @@ LAST_WEIGHTS = 300.0, 3000.0, 10000.0
 STEPS, FEWER = 30, 25  # of L-BFGS for each of them, and while capsules are added
 CUTS = 0.2, 0.5, 0.8  # of what a capsule covers along an axis
 TIGHT, TIGHT_ENOUGH = 0.3, 3.0  # of a cell, and [mm]: if no point around is farther inside, no capsule more is tried
-ENOUGH = 0.93  # of the objective: one of fewer capsules that is not larger than that of more by this
+FINISHED = 2  # covers, of which the best one is taken
+MANY = 20_000  # faces that are looked at for the last fits; in the end radii grow to contain all
+ROUNDING = 1e-6  # [mm] by which radii are larger than need be
 SAVED, FINE_CELLS = 1e-2, 64  # of a body covered by boxes: what a cut must save of it; cells along its longest side
 THINNEST = 1e-3  # [mm] half of the thickness of a box
 Index = NDArray[np.intp]
@@ -88,12 +92,13 @@ def _objective(flat: Array, count: int, surface: Array, around: Array, weight: f
         d = np.take_along_axis(from_each, nearest, axis=1)
         rows, covers = np.nonzero(sign * d > 0.0)
         d, own = d[rows, covers], nearest[rows, covers]
-        value += factor * float(d @ d)
+        slope = 2.0 * d if sign > 0.0 else -1.5 * np.sqrt(-SCALE * d)
+        value += factor * float(slope @ d) / (2.0 if sign > 0.0 else 1.5)
         ends, at = capsules[own], at[rows, own][:, None]
         away = points[rows] - ends[:, :3] - at * (ends[:, 3:6] - ends[:, :3])
         away /= np.maximum(d + ends[:, 6], 1e-9)[:, None]
         slopes = np.zeros((len(capsules), len(rows)))
-        slopes[own, np.arange(len(rows))] = 2.0 * factor * d
+        slopes[own, np.arange(len(rows))] = factor * slope
         gradient -= np.concatenate([slopes @ ((1.0 - at) * away), slopes @ (at * away), slopes.sum(axis=1)[:, None]], 1)
     return value, gradient.ravel()
 
@@ -187,15 +192,23 @@ def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
         capsules = more
         capsules = _fitted(capsules, surface, around, WEIGHTS[-1], FEWER)
         fits.append(capsules)
-    values = [_objective(each.ravel(), len(each), surface, around, WEIGHTS[-1])[0] for each in fits]
-    capsules = next(each for each, value in zip(fits, values, strict=True) if value <= min(values) / ENOUGH)
+    value = {len(each): _objective(each.ravel(), len(each), surface, around, WEIGHTS[-1])[0] for each in fits}
+    closed = [
+        _closed(each, surface, around, triangles, FINEST * cell)
+        for each in sorted(fits, key=lambda each: value[len(each)])[:FINISHED]
+    ]
+    return min(closed, key=lambda each: _objective(each.ravel(), len(each), surface, around, 1.0)[0])
+
+
+def _closed(capsules: Array, surface: Array, around: Array, triangles: Array, finest: float) -> Array:
+    """The capsules fitted until hardly a face sticks out, and then so much larger that none does."""
     for weight in LAST_WEIGHTS:
-        faces, _, lacking = _sticking_out(capsules, triangles, FINEST * cell)
+        faces, _, lacking = _sticking_out(capsules, _spread(triangles, MANY), finest)
         surface = np.concatenate([surface, faces[np.argsort(-lacking)[:STICKING_OUT]].reshape(-1, 3)])
         capsules = _fitted(capsules, surface, around, weight)
-    _, best, lacking = _sticking_out(capsules, triangles, FINEST * cell)
+    _, best, lacking = _sticking_out(capsules, triangles, finest)
     np.maximum.at(grown := np.zeros(len(capsules)), best, lacking)
-    capsules[:, 6] += grown + 1e-9 * longest  # but for rounding
+    capsules[:, 6] += grown + ROUNDING
     return capsules
 
 

@@ -122,6 +122,7 @@ def test_names_in_a_robots_file_stay_names(tmp_path: Path) -> None:
         "tip_link",
         "measurement",
         "machining",
+        "cell",
     }
 
 

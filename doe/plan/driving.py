@@ -29,6 +29,7 @@ SPARE = 0.02  # share that planned moves keep besides: they are found free again
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
 CANDIDATES, ATTEMPTS = 200, 5  # for a posture in the place of one that cannot be reached; rounds of replacing
+SAMPLES, OFTEN = 300, 5  # random postures that tell which pairs collide most often, and how many are asked first
 FINE = 300  # postures of a move that is looked at to say what collides
 NEXT = 10  # postures to which one is tried to be moved from there
 
@@ -230,7 +231,10 @@ def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | Non
     longest = np.where(turns(model), model.reach, 1.0)
     count = beside(np.zeros((1, len(longest))), 0.0).shape[1]
     levers = np.concatenate([clearance.levers()[solid], np.broadcast_to(longest, (count, len(longest)))])
-    return Room(margin, levers, allows, alone)
+    drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, len(longest)))
+    below = np.mean(margin(drawn) < 0.0, axis=0)
+    often = [k for k in np.argsort(-below, kind="stable").tolist()[:OFTEN] if below[k] > 0.0]
+    return Room(margin, levers, allows, alone, often)
 
 
 def check_approach(approach: str) -> None:

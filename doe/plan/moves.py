@@ -38,7 +38,7 @@ ALONE = 3  # growths after which an end from which nothing was reached is given 
 NEAR = 0.2  # of the joints' ranges: how far about a straight move the first cloud lies; each next one twice as far
 APPROACH, TRIES = float(np.radians(3.0)), 40  # more than any backlash; how many others are tried, 0.2 to 3 times as far
 NEIGHBOURS = 5  # of a posture with a move that collides, to which moves are looked at in advance
-DETOUR = 1.6  # times the travel of a straight move that collides, till the way round is known: few are asked for
+DETOUR = 2.0  # times the travel of a straight move that collides, till the way round is known: few are asked for
 PULLS = 3  # times that the way-points of a detour are pulled straight
 
 
@@ -48,13 +48,14 @@ class Room(NamedTuple):
     margin : of postures (m, n) the margins (m, k) [mm], which are to be >= 0
     levers : (k, n) [mm/rad, 1] how much at most each margin changes by a unit of each joint
     allows : whether postures (m, n) may be way-points
-    alone : number of a margin -> what gives it alone, (m, 1)
+    alone : number of a margin -> what gives it alone, (m, 1);  often : those that are below zero most often
     """
 
     margin: Callable[[Array], Array]
     levers: Array
     allows: Callable[[Array], NDArray[np.bool_]]
     alone: Callable[[int], Callable[[Array], Array]]
+    often: Sequence[int] = ()
 
 
 class Space(NamedTuple):
@@ -82,6 +83,10 @@ class Stretches(NamedTuple):
     before: Array
     after: Array
 
+    def of(self, rows: NDArray[np.bool_]) -> Stretches:
+        """Some of them."""
+        return Stretches(self.move[rows], self.first[rows], self.last[rows], self.before[rows], self.after[rows])
+
 
 def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
     """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free."""
@@ -89,14 +94,17 @@ def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
     before, after = np.split(room.margin(np.concatenate([starts, ends])), 2)
     proven = np.all((before >= 0.0) & (after >= 0.0), axis=1)
     left = Stretches(np.arange(len(starts)), starts, ends, before, after)
-    left = halved(left, proven, room.margin, room.levers, COARSE)
-    for k in range(len(room.levers)):  # few pairs are near each other for long, and one takes less time than all
+
+    def by_pair(k: int, levels: int | None = None) -> None:
         here = np.s_[:, k : k + 1]
-        near = left.before[here] + left.after[here] < np.abs(left.last - left.first) @ room.levers[k][:, None]
-        rows = near[:, 0] & proven[left.move]
-        if rows.any():
-            pair = left._replace(before=left.before[here], after=left.after[here])
-            halved(Stretches(*(part[rows] for part in pair)), proven, room.alone(k), room.levers[k : k + 1])
+        pair = left._replace(before=left.before[here], after=left.after[here])
+        halved(pair.of(proven[left.move]), proven, room.alone(k), room.levers[k : k + 1], levels)
+
+    for k in room.often:  # most moves that collide are found by few pairs, and one takes less time than all
+        by_pair(k, COARSE)
+    left = halved(left.of(proven), proven, room.margin, room.levers, COARSE)
+    for k in range(len(room.levers)):  # few are near each other for long
+        by_pair(k)
     return proven
 
 
@@ -114,7 +122,7 @@ def halved(
         ways = np.abs(left.last - left.first) @ levers.T
         near = left.before + left.after < ways
         proven[left.move[np.any(near & (ways < NARROWEST), axis=1)]] = False
-        left = Stretches(*(part[np.any(near, axis=1) & proven[left.move]] for part in left))
+        left = left.of(np.any(near, axis=1) & proven[left.move])
         if not len(left.move) or level == levels:
             return left
         middle = 0.5 * (left.first + left.last)
