@@ -301,7 +301,8 @@ def posterior_of(
         problem = linearized(library, at.on(every[number].rows), wrong)
         search, before = Search(problem.products, problem.blocks), [*chosen]
         top = _same_set(problem, chosen)
-        top = top if names else search.climb(top)
+        # from sizes in the middle: those of the last linearization would hold the climb where it was
+        top = top if names else search.climb(problem.products.state([(b, 2) for b in top.blocks]))
         chosen = {problem.blocks[b].label: size for b, size in top.key}
         effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].effect is not None]
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
