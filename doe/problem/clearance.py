@@ -30,6 +30,8 @@ from doe.problem.model import turns
 from identification import Array
 
 SAMPLES, SELDOM = 1000, 0.02  # random postures that tell how far apart pairs come, but for this share of them
+NEAR = 60.0  # [mm] below which a pair is always near
+WORST, FINE = 60, 4.0  # postures at which drawings are compared, and how finely [mm]
 SHARE = 0.25  # of the largest distance of a pair: the clearance that is asked at most
 SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
 STEP = 1e-4  # [rad] of a joint, for second derivatives
@@ -66,7 +68,8 @@ class Clearance:
     """The condition on a posture that bodies keep their distance: a constraint, as `doe.problem.constraints` has them.
 
     pairs : (k) names of both bodies;  asked : (k,) [mm] how far they are to keep apart;  touching : the pairs that are
-    not looked at since they touch wherever the arm goes
+    not looked at since they touch wherever the arm goes;  clear : those that are not since they never touch as drawn:
+    always near, their covers overlap somewhere, but not the surfaces at the postures where covers overlap most
     """
 
     kind = "clearance"
@@ -108,11 +111,35 @@ class Clearance:
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, tip - 1))
         apart = self.distance(drawn)
         largest = np.quantile(apart, 1.0 - SELDOM, axis=0)
-        never = largest <= 0.0
-        self.touching = tuple(pair for pair, always in zip(pairs, never, strict=True) if always)
-        self.pairs = tuple(pair for pair, always in zip(pairs, never, strict=True) if not always)
-        self.asked = np.minimum(cell.clearance, SHARE * largest)[~never]
-        self._set_pieces(self._pieces[~never[self._pieces[:, 0]]])
+        always = largest <= 0.0
+        # covers stick out: of pairs that are always near, and touch by their covers, the drawings are compared
+        drawings = {body.name: (body.joint, body.triangles) for body in cell.bodies}
+        near = np.flatnonzero((largest < NEAR) & (apart.min(axis=0) < 0.0))
+        never = np.zeros(len(pairs), dtype=bool)
+        for k in (k for k in near.tolist() if {*pairs[k]} <= {*drawings}):
+            worst = drawn[np.argsort(apart[:, k])[:WORST]]
+            never[k] = not self._drawn_touch([drawings[name] for name in pairs[k]], worst)
+        self.touching = tuple(pairs[k] for k in np.flatnonzero(always & ~never))
+        self.clear = tuple(pairs[k] for k in np.flatnonzero(never))
+        kept = ~always & ~never
+        self.pairs = tuple(pairs[k] for k in np.flatnonzero(kept))
+        self.asked = np.minimum(cell.clearance, SHARE * largest)[kept]
+        self._set_pieces(self._pieces[kept[self._pieces[:, 0]]])
+
+    def _drawn_touch(self, bodies: Sequence[tuple[int, Array]], postures: Array) -> bool:
+        """Whether the surfaces of two bodies, each by its joint and triangles, come within `FINE` of each other."""
+        from scipy.spatial import cKDTree  # takes longer to load than all else here
+
+        (first, moved), (second, still) = ((joint, spread_over(triangles, FINE)) for joint, triangles in bodies)
+        if not len(moved) or not len(still):
+            return True  # nobody knows
+        tree, frames = cKDTree(still), self._frames_at(postures)
+        for relative in np.linalg.inv(frames[:, second]) @ frames[:, first]:
+            points = moved @ relative[:3, :3].T + relative[:3, 3]
+            around = np.all((points > tree.mins - 2.0 * FINE) & (points < tree.maxes + 2.0 * FINE), axis=1)
+            if np.isfinite(tree.query(points[around], distance_upper_bound=1.2 * FINE)[0]).any():
+                return True
+        return False
 
     def _set_pieces(self, pieces: np.ndarray) -> None:
         """(P, 3) of the pairs of pieces that are looked at: the number of their bodies' pair, and both pieces."""
@@ -197,6 +224,7 @@ class Clearance:
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", [*map(_and, self.touching)]),
+            ("Not looked at, since they never touch as they are drawn", [*map(_and, self.clear)]),
         ):
             rest = f" and {_counted(len(pairs) - SHOWN)} more" if len(pairs) > SHOWN else ""
             lines += [f"{why}: {', '.join(pairs[:SHOWN])}{rest}."] if pairs else []
@@ -405,3 +433,18 @@ def away_from_box(points: Array, along: Array, half: Array) -> Array:
     length = np.sqrt(dot(out, out))
     away = np.sign(points) * out / np.maximum(length, SMALL)
     return np.where(length > 0.0, away, share * faces[0] + (1.0 - share) * faces[1])
+
+
+def spread_over(triangles: Array, longest: float) -> Array:
+    """(N, 3) corners of triangles (t, 3, 3) that are halved until no edge is longer: every point of the surface is
+    within 0.58 of that of one of them."""
+    points = []
+    while len(triangles):
+        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+        points.append(triangles[edges.max(axis=1) <= longest].reshape(-1, 3))
+        triangles, edges = triangles[edges.max(axis=1) > longest], edges[edges.max(axis=1) > longest]
+        rows, first = np.arange(len(triangles)), edges.argmax(axis=1)
+        a, b, c = (triangles[rows, (first + k) % 3] for k in range(3))
+        middle = 0.5 * (a + b)
+        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.unique(np.round(np.concatenate(points), 3), axis=0) if points else np.empty((0, 3))

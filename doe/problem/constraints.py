@@ -140,7 +140,11 @@ Constraint = Expression | Clearance
 def constraints_of(model: Any) -> tuple[Constraint, ...]:
     """The constraints that a model has, ready to be evaluated; none of one that has none."""
     model, made = design_model(model), list[Constraint]()
-    sights = [np.array(each.tracker) for each in getattr(model, "constraints", ()) if getattr(each, "kind", "") == "line_of_sight"]
+    sights = [
+        np.array(each.tracker)
+        for each in getattr(model, "constraints", ())
+        if getattr(each, "kind", "") == "line_of_sight"
+    ]
     if sights and offers(model, "placed"):
         model = model.placed()  # what is to be seen is where plans assume it, if the arm does not say
     for limit in getattr(model, "constraints", ()):

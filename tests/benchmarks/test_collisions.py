@@ -21,6 +21,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from doe.problem.problem import DesignProblem
+from identification import Model, load_arm
+
 pytestmark = [pytest.mark.benchmark, pytest.mark.filterwarnings("ignore")]  # of pinocchio
 
 pinocchio: Any = pytest.importorskip("pinocchio")
@@ -124,8 +127,8 @@ def test_no_posture_and_no_move_collides(robot: str, floor: str, tmp_path: Path)
             if any(judge.collides(rows[k] + s * (rows[k + 1] - rows[k])) for s in np.linspace(0.0, 1.0, PLACES))
         ]
         before = sum(judge.collides(q) for q in free_rows)
-        p = said["parameters"] if isinstance(said["parameters"], int) else len(said["parameters"])
-        efficiency = math.exp((said["objective"] - free["objective"]) / p)
+        p = DesignProblem.of(Model(load_arm(tmp_path / "arm.toml"))).parameters
+        efficiency = math.exp((said["log_det"] - free["log_det"]) / p)
         print(
             f"  seed {seed}: {len(hits)} postures and {len(moves)} moves collide ({before} postures without bodies), "
             f"efficiency {efficiency:.4f}, {kinds.count('via')} via, {seconds:.1f} s against {free_seconds:.1f} s"
