@@ -111,7 +111,7 @@ class Search:
                 pair = single if best is None else single.beside(best)
                 tops += [single, self._up(pair, others & False)]  # its sizes alone
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
-        return self._up(self._up(top, others), others | True)
+        return self._up(self._up(self._up(top, others), others), others | True)
 
     def _up(self, state: State, allowed: NDArray[np.bool_]) -> State:
         """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each.
