@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
     from identification import Arm
 
+MOVES = 30.0  # [s] that free moves are searched for
 UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
 
@@ -252,7 +253,13 @@ def design_files(
     else:
         design = solve(problem, runs, progress=progress, **effort)
         extra = [*missing_lines(design)]
-    driven = drive(design.problem, design.plan, order, approach, signs, seed)
+    end = perf_counter() + MOVES
+
+    def late() -> bool:
+        progress(0, None, f"free moves, at most {max(end - perf_counter(), 0.0):.0f} s left")
+        return perf_counter() > end
+
+    driven = drive(design.problem, design.plan, order, approach, signs, seed, late)
     design = replace(design, plan=driven.plan)
     expected = tip_beside_random(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()

@@ -19,7 +19,7 @@ from doe.problem.clearance import ROUNDING, SIGHT, Clearance
 from doe.problem.constraints import KINDS, Constraint
 from doe.problem.model import turns
 from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
+from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, InputError, JobError, Plan, nearest
 
 # of the last motion of each joint: room for it below a posture, and above
@@ -42,6 +42,7 @@ class Drive:
     order : of `ORDERS`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
+    cut : whether time ended before free moves were found: then it has none
     """
 
     plan: Plan
@@ -52,6 +53,7 @@ class Drive:
     before: float = 0.0
     shortest: float = 0.0
     replaced: int = 0
+    cut: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """By the keys of files; rows as a program has them, joints as the controller counts [deg, mm]."""
@@ -61,7 +63,7 @@ class Drive:
         saved = 1.0 - after / before if before > 0.0 else 0.0
         data: dict[str, Any] = {"travel_deg": {"order": self.order, "before": before, "after": after, "saved": saved}}
         if self.moves is None or self.moves.via is None:
-            return data
+            return data | ({"moves": None} if self.cut else {})
         runs = np.where(self.moves.via, 0, np.cumsum(~self.moves.via)).tolist()
         rows = [
             {"kind": "measure" if run else "via", "run": run or None, "joints": row}
@@ -78,6 +80,11 @@ class Drive:
         data = self.to_json()
         before, after, saved = (data["travel_deg"][key] for key in ("before", "after", "saved"))
         lines = [f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)"]
+        if self.cut:
+            lines.append(
+                "Moves: no way from posture to posture was proven free in time; straight moves may collide: armcal "
+                "score names them. Narrower joint limits, as the cell has them, make the search shorter."
+            )
         if moves := data.get("moves"):
             times = after / moves["shortest_deg"] if moves["shortest_deg"] > 0.0 else 1.0
             counted = f"{moves['vias']} way-point{'s' * (moves['vias'] != 1)}"
@@ -99,11 +106,13 @@ def drive(
     approach: str = "any",
     signs: Sequence[int] = (),
     seed: int = 0,
+    stop: Stop = never,
 ) -> Drive:
     """The moves of a plan whose problem may know of bodies, and postures in the place of those that no way leads to.
 
     order : of `ORDERS`, None: `travel`, where bodies are known, else as given
     approach : of `SENSES`;  signs : (n) of each joint as the controller counts it, empty: as the model does
+    stop : asked now and then; where it ends the search, the plan has its order and no moves
 
     Raises `JobError` where postures are left that cannot be reached.
     """
@@ -116,19 +125,28 @@ def drive(
     postures = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
     senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
-    for _ in range(ATTEMPTS):
-        entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
-        lost = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
-        if not lost:
-            found = route(postures, room, space, entries=entries, keep_order=order != "travel", seed=seed)
-            lost = found.unreached
-        if not lost:
-            break
-        postures = another(problem, postures, lost, room, space, generator)
-        replaced |= {*lost}
-    else:
-        runs = ", ".join(str(row + 1) for row in lost)
-        raise JobError(f"no free way was found to run {runs}; another --seed, or --candidates, may have more luck")
+    room = room._replace(margin=_until(stop, room.margin), allows=_until(stop, room.allows))
+    try:
+        for _ in range(ATTEMPTS):
+            entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
+            lost = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
+            if not lost:
+                found = route(postures, room, space, entries=entries, keep_order=order != "travel", seed=seed)
+                lost = found.unreached
+            if not lost:
+                break
+            postures = another(problem, postures, lost, room, space, generator)
+            replaced |= {*lost}
+        else:
+            runs = ", ".join(str(row + 1) for row in lost)
+            raise JobError(f"no free way was found to run {runs}; another --seed, or --candidates, may have more luck")
+    except TimeoutError:
+        rows = np.arange(len(plan))
+        if order == "travel":
+            rows = np.array(shortest_path(space.travel(plan.postures[:, None], plan.postures)))
+        cut = replace(plan, postures=plan.postures[rows])
+        travel = space.length(cut.postures)
+        return Drive(cut, None, order, approach, travel, before, travel, cut=True)
     ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
     whole = replace(plan, postures=np.concatenate(ways), via=via)
@@ -137,6 +155,17 @@ def drive(
     moves = None if known is None and approach == "any" else whole
     measured = replace(plan, postures=postures[found.rows])
     return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
+
+
+def _until(stop: Stop, asked: Callable[[Array], Any]) -> Callable[[Array], Any]:
+    """The function that raises `TimeoutError` once a search is to end."""
+
+    def answer(postures: Array) -> Any:
+        if stop():
+            raise TimeoutError
+        return asked(postures)
+
+    return answer
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, tuple[str, str], float]] | None:

@@ -201,3 +201,17 @@ def test_a_plan_file_with_way_points(tmp_path: Path) -> None:
     assert [*(whole.via if whole.via is not None else [])] == [False, False, True, False]
     straight = Plan(postures, via=np.zeros(4, dtype=bool)).text()
     assert straight.splitlines()[:2] == ["run,kind,q1_deg,q2_deg", "1,measure,0.0,0.0"]
+
+
+def test_a_search_that_time_ends_says_so_and_keeps_the_postures() -> None:
+    """Nothing of the plan is lost: its postures in their shortest order, without moves."""
+    ball = np.array([400.0, 0, 0, 400, 0, 0, 20])
+    arm = Arm(np.array([400.0, 400.0]), cell=Cell((Body("foot", 0, np.r_[np.zeros(6), 30]), Body("hand", 2, ball))))
+    problem = DesignProblem.of(Model(arm))
+    plan = Plan(np.random.default_rng(0).uniform(-1.0, 1.0, (6, 2)), joint_types=arm.joint_types)
+    driven = drive(problem, plan, stop=lambda: True)
+    assert driven.cut
+    assert driven.to_json()["moves"] is None
+    assert "may collide" in driven.in_words()[-1]
+    assert sorted(map(tuple, driven.plan.postures.tolist())) == sorted(map(tuple, plan.postures.tolist()))
+    assert not drive(problem, plan).cut
