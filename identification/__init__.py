@@ -43,7 +43,6 @@ _PLACES = {name: f"identification.{module}" for module, names in _CONTENTS.items
 __all__ = sorted(_PLACES)
 
 if TYPE_CHECKING:  # the same for type checkers
-    from doe.criteria import information_matrix
     from identification.arm import Arm, Calibration, EffectSpec, Gravity
     from identification.arrays import Array, readonly
     from identification.campaign import Campaign
