@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
-from doe.plan.plan import ordered, shortest_path
+from doe.plan.plan import shortest_path
 from doe.problem.clearance import ROUNDING, SIGHT, Clearance
 from doe.problem.constraints import KINDS, Constraint
 from doe.problem.model import turns
@@ -122,7 +122,8 @@ def drive(
     room, space = known or nothing(problem.joints), Space(problem.model.lower, problem.model.upper, problem.joint_units)
     order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
     before = space.length(plan.postures)
-    postures = ordered(plan, "random" if order == "random" else "given", seed=seed).postures
+    shuffled = np.random.default_rng(seed).permutation(len(plan)) if order == "random" else np.arange(len(plan))
+    postures = plan.postures[shuffled]
     senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
     room = room._replace(margin=_until(stop, room.margin), allows=_until(stop, room.allows))

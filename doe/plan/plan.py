@@ -13,12 +13,10 @@ path instead: no two edges can be exchanged with gain.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, Plan, nearest
+from identification import Array, InputError, nearest
 
 ORDERS = ("given", "random", "travel")
 Path = NDArray[np.intp]
@@ -49,28 +47,6 @@ def check_order(order: str | None) -> None:
     """Raises `InputError` with the nearest name for an unknown order."""
     if order is not None and order not in ORDERS:
         raise InputError(f"order: unknown {order!r}, {nearest(order, ORDERS)}")
-
-
-def ordered(plan: Plan, order: str = "travel", *, seed: int = 0, speeds: Array | None = None) -> Plan:
-    """The plan in another order: `given`, `random`, or `travel` (shortest).
-
-    speeds : (n,) joint speeds [rad/s], None: all the same. Raises `InputError` for an unknown order.
-    """
-    check_order(order)
-    rows = np.arange(len(plan))
-    if order == "random":
-        rows = np.random.default_rng(seed).permutation(rows)
-    elif order == "travel" and len(plan) > 1:
-        scaled = plan.postures if speeds is None else plan.postures / speeds
-        rows = shortest_path(np.abs(scaled[:, None] - scaled).max(axis=-1))
-    weights = None if plan.weights is None else plan.weights[rows]
-    return replace(plan, postures=plan.postures[rows], weights=weights)
-
-
-def travel(postures: Array, speeds: Array | None = None) -> float:
-    """Time [s] to go through the postures (m, n) [rad] in their order; largest joint travel [rad] without speeds."""
-    moves = np.abs(np.diff(postures if speeds is None else postures / speeds, axis=0))
-    return float(moves.max(axis=1).sum())
 
 
 def shortest_path(cost: Array) -> Path:
