@@ -17,14 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.doubts import Contradiction, doubts, far_from_drawing, far_rows, flange_turns
+from identification.estimation.doubts import doubts, far_from_drawing, far_rows, flange_turns
 from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
     METHODS,
     Prior,
     Problem,
     check_measurements,
-    conditioned,
     contradicted,
     likeliest,
     starts,
@@ -138,25 +137,7 @@ def estimate_with_prior(
     fit = _identification(problem, measurements, "gauss_newton", solution, decomposed, determined)
     far = (*fit.doubts, *far_from_drawing(model.arm.machining, *widths))
     fit = replace(fit, prior=problem.prior, machining_factor=widths[0] if model.prior else None, doubts=far)
-    if (earlier := prior.earlier) is None:
-        return fit
-    names, noise, jacobian = contradicted(problem, fit.parameters)
-    least = replace(problem, noise=min(noise, problem.noise))  # that is there without the earlier calibration
-    seen = spectrum(jacobian, model.scales, problem.tolerance, least.prior_rows).covariance
-    fit = replace(fit, covariance_seen=least.noise**2 * seen)
-    if not names:
-        return fit
-    others = {name: earlier.values[name] for name in earlier.parameter_names if name not in names}
-    held = replace(model, held={**model.fixed, **others})
-    free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
-    before, contradictions = conditioned(earlier, others), []
-    for name, instead in names.items():
-        p, k = free.model.parameters[now := free.names.index(name)], before.parameter_names.index(name)
-        old = before.values[name], np.sqrt(np.asarray(before.covariance)[k, k])
-        figures = *old, free.parameters[now], free.std[now]
-        prior_value, prior_std, value, std = (float(x * p.to_file) for x in figures)
-        contradictions.append(Contradiction(name, p.file_unit, prior_value, prior_std, value, std, instead))
-    return replace(fit, contradictions=tuple(contradictions))
+    return fit if prior.earlier is None else replace(fit, contradictions=contradicted(problem, fit.parameters))
 
 
 def without_outliers(

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +34,7 @@ from identification.estimation.levenberg_marquardt import (
     levenberg_marquardt,
     outcomes,
 )
-from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, product_inverse, significant, spectrum
+from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.measurements import Conditions, Measurements
@@ -51,18 +52,6 @@ SOURCES = {  # what an effect needs -> where it comes from
 
 
 # -- the prior ---------------------------------------------------------------------------------------------------------
-def conditioned(calibration: Calibration, values: Mapping[str, float]) -> Calibration:
-    """A calibration's normal distribution of the others, where some of its parameters have these values."""
-    names, covariance = calibration.parameter_names, np.asarray(calibration.covariance)
-    means = np.array([calibration.values[name] for name in names])
-    named = np.array([name in values for name in names], dtype=bool)
-    crossed, off = covariance[np.ix_(~named, named)], [values[name] for name in names if name in values] - means[named]
-    gain = crossed @ product_inverse(covariance[np.ix_(named, named)])
-    free = tuple(name for name in names if name not in values)
-    moved = dict(zip(free, (means[~named] + gain @ off).tolist(), strict=True))
-    return Calibration(moved, free, covariance[np.ix_(~named, ~named)] - gain @ crossed.T)
-
-
 @dataclass(frozen=True, eq=False)
 class Prior(ByValue):
     """Independent normal distributions of zero mean, and that of an earlier calibration, with its covariance.
@@ -383,73 +372,82 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
 
 
 # -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-def posterior_squares(problem: Problem, x: Array, residual: Array, jacobian: Array) -> float:
-    """Least weighted squares, of measurements and prior together, in units of the noise, linear about x (p,).
+class Contradiction(NamedTuple):
+    """A parameter in file units: as the earlier calibration has it, and as the fit does without that prior of it.
+
+    instead : parameters that would explain the measurements as well
+    """
+
+    name: str
+    unit: str
+    prior: float
+    prior_std: float
+    value: float
+    std: float
+    instead: tuple[str, ...] = ()
+
+
+def released_drops(problem: Problem, x: Array, residual: Array, jacobian: Array) -> dict[str, float]:
+    """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units of
+    the noise, fall where its own prior is released and the others' stay, linear about x (p,).
+
+    Released, a mean of the prior is one more unknown: its column is that of the calibration's rows.
 
     residual, jacobian : of `Problem.linearized`
     """
+    assert problem.prior is not None
+    assert problem.prior.earlier is not None
+    names = [name for name in problem.model.names if name in problem.prior.earlier.parameter_names]
     rows = problem.prior_rows
     whole = np.concatenate([jacobian, rows])
+    shifts = np.zeros((len(whole), len(names)))
+    shifts[-len(names) :] = rows[-len(names) :, [problem.model.names.index(name) for name in names]]
     target = np.concatenate([residual, rows @ (problem.prior_center - x)])
-    scaled = whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
-    left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
-    return float(left @ left) / problem.noise**2
+    basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
+    left = shifts - basis @ (basis.T @ shifts)
+    squares = np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny)
+    return dict(zip(names, ((left.T @ target) ** 2 / squares / problem.noise**2).tolist(), strict=True))
 
 
-def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]], float, Array]:
-    """Parameters whose prior, an earlier calibration, the measurements contradict, the clearest first, each with those
-    that would explain it as well; and the noise without that calibration and the (N, p) Jacobian, about x.
+def contradicted(problem: Problem, x: Array) -> tuple[Contradiction, ...]:
+    """Parameters whose prior, an earlier calibration, the measurements contradict, the clearest first.
 
-    The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one
-    degree of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors
-    of one parameter look like errors of others, and the fit is made again, from the one before since an error of
-    degrees is not linear, before the others are tested.
+    The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
+    What drops it most is released first, since errors of one parameter look like errors of others, and the fit is made
+    again, from the one before since an error of degrees is not linear, before the others are tested.
 
     x : (p,) of the fit with the whole prior
     """
-    model, prior, explained, first = problem.model, problem.prior, dict[str, tuple[str, ...]](), None
+    model, prior, explained = problem.model, problem.prior, dict[str, tuple[str, ...]]()
     assert prior is not None
-    assert prior.earlier is not None
-    alone = replace(problem, prior=prior.released(model.names, model.prior))
-    while True:
+    earlier = prior.earlier
+    assert earlier is not None
+    alone, posed = replace(problem, prior=prior.released(model.names, model.prior)), problem
+    while posed.prior is not None and posed.prior.earlier is not None:
         residual, jacobian = problem.linearized(x)
         noise = likeliest(alone, x, residual, jacobian)[0]
-        first = first or (noise, jacobian)
         decomposed = spectrum(jacobian, model.scales, prior=replace(alone, noise=noise).prior_rows)
         freedom = problem.equations - decomposed.determined(jacobian)
         if problem.reliance == "given" or (problem.sigma is not None and noise == 1.0):
             freedom = np.inf
         if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
-            return explained, *first
-
-        left, rest = (
-            dict[str, float](),
-            [name for name in prior.earlier.parameter_names if name in {*model.names} - {*explained}],
-        )
-        for name in ("", *rest):
-            released = replace(problem, prior=prior.released([*explained, name], model.prior), noise=noise)
-            left[name] = posterior_squares(released, x, residual, jacobian)
-        if (worst := worst_contradicted(left, freedom)) is None:
-            return explained, *first
-        explained |= worst
-        freed = replace(problem, prior=prior.released(explained, model.prior), noise=noise)
-        x = freed.minimized(x[None]).parameters[0]
-
-
-def worst_contradicted(left: Mapping[str, float], freedom: float) -> dict[str, tuple[str, ...]] | None:
-    """The parameter whose prior is contradicted most, with those that would explain it as well; None where none is.
-
-    left : name -> least squares without its prior, and with that of all under "";  freedom : of the noise, infinite
-        where it is given
-    """
-    *_, best = sorted(left, key=lambda name: -left[name])
-
-    def p_value(drop: float) -> float:
-        return float(chdtrc(1.0, max(drop, 0.0)) if np.isinf(freedom) else fdtrc(1.0, freedom, max(drop, 0.0)))
-
-    if best == "" or p_value(left[""] - left[best]) * (len(left) - 1) >= 0.01:
-        return None
-    return {best: tuple(name for name in left if name not in ("", best) and p_value(left[name] - left[best]) > 0.05)}
+            break
+        drops = released_drops(replace(posed, noise=noise), x, residual, jacobian)
+        worst = max(drops, key=drops.__getitem__)
+        less = np.array([drops[worst], *(drops[worst] - drop for drop in drops.values())])
+        p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
+        if p_least * len(drops) >= 0.01:
+            break
+        explained[worst] = tuple(name for name, p in zip(drops, p_less, strict=True) if p > 0.05 and name != worst)
+        posed = replace(problem, prior=prior.released(explained, model.prior), noise=noise)
+        x = posed.minimized(x[None]).parameters[0]
+    covariance = posed.noise**2 * spectrum(posed.linearized(x)[1], model.scales, prior=posed.prior_rows).covariance
+    contradictions = []
+    for name, instead in explained.items():
+        p, k, of_earlier = model.parameters[i := model.names.index(name)], i, earlier.about({name}).covariance
+        figures = earlier.values[name], np.sqrt(np.asarray(of_earlier)[0, 0]), x[k], np.sqrt(covariance[k, k])
+        contradictions.append(Contradiction(name, p.file_unit, *(float(v * p.to_file) for v in figures), instead))
+    return tuple(contradictions)
 
 
 # -- the methods -------------------------------------------------------------------------------------------------------

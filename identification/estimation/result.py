@@ -21,8 +21,8 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, frame_of_rows, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
-from identification.estimation.doubts import Contradiction, contradiction_warnings, hardly_determined, tip_of
-from identification.estimation.problem import Prior
+from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
+from identification.estimation.problem import Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
 from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
@@ -84,7 +84,6 @@ class Identification(Documented):
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     contradictions : parameters whose prior, an earlier calibration, the measurements contradict
-    covariance_seen : (p, p) with the noise that is there without that prior; None: no such prior
     flange_turns : (3,) see `doubts.flange_turns`, of a fit of both base and measured points; None: of others
     """
 
@@ -111,7 +110,6 @@ class Identification(Documented):
     prior: Prior | None = None
     machining_factor: float | None = None
     contradictions: tuple[Contradiction, ...] = ()
-    covariance_seen: Array | None = None
     flange_turns: Array | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
@@ -251,7 +249,7 @@ class Identification(Documented):
         unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
         factor = None if self.prior is None else self.prior.factor(self.model.parameters)
         freedom = self.uncertainty.freedom
-        return corrected_values(self.arm, calibration, freedom, unknown, factor, self.covariance_seen)
+        return corrected_values(self.arm, calibration, freedom, unknown, factor)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
@@ -313,7 +311,6 @@ class CorrectedValue:
     std, low_95, high_95 : None where the value is held, or nothing can be said
     convention : what the value means, and what to do with it
     prior_std : standard deviation before the measurements, None: nothing was known, or not of all that it is made of
-    held_by_prior : the measurements say next to nothing about it: they take less than a tenth of its variance
     """
 
     name: str
@@ -326,7 +323,6 @@ class CorrectedValue:
     unit: str
     convention: str
     prior_std: float | None = None
-    held_by_prior: bool = False
 
     @property
     def weak(self) -> bool:
@@ -344,7 +340,6 @@ def corrected_values(
     freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
     factor: Array | None = None,
-    seen: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
     """What was estimated or differs from the drawing: geometry, then effects.
 
@@ -353,14 +348,13 @@ def corrected_values(
     unknown : names of parameters that are not estimable
     factor : (p, r) factor of the covariance of `calibration.parameter_names` before the measurements, 0 where
         there is none; None: that of the arm's machining, where all that it says something of was estimated
-    seen : (p, p) covariance by which the measurements say next to nothing; None: that of `calibration`
     """
     model, calibration = Model(arm), calibration or arm.calibration or Calibration({})
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
     quantities = _quantities(model, values, {*names, *unknown})
-    rows = (_row(one, calibration, freedom, unknown, before, seen) for one in quantities)
+    rows = (_row(one, calibration, freedom, unknown, before) for one in quantities)
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
@@ -370,7 +364,6 @@ def _row(
     freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
     before: Array | None = None,
-    seen: Array | None = None,
 ) -> CorrectedValue:
     """A quantity with what the covariance, and that before the measurements, say of it."""
     name, parameter, nominal, value, derivatives, unit, convention, bounds = quantity
@@ -385,13 +378,10 @@ def _row(
     limits = np.clip([value - half, value + half], *bounds)
     figures = [np.nan if undetermined else value, deviation, *limits]
     corrected, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
-    prior, seen = None, covariance if seen is None else seen
+    prior = None
     if before is not None and at.size and np.all(np.any(before[at] != 0.0, axis=1)):
         prior = float(np.linalg.norm(before[at].T @ slope))
-    held = False
-    if std is not None and prior is not None and seen is not None:
-        held = bool(slope @ seen[of_used] @ slope > 0.9 * prior**2)
-    return CorrectedValue(name, parameter, nominal, corrected, std, low, high, unit, convention, prior, held)
+    return CorrectedValue(name, parameter, nominal, corrected, std, low, high, unit, convention, prior)
 
 
 def _quantities(model: Model, values: Values, names: Collection[str]) -> Iterator[Quantity]:
