@@ -180,16 +180,12 @@ class Problem:
         model: Model,
         measurements: Measurements,
         sigma: ArrayLike | str | None = None,
-        weights: ArrayLike | None = None,
         prior: Prior | None = None,
     ) -> Problem:
-        """The problem of one data set;  sigma, weights : as of `estimate`. Which sigma holds: argument, then rows, then
+        """The problem of one data set;  sigma : as of `estimate`. Which sigma holds: argument, then rows, then
         arm. Of rows that are copied the first counts, the others have no weight. Raises `InputError`."""
         m, data = len(measurements), measurements
-        relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
-        if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
-            raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
-        relative = np.where(data.originals == np.arange(m), relative, 0.0)
+        relative = np.where(data.originals == np.arange(m), 1.0, 0.0)
         reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
         if isinstance(sigma, str) and sigma not in RELIANCE:
             raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
@@ -462,38 +458,9 @@ def linear(problem: Problem) -> Solution:
     return Solution(parameters, squares, status)
 
 
-def paper_steps(problem: Problem) -> Solution:
-    """The paper's iteration (Section III, Steps 1-5): the linearised solution of eq. 11, repeated until the correction
-    is below 1e-12 of the reach ("required accuracy").
-
-    Step 1 starts at zero errors, Step 2 computes positions, Step 3 solves eq. 11 for the residuals, Step 4 corrects the
-    model, Step 5 repeats. Nothing damps it and it knows no bounds. A linear change of coordinates does not change the
-    iteration, so orientation offsets (the paper's) and joint offsets (ours) take the same steps.
-
-    Raises `InputError` for parameters with bounds.
-    """
-    model, limit = problem.model, 1e-12 * problem.model.reach
-    for parameter in model.parameters:
-        if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
-            bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
-            raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
-    errors, correction, steps = np.zeros(len(model.parameters)), np.array(np.inf), 0  # Step 1
-    while np.linalg.norm(correction * model.scales) > limit and steps < 50 and np.all(np.isfinite(errors)):  # Step 5
-        residuals, jacobian = (rows[0] for rows in problem.linearize(errors[None], np.arange(1)))  # Step 2
-        # Step 3, eq. 11: the least-squares solution, the shortest where the rank is not full
-        root = spectrum(jacobian, model.scales, problem.tolerance).root
-        correction = root @ ((jacobian @ root).T @ residuals)
-        errors, steps = errors + correction, steps + 1  # Step 4
-    finite = bool(np.all(np.isfinite(errors)))
-    status = Status.converged if finite and steps < 50 else Status.iteration_limit if finite else Status.solver_failed
-    x = (errors if finite else np.zeros(len(errors)))[None]
-    return Solution(x, problem.squares(x), np.array([status]), iterations=np.array([steps]))
-
-
 METHODS: Mapping[str, Callable[[Problem], Solution]] = {
     "linear": linear,
     "gauss_newton": lambda problem: problem.minimized(starts(problem)),  # Levenberg-Marquardt: the name is historical
-    "paper_steps": paper_steps,
 }
 
 
