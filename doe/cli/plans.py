@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter
@@ -20,9 +21,9 @@ import click
 
 from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible, verb
 from identification import InputError, Progress, load_sessions, nearest, silent
-from identification.document import Answer, Document, Sheet, later
+from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
-from identification.workflow import Picture, Written, words_in
+from identification.workflow import Picture, Written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +49,7 @@ class CriterionOptions:
 
     criterion: str | None = None
     test_poses: Path | None = None
-    subset: str | None = None
+    subset: Names | None = None
     robust: bool = False
     missing: Names | None = None
 
@@ -96,20 +97,19 @@ def design_problem(
     if wanted.robust:
         if uncertain is not None:
             raise InputError("--uncertain: found with --robust, allowed: one of them")
-        missing = None if wanted.missing is None else words_in(wanted.missing)
+        missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
         problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
         poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, arm.joint_types).postures
         names = problem.model.parameters.names
-        subset = None if wanted.subset is None else words_in(wanted.subset)
-        for word in subset or ():
+        for word in wanted.subset or ():
             if word not in names:
                 raise InputError(f"--subset: unknown parameter {word!r}, {nearest(word, names)}")
         chosen = criterion(
             name,
             units=list(problem.model.parameters.units),
-            subset=None if subset is None else [names.index(word) for word in subset],
+            subset=None if wanted.subset is None else [names.index(word) for word in wanted.subset],
             test_jacobians=None if poses is None else tip_jacobians(problem, poses),
         )
         problem = replace(problem, criterion=chosen)
@@ -118,15 +118,22 @@ def design_problem(
     return ensemble_problem(problem, prior_draws(model, 5, np.random.default_rng(seed)), uncertain)
 
 
-def written(
-    contents: Mapping[Path | None, str | bytes | Callable[[], Figure]], force: bool, what: str = ""
-) -> list[str]:
+def written(contents: Mapping[Path | None, str | tuple[Any, ...]], force: bool, what: str = "") -> list[str]:
     """Write the files that were asked for, all or none, pictures among them; the lines that report the texts.
 
-    contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
+    contents : file -> its text, or a picture: the name of a function of doe/report/figures.py, and its arguments; None:
+        not asked for
+    what : the text is
     """
+
+    def draw(name: str, *of: Any) -> Figure:
+        from doe.report import figures  # matplotlib takes longer to load than a small design
+
+        picture: Figure = getattr(figures, name)(*of)
+        return picture
+
     wanted = {path: content for path, content in contents.items() if path is not None}
-    write_together(wanted, force=force)
+    write_together({path: c if isinstance(c, str) else partial(draw, *c) for path, c in wanted.items()}, force=force)
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
@@ -238,8 +245,7 @@ def design_files(
     data |= driven.to_json()
     extra += driven.in_words()
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
-    drawn = later("doe.report.figures.plan_figure", loaded, design.plan.postures)
-    extra += written({out: text, picture: drawn}, force, "plan")
+    extra += written({out: text, picture: ("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
@@ -310,7 +316,7 @@ def score_files(
         data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
-    written({picture: later("doe.report.figures.plan_figure", loaded, judged.postures)}, force)
+    written({picture: ("plan_figure", loaded, judged.postures)}, force)
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
@@ -347,7 +353,7 @@ def advise_files(
     from identification import Model, design_model, load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
-    named = [word for text in only for word in words_in(text) if word]
+    named = [word for words in only for word in words]
     model = design_model(Model(loaded))
     problem = DesignProblem.of(model.only(named) if named else model)
     fewest = problem.fewest_runs
@@ -366,7 +372,7 @@ def advise_files(
         enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
-    written({picture: later("doe.report.figures.advice_figure", advice)}, force)
+    written({picture: ("advice_figure", advice)}, force)
     return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
@@ -450,8 +456,8 @@ def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
     runs: WholeNumbers,
-    solvers: str | None = None,
-    criteria: Annotated[str, "--criterion"] = "D",
+    solvers: Names | None = None,
+    criteria: Annotated[Names, "--criterion"] = "D",  # type: ignore[assignment]
     starts: WholeNumbers | None = None,
     repeats: Count = 5,
     seconds: Seconds = 60.0,
@@ -481,11 +487,11 @@ def compare_files(
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = [n for n in available_solvers() if n != "fedorov"] if solvers is None else words_in(solvers)
-    loaded, chosen = [load_arm(arm) for arm in arms], words_in(criteria)
-    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, chosen)
+    names = [n for n in available_solvers() if n != "fedorov"] if solvers is None else solvers
+    loaded = [load_arm(arm) for arm in arms]
+    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, criteria)
     for arm, number in product(loaded, runs):
-        check_runs(compared_problem(arm, chosen[0]), number)
+        check_runs(compared_problem(arm, criteria[0]), number)
     where = job.where(1)  # before the folder is made
     with interruptible(job.out), tables(job.out, "rows.parquet", resume=job.resume, force=job.force) as (table,):
         rows = compare(comparison, table, where, seed=seed, progress=progress)

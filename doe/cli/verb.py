@@ -64,6 +64,11 @@ def whole_numbers(text: str) -> list[int]:
     return numbers
 
 
+def words(text: str) -> list[str]:
+    """`a, b` as ["a", "b"]."""
+    return [word.strip() for word in text.split(",")]
+
+
 FOLDER = FilePath("dir", written=True)
 FILES: dict[Any, click.ParamType] = {
     Path: FilePath(),
@@ -73,7 +78,7 @@ FILES: dict[Any, click.ParamType] = {
 }
 Seconds = Annotated[float, seconds_above_zero, "SECONDS"]
 Workers = Annotated[int, range(1, 4097)]  # each is a process of about 100 MB
-Names = Annotated[str, "NAMES"]
+Names = Annotated[list[str], words, "NAMES"]
 Count = Annotated[int, click.IntRange(min=1)]
 WholeNumbers = Annotated[list[int], whole_numbers, "M,.."]
 
@@ -172,7 +177,7 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
             sys.stdout.flush()
             sys.exit(answer.exit_code)
 
-        texts = {"help": text, "short_help": text.split("\n")[0], "epilog": f"\b\nExample:\n  {example}"}
+        texts: dict[str, Any] = {"help": text, "short_help": text.split("\n")[0], "epilog": f"\b\nExample:\n  {example}"}
         return click.Command(called, callback=run, params=parameters, **texts)
 
     return decorate
