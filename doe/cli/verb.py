@@ -177,8 +177,8 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
             sys.stdout.flush()
             sys.exit(answer.exit_code)
 
-        texts: dict[str, Any] = {"help": text, "short_help": text.split("\n")[0], "epilog": f"\b\nExample:\n  {example}"}
-        return click.Command(called, callback=run, params=parameters, **texts)
+        texts: dict[str, Any] = {"short_help": text.split("\n")[0], "epilog": f"\b\nExample:\n  {example}"}
+        return click.Command(called, callback=run, params=parameters, help=text, **texts)
 
     return decorate
 
