@@ -40,7 +40,7 @@ from identification.instruments import kinds
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.counting import Counting, check_kinds
-from identification.kinematics.frames import from_own_axes, pose, pose_table, rotation_to_z, tool_tables
+from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import (
     FILE_UNITS,
     GEOMETRY,
@@ -331,7 +331,7 @@ def _row(table: Any) -> DHRow:
 
 def _pose(table: Any) -> Array:
     angles = np.radians((table.rx_deg, table.ry_deg, table.rz_deg)).tolist()
-    return pose((table.x_mm, table.y_mm, table.z_mm), from_own_axes(*angles))
+    return pose((table.x_mm, table.y_mm, table.z_mm), from_angles(angles))
 
 
 def _with_tools(chain: KinematicChain, tables: Mapping[str, Any]) -> KinematicChain:
