@@ -440,9 +440,10 @@ def contradicted(problem: Problem, x: Array) -> tuple[Contradiction, ...]:
     covariance = posed.noise**2 * spectrum(posed.linearized(x)[1], model.scales, prior=posed.prior_rows).covariance
     contradictions = []
     for name, instead in explained.items():
-        p, k, of_earlier = model.parameters[i := model.names.index(name)], i, earlier.about({name}).covariance
+        p, of_earlier = model.parameters[k := model.names.index(name)], earlier.about({name}).covariance
         figures = earlier.values[name], np.sqrt(np.asarray(of_earlier)[0, 0]), x[k], np.sqrt(covariance[k, k])
-        contradictions.append(Contradiction(name, p.file_unit, *(float(v * p.to_file) for v in figures), instead))
+        prior_value, prior_std, value, std = (float(figure * p.to_file) for figure in figures)
+        contradictions.append(Contradiction(name, p.file_unit, prior_value, prior_std, value, std, instead))
     return tuple(contradictions)
 
 
