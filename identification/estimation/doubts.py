@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm, Machining
+from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Contradiction
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
@@ -123,21 +123,6 @@ def far_zeros(model: Model, parameters: Array) -> list[str]:
     turned = [(j, x) for j, (x, kind) in offsets if j > 1 and kind == REVOLUTE and abs(x) > FAR_ZERO]
     far = ", ".join(f"{np.degrees(x):.1f} deg at joint {j}" for j, x in turned)
     return [f"zeros differ from the drawing's: {far}"] if far else []
-
-
-def far_from_drawing(machining: Machining, width: float, zeros: float) -> list[str]:
-    """What is doubtful about an arm whose errors are so many times those of its machining, and its zeros besides."""
-    rotation, sentences = f"{np.degrees(machining.rotation):g} deg", []
-    if width != 1.0:
-        sizes = f"[machining] says ({machining.translation:g} mm and {rotation})"
-        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
-        taken = f"taken {width:g} times as large{ask if width >= UNUSUAL else ''}"
-        sentences.append(f"the arm is farther from its drawing than {sizes}: {taken}")
-    if zeros != 1.0:
-        taken = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from"
-        far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
-        sentences.append(f"{far}: {taken} elsewhere")
-    return sentences
 
 
 def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:

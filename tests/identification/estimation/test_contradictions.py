@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification.arm import Arm, Calibration
-from identification.estimation import Identification, estimate, estimate_with_prior
+from identification.estimation import Identification, estimate
 from identification.estimation.problem import Prior, Problem, contradicted, released_drops
 from identification.measurements import Measurements
 from identification.model import Model
@@ -36,7 +36,7 @@ def means(earlier: Calibration) -> np.ndarray:
 
 
 def with_prior(earlier: Calibration, data: Measurements, sigma: str | None = None) -> Identification:
-    return estimate_with_prior(MODEL, data, Prior({}, earlier), sigma=sigma)  # type: ignore[arg-type]
+    return estimate(MODEL, data, prior=Prior({}, earlier), sigma=sigma)  # type: ignore[arg-type]
 
 
 def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.estimation import estimate, estimate_with_prior
+from identification.estimation import estimate
 from identification.estimation.problem import WIDTHS, ZERO_WIDTHS, Prior, Problem, likeliest, likeliest_noise
 from identification.gap.library_prior import library_prior
 from identification.kinematics.chain import DHRow, chain_of
@@ -75,7 +75,7 @@ def test_what_neither_rows_nor_prior_determine_stays_undetermined() -> None:
 
 def test_it_is_ridge_regression_where_the_noise_is_given() -> None:
     data, _ = measured(np.random.default_rng(0), 8, 0.1)
-    found = estimate_with_prior(MODEL, data, PRIOR, sigma="given")
+    found = estimate(MODEL, data, prior=PRIOR, sigma="given")
     residual, jacobian = linear(data)
     precision = jacobian.T @ jacobian / 0.01 + np.diag(np.where(SIZES > 0.0, 1.0 / np.maximum(SIZES, 1e-300), 0.0) ** 2)
     covariance = np.linalg.inv(precision)
@@ -89,7 +89,7 @@ def test_it_is_ridge_regression_where_the_noise_is_given() -> None:
 def test_noise_is_that_of_the_largest_marginal_likelihood() -> None:
     """Of all rows' covariance, the geometry's with a variance that is as good as infinite."""
     data, _ = measured(np.random.default_rng(1), 15, 0.4)
-    found = estimate_with_prior(MODEL, data, PRIOR)
+    found = estimate(MODEL, data, prior=PRIOR)
     residual, jacobian = linear(data)
     variances = np.where(SIZES > 0.0, SIZES, 1e3 / MODEL.parameters.scales) ** 2
 
@@ -107,10 +107,10 @@ def test_noise_is_that_of_the_largest_marginal_likelihood() -> None:
     assert found.sigma == 0.1  # what was given is still said, and that chi2 rejects it
     assert found.p_value is not None
     assert found.p_value < 0.01
-    alone = estimate_with_prior(MODEL, data, PRIOR, sigma="estimated")
+    alone = estimate(MODEL, data, prior=PRIOR, sigma="estimated")
     assert alone.sigma == pytest.approx(expected, rel=1e-2)
     quiet, _ = measured(np.random.default_rng(2), 15, 0.01)
-    assert estimate_with_prior(MODEL, quiet, PRIOR).scatter == 0.1  # no less than what is given
+    assert estimate(MODEL, quiet, prior=PRIOR).scatter == 0.1  # no less than what is given
 
 
 def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
@@ -122,7 +122,7 @@ def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
     for _ in range(40):
         data, truth = measured(generator, 8, 0.1)
         for kept, found in (
-            (held, estimate_with_prior(MODEL, data, PRIOR, sigma="given")),
+            (held, estimate(MODEL, data, prior=PRIOR, sigma="given")),
             (plain, estimate(Model(ARM), data, sigma="given")),
         ):
             low, high = found.intervals[:4].T
@@ -139,16 +139,16 @@ def test_wrong_deviation(deviation: float) -> None:
 
 def test_fewer_rows_than_parameters_are_enough() -> None:
     data, _ = measured(np.random.default_rng(4), 3, 0.1)
-    assert estimate_with_prior(MODEL, data, PRIOR).identifiable.all()
+    assert estimate(MODEL, data, prior=PRIOR).identifiable.all()
     with pytest.raises(InputError, match="fewer equations than unknowns: 2 m = 2 < p = 4"):
-        estimate_with_prior(MODEL, measured(np.random.default_rng(4), 1, 0.1)[0], PRIOR)
+        estimate(MODEL, measured(np.random.default_rng(4), 1, 0.1)[0], prior=PRIOR)
 
 
 @pytest.mark.parametrize("rows", [3, 40])
 def test_equations_left_over_are_those_of_the_hat_matrix(rows: int) -> None:
     """m d - tr J C J^T / sigma^2, C the posterior covariance; with fewer and with more equations than unknowns."""
     data, _ = measured(np.random.default_rng(4), rows, 0.1)
-    found = estimate_with_prior(MODEL, data, PRIOR, sigma="given")
+    found = estimate(MODEL, data, prior=PRIOR, sigma="given")
     jacobian = MODEL.jacobian(data.postures, found.parameters).reshape(-1, len(SIZES)) / 0.1
     precision = jacobian.T @ jacobian + np.diag(np.where(SIZES > 0.0, 1.0 / np.maximum(SIZES, 1e-300), 0.0) ** 2)
     assert (len(SIZES) > jacobian.shape[0]) == (rows == 3)
