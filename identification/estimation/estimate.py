@@ -41,8 +41,6 @@ from identification.model.placed import placed_model
 from identification.running import Status, single_thread
 from identification.sessions import placing
 
-LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
-
 
 def estimate(
     model: Model,
@@ -91,10 +89,11 @@ def estimate(
         decomposed = spectrum(jacobians[0], placed.scales, problem.tolerance)
         if useful > RANK_TOLERANCE:
             break
-        # once more without the combinations whose standard deviation turns out too large to mean anything
+        # once more without the combinations whose standard deviation turns out too large to mean anything: above a
+        # tenth of the arm's reach
         dof = residuals.size - decomposed.rank
         deviation = problem.sigma or (float(np.sqrt(np.sum(residuals**2) / dof)) if dof > 0 else 0.0)
-        useful = min(max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * LARGEST_SHARE * placed.reach)), 0.1)
+        useful = min(max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * 0.1 * placed.reach)), 0.1)
         if decomposed.truncated(useful).rank == decomposed.rank:
             break
         problem = replace(problem, tolerance=useful)
