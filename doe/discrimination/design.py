@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from doe.criteria import information_matrix, log_determinants
-from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts, spread_free_joints
+from doe.plan.spacing import allowed_value, spread_free_joints, too_near
 from doe.problem.model import DesignModel, offered, turns
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import information_of_each
@@ -332,11 +332,12 @@ def initial_plans(
             moved[:, round_joints] = origin + np.mod(angles - origin, TURN)
             postures = problem.clip(moved)
             postures[:, free] = generator.uniform(problem.lower[free], problem.upper[free], (runs, len(free)))
+            if len(too_near(problem, postures)):
+                postures = spread_free_joints(problem, postures, generator)
             if allowed_value(problem, postures) >= least:
                 plans.append(postures)
         chosen = min(plans, key=state.wrong)
-        moved = off_the_limits(problem, chosen, least, generator) if state.narrow else chosen
-        return spread_free_joints(problem, moved, generator) if has_repeats(problem, moved) else moved
+        return off_the_limits(problem, chosen, least, generator) if state.narrow else chosen
 
     yield start(best.value - allowed / 2.0), budget.part(0.5) if state.narrow else budget
     if not state.narrow or budget.out_of_time:
@@ -378,22 +379,7 @@ def pool_of(problem: DesignProblem, count: int, generator: Generator) -> Array:
     """(count, n) random postures of the design space; all of a list that is shorter."""
     if problem.choices is None:
         return random_postures(problem, count, generator)
-    return generator.permutation(listed_candidates(problem, problem.choices))[:count]
-
-
-def has_repeats(problem: DesignProblem, plan: Array, run: int | slice = slice(None)) -> bool:
-    """True if a run, or any of a plan (m, n), is within the minimum distance of another, or of one of those kept.
-
-    Unlike `allowed_value`, which leaves it to joints that play no part in the base model to set such postures apart:
-    here these joints are chosen too. Out of a list only one and the same posture of the plan is a repeat.
-    """
-    if problem.minimum_distance == 0.0:
-        return False
-    if problem.choices is not None:
-        _, place, counts = np.unique(plan, axis=0, return_inverse=True, return_counts=True)
-        return bool(np.any(counts[place.ravel()][run] > 1))
-    points = problem.comparable(np.vstack([plan, problem.kept]))
-    return bool(np.any(neighbor_counts(points, problem.minimum_distance / ROUNDING)[: len(plan)][run]))
+    return generator.permutation(np.unique(listed_candidates(problem, problem.choices), axis=0))[:count]
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------
@@ -482,8 +468,8 @@ class Swaps:
                     free[place] = False
                     trial = np.array(plan)
                     trial[run] = pool[place]
-                    # the plan keeps its least value and its distances; else the posture is not columns again
-                    if not has_repeats(problem, trial, run) and (kept := allowed_value(problem, trial)) >= least:
+                    # the plan keeps its least value and its distances; else the posture is not tried again
+                    if (kept := allowed_value(problem, trial)) >= least:
                         return run, place, kept
             return None
 
