@@ -1,8 +1,10 @@
-"""The order of measurement. It changes no information, but travel time and what drift can hide. The shortest joint travel is a travelling
-salesman's open path: an edge i-k costs the time that the slowest joint needs, max_j |q_ij - q_kj| / speed_j. It is
-solved as an integer program by HiGHS (in scipy): two edges at every posture (a dummy posture at no cost joins the
-ends), and a cut for every closed loop that appears (Dantzig, Fulkerson, Johnson 1954). Long plans get a locally best
-path instead: no two edges can be exchanged with gain.
+"""The order of measurement.
+
+It changes no information, but travel time and what drift can hide. The shortest joint travel is a travelling salesman's
+open path: an edge i-k costs the time that the slowest joint needs, max_j |q_ij - q_kj| / speed_j. It is solved as an
+integer program by HiGHS (in scipy): two edges at every posture (a dummy posture at no cost joins the ends), and a cut
+for every closed loop that appears (Dantzig, Fulkerson, Johnson 1954). Long plans get a locally best path instead: no
+two edges can be exchanged with gain.
 """
 
 from __future__ import annotations
