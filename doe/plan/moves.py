@@ -183,15 +183,15 @@ def route(
     order, ways, missing = settled(road, starts, aims, keep_order)
     around = np.arange(m) if keep_order else shortest_path(np.maximum(ideal, ideal.T))
     shortest = 1.1 * ideal[around[:-1], around[1:]].sum()
-    low, high = (getattr(road.nodes, end)(axis=0) + sign * 0.3 * space.units for end, sign in (("min", -1), ("max", 1)))
-    low, high = np.maximum(low, space.lower), np.minimum(high, space.upper)
-    for _ in range(rounds):
+    for k in range(rounds):
         if not len(missing) and sum(space.length(road.nodes[way]) for way in ways) <= shortest:
             break
+        beyond = 0.3 * 3.0**k * space.units  # the postures
+        low, high = postures.min(axis=0) - beyond, postures.max(axis=0) + beyond
+        low, high = np.maximum(low, space.lower), np.minimum(high, space.upper)
         drawn = generator.uniform(low, high, (spread, len(low)))
         about = road.nodes[generator.choice(missing if len(missing) else aims, spread)]
         drawn[::2] = (about + 0.3 * generator.random((spread, 1)) * (drawn - about))[::2]
-        drawn = np.clip(drawn, space.lower, space.upper)
         road.connect(*road.near(road.add(drawn[room.allows(drawn)])))
         if entries is None:
             road.connect(*road.near(starts))
