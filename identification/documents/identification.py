@@ -142,12 +142,11 @@ def identification_document(
     data : what `armcal identify --json` says of it
     full : False: of a spatial arm its Denavit-Hartenberg table, or the values that the measurements determine
     """
-    rows, space = [row for row in result.corrected_values if row.parameter not in hidden], result.geometry
+    rows = [row for row in result.corrected_values if row.parameter not in hidden]
     # of the class of the others: estimation, where it is defined, imports this module
     dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
     if full:
-        strict = [] if space is None else space.strict_table
-        sections = [corrected_section("Corrected values", rows, *strict)]
+        sections = [corrected_section("Corrected values", rows)]
     else:
         sections = dh_sections(dh, data.get("dh_places", ())) or [in_short(rows, minimal=not hidden)]
     left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")

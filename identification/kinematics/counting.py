@@ -196,14 +196,8 @@ def joint_range(postures: Array, joint_types: Sequence[str]) -> dict[str, list[l
 
 
 def range_of(provenance: Mapping[str, Any], joint_types: Sequence[str]) -> Array | None:
-    """(2, n) least and largest positions [rad, mm] that `joint_range` wrote; None where they are not there.
-
-    Files written before slides had a key of their own list all joints in the other one, a slide's millimetres times
-    180 / pi.
-    """
+    """(2, n) least and largest positions [rad, mm] that `joint_range` wrote; None where they are not there."""
     slides = np.array([kind == PRISMATIC for kind in joint_types], dtype=bool)
-    if KEYS[PRISMATIC] not in provenance:
-        slides = np.zeros_like(slides)
     ends = np.empty((2, len(slides)))
     for kind, of_kind in ((REVOLUTE, ~slides), (PRISMATIC, slides)):
         count = int(of_kind.sum())
