@@ -22,7 +22,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.chain import BASE, NOTHING, STANDARD, TOOL, DHRow, Joint, KinematicChain
+from identification.kinematics.chain import BASE, NOTHING, STANDARD, TOOL, DHRow, Joint, KinematicChain, Numbers
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import (
     X,
@@ -38,8 +38,6 @@ from identification.kinematics.frames import (
     tool_tables,
 )
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE, error_names
-
-Numbers = Mapping[str, float]  # parameter name -> value [mm, rad]; what is not there is zero
 
 
 def _moved(joint: Joint, q: float) -> Array:
