@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
+from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, frame_of_columns, readonly
 from identification.conditions import directions_from_order, gaps_of
 from identification.errors import InputError
@@ -34,19 +34,18 @@ JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that
 LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
 # units that a column may have, the one to write first -> factor to [mm] or [rad]; and the largest value then
 UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
-MOST = {LENGTH: LARGEST_LENGTH, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST_LENGTH}
+MOST = {LENGTH: LARGEST, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST}
 # optional columns of one number: field of `Measurements`, what is allowed, and a test
 OPTIONAL = {
     "temperature_C": ("temperature", "a number >= -273.15 [deg C]", lambda v: v >= -273.15),
     "payload_kg": (
         "payload",
-        f"a number >= 0 [kg], up to {LARGEST_MASS:g}",
-        lambda v: (v >= 0.0) & (v <= LARGEST_MASS),
+        f"a number >= 0 [kg], up to {LARGEST:g}",
+        lambda v: (v >= 0.0) & (v <= LARGEST),
     ),
     "posture": ("repeats", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < 2.0**53)),
 }
 QUATERNION = ("qw", "qx", "qy", "qz")
-DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------
@@ -123,8 +122,8 @@ def measurement_columns(
     instrument : that measured; None: one of positions or lengths
     Raises `InputError` for positions that a file cannot have.
     """
-    if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST_LENGTH:
-        raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST_LENGTH:g}")
+    if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST:
+        raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST:g}")
     names = ["distance_mm"] if measurements.dimension == 1 else ["x_mm", "y_mm", "z_mm"]
     session, marker, target = "session", "marker", measurements.marker
     if instrument is not None and not instrument.reads_positions:
@@ -461,9 +460,6 @@ def load_plan(
         further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
         table.warn_unused(further)
     cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
-    if table.decimal_commas:
-        for texts in cells.values():
-            texts[:] = [text.replace(",", ".") if DECIMAL.fullmatch(text) else text for text in texts]
     wanted = ("payload_kg", "temperature_C")
     rows = _conditions(table, n if joints is None else joints, wanted) if conditions else {}
     return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=rows)
