@@ -44,7 +44,7 @@ from identification.instruments import kinds
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.counting import Counting, check_kinds
-from identification.kinematics.frames import from_own_axes, pose, pose_table, rotation_to_z, tool_tables
+from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import (
     FILE_UNITS,
     GEOMETRY,
@@ -312,7 +312,7 @@ def _convention(file: Any) -> str:
 def _pose(table: Any) -> Array:
     """(4, 4) [mm] of the keys x_mm .. rz_deg, zero where they are left out."""
     x, y, z, *angles = (getattr(table, key) or 0.0 for key in PoseTable.model_fields)
-    return pose((x, y, z), from_own_axes(*np.radians(angles).tolist()))
+    return pose((x, y, z), from_angles(np.radians(angles)))
 
 
 def _with_tools(chain: KinematicChain, tables: Mapping[str, Any]) -> KinematicChain:

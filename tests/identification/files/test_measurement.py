@@ -31,7 +31,7 @@ from identification.gap.library_prior import given_by
 from identification.inspection.readings import gap_notes
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
 from identification.kinematics.chain import DHRow, chain_of
-from identification.kinematics.frames import from_own_axes
+from identification.kinematics.frames import from_angles
 from identification.measurements import Measurements, load_measurements
 from identification.sessions import pooled_sessions
 
@@ -336,7 +336,7 @@ def test_orientations(tmp_path: Path) -> None:
 
     for unit, values in (("deg", ANGLES), ("rad", np.radians(ANGLES))):
         found = read(f"rx_{unit},ry_{unit},rz_{unit}", *(",".join(map(repr, row)) for row in values.tolist()))
-        np.testing.assert_allclose(found, [from_own_axes(*row) for row in np.radians(ANGLES)], atol=1e-14)
+        np.testing.assert_allclose(found, [from_angles(row) for row in np.radians(ANGLES)], atol=1e-14)
         np.testing.assert_allclose(np.column_stack([*angle_columns(found).values()]), ANGLES, atol=1e-11)
     found = read("qw,qx,qy,qz", "0.707,0,0,0.707")
     np.testing.assert_allclose(found, [[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]], atol=1e-12)
