@@ -267,7 +267,7 @@ def identify_files(
     With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
     of the first. With --only all other parameters stay at the values of ARM.
 
-    method : linear, gauss_newton or paper_steps; left out: the best for the model.
+    method : linear or gauss_newton; left out: the best for the model.
     sigma : What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.
     prior : Fit the library's effects too, each held by a prior of its typical size, or not; left out: as the plan asks.
     missing : Only these effects, for --library-prior: backlash,gear_ratio
