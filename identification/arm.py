@@ -34,12 +34,10 @@ from identification.kinematics.parameters import (
 from identification.workspace import ColumnLimits, WorkspaceConstraint
 
 # what files may say: beyond these, squares overflow and sines of angles are noise
-LENGTH_RANGE = (1e-6, 1e9)  # [mm] of a link
-LARGEST_LENGTH = LENGTH_RANGE[1]  # [mm] of a coordinate
+LARGEST = 1e9  # of any magnitude [mm, kg, m/s^2]
 LARGEST_ANGLE = 1e6  # [deg]
-LARGEST_MASS = 1e9  # [kg]
-LARGEST_ACCELERATION = 1e6  # [m/s^2]
-SIGMA_RANGE = (1e-9, 1e9)  # [mm]
+LENGTH_RANGE = (1e-6, LARGEST)  # [mm] of a link
+SIGMA_RANGE = (1e-9, LARGEST)  # [mm]
 
 DIAGNOSED = "armcal diagnose"  # `source` of the calibrations that it writes
 
