@@ -84,7 +84,7 @@ def rows_in_words(chosen: NDArray[np.bool_]) -> str:
     return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{rest}"
 
 
-def frame_of(table: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Any:
+def as_frame(table: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Any:
     """A polars frame of columns by name, or of rows with the same keys; what is None is null."""
     import polars as pl  # takes longer to load than numpy: nothing else needs it to design or to fit
 

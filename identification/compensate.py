@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, frame_of, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.document import Document, Documented
 from identification.documents.identification import compensation_document
 from identification.errors import InputError
@@ -293,7 +293,7 @@ class Compensation(Documented):
         columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
         columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
         left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
-        return frame_of(columns | left)
+        return as_frame(columns | left)
 
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""

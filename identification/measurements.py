@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arrays import Array, ByValue, frame_of
+from identification.arrays import Array, ByValue, as_frame
 from identification.conditions import REMEMBERED, Conditions, Past, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
 from identification.kinematics.parameters import MAX_LINKS
@@ -184,7 +184,7 @@ class Measurements(ByValue):
         """
         from identification.files.measurement import measurement_columns
 
-        return frame_of(measurement_columns(self, joint_types))
+        return as_frame(measurement_columns(self, joint_types))
 
     def _repr_html_(self) -> str:
         return str(self.to_frame()._repr_html_())

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, frame_of, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
@@ -286,7 +286,7 @@ class Identification(Documented):
 
     def to_frame(self) -> Any:
         """`corrected_values` as a frame."""
-        return frame_of([row.to_json() for row in self.corrected_values])
+        return as_frame([row.to_json() for row in self.corrected_values])
 
     def document(self) -> Document:
         """The parameters with their intervals, and how well the model fits."""

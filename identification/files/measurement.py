@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
-from identification.arrays import Array, ByValue, frame_of, readonly
+from identification.arrays import Array, ByValue, as_frame, readonly
 from identification.conditions import directions_from_order, gaps_of
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
@@ -387,7 +387,7 @@ class Plan(ByValue):
     def to_frame(self) -> Any:
         """A row for each posture, as in a plan file."""
         columns: dict[str, Any] = {"run": range(1, len(self) + 1), **self.columns}
-        return frame_of(columns if self.weights is None else columns | {"weight": self.weights})
+        return as_frame(columns if self.weights is None else columns | {"weight": self.weights})
 
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""
