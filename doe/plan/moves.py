@@ -111,9 +111,9 @@ class Roadmap:
         self.proven, self.tried = np.pad(self.proven, new), np.pad(self.tried, new)
         return np.arange(old, len(self.nodes))
 
-    def connect(self, one: Numbers, other: Numbers, levels: int = 3) -> None:
+    def connect(self, *pairs: tuple[Numbers, Numbers], levels: int = 3) -> None:
         """Moves between nodes (e,) and others, but for those that are seen to collide."""
-        low, high = np.minimum(one, other), np.maximum(one, other)
+        low, high = np.sort(np.concatenate([np.stack(each) for each in pairs], axis=1), axis=0)
         new = (low < high) & ~self.tried[low, high]
         low, high = np.unique(np.stack([low[new], high[new]]), axis=1)
         self.tried[low, high] = True
@@ -178,7 +178,7 @@ def route(
     aims = starts if entries is None else road.add(entries)
     road.proven[starts, aims] = road.proven[aims, starts] = True
     road.length[starts, aims] = road.length[aims, starts] = space.travel(postures, road.nodes[aims]) + 1e-9
-    road.connect(*((starts[:-1], aims[1:]) if keep_order else (np.repeat(starts, m), np.tile(aims, m))))
+    road.connect((starts[:-1], aims[1:]) if keep_order else (np.repeat(starts, m), np.tile(aims, m)))
     ideal = space.travel(postures[:, None], road.nodes[aims])
     order, ways, missing = settled(road, starts, aims, keep_order)
     around = np.arange(m) if keep_order else shortest_path(np.maximum(ideal, ideal.T))
@@ -192,9 +192,8 @@ def route(
         drawn = generator.uniform(low, high, (spread, len(low)))
         about = road.nodes[generator.choice(missing if len(missing) else aims, spread)]
         drawn[::2] = (about + 0.3 * generator.random((spread, 1)) * (drawn - about))[::2]
-        road.connect(*road.near(road.add(drawn[room.allows(drawn)])))
-        if entries is None:
-            road.connect(*road.near(starts))
+        new = road.add(drawn[room.allows(drawn)])
+        road.connect(road.near(new), road.near(starts), road.near(aims))
         order, ways, missing = settled(road, starts, aims, keep_order)
         shortest = np.inf
     for share in (0.7, 0.7, 0.5, 0.5):  # of the way from a bend to the straight line
@@ -204,8 +203,7 @@ def route(
         moved = road.nodes[here] + share * (straight - road.nodes[here])
         good = room.allows(moved)
         new, before, after, here = road.add(moved[good]), before[good], after[good], here[good]
-        pairs = [(before, new), (new, after), (before, after), (new[:-1], new[1:]), (new, here)]
-        road.connect(*(np.concatenate(each) for each in zip(*pairs, strict=True)))
+        road.connect((before, new), (new, after), (before, after), (new[:-1], new[1:]), (new, here))
         order, ways, missing = settled(road, starts, aims, keep_order)
     vias = [road.nodes[way[1:-1]] for way in ([0, 0], *ways)]
     if entries is not None:

@@ -108,7 +108,8 @@ class Clearance:
         never = (largest < near) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*bodies} for pair in self.pairs]
         for k in np.flatnonzero(never):
             worst = self._frames_at(drawn[np.argsort(apart[:, k])[:60]])
-            never[k] = not drawn_touch(*(bodies[name] for name in self.pairs[k]), worst)
+            one, other = (bodies[name] for name in self.pairs[k])
+            never[k] = not drawn_touch(one, other, worst)
         kept = (largest > 0.0) & ~never
         self.touching = tuple(self.pairs[k] for k in np.flatnonzero(~kept & ~never))
         self.clear = tuple(self.pairs[k] for k in np.flatnonzero(never))
