@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import logging
 import multiprocessing
 import os
@@ -291,7 +292,9 @@ def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPat
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     assert (JobOptions(workers=1).where().count, JobOptions(workers=3).where().count) == (1, 3)
-    monkeypatch.setattr("joblib.externals.loky.backend.synchronize.SemLock.__init__", refuse)
+    # by its full name: as an attribute of its package it is multiprocessing's until somebody has imported it
+    locks = importlib.import_module("joblib.externals.loky.backend.synchronize")
+    monkeypatch.setattr(locks.SemLock, "__init__", refuse)
     with pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
         rows(work.draw, processes(2))
 

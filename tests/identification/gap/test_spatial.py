@@ -9,8 +9,9 @@ import pytest
 
 from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import measure, session
-from identification.arm import Arm
+from identification.arm import Arm, EffectSpec, Gravity
 from identification.gap.blocks import hypotheses, untested_joints
+from identification.gap.detectability import detectability
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import At, Rows
 from identification.measurements import Measurements, rms_distance
@@ -141,6 +142,19 @@ def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     assert set(of_angles) == {1, 2, 3, 4, 5}
     assert any(b.key == "link_step:6" for b in found.members)  # what lies beyond the joint still grows
     assert found.skipped["backlash:6"] == "the joint slides, or hardly moves the measured point"
+
+
+def test_a_moment_that_is_rounding_is_no_effect() -> None:
+    """The last link's mass is on its joint, and the payload is nothing: its bearing carries no moment but rounding."""
+    gravity = Gravity(
+        np.array([0.0, 0.0, -9.81]), np.array([8.0, 6.0, 4.0, 2.0, 1.0, 0.3]), np.array([0.5] * 5 + [0.0])
+    )
+    arm, postures = replace(ARM, gravity=gravity), np.random.default_rng(4).uniform(-2.5, 2.5, (40, 6))
+    columns = Model(arm.with_effects(EffectSpec("bearing_compliance", 6))).jacobian(postures)[:, :, -1]
+    assert 0.0 <= np.abs(columns).max() < 1e-6  # mm for 1 rad/(N m)
+    found = detectability(arm, postures)
+    assert found.detectable["bearing_compliance:6"].value is None
+    assert found.detectable["bearing_compliance:5"].value is not None
 
 
 @pytest.mark.slow
