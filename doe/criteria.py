@@ -44,7 +44,8 @@ def criterion(
             chosen = list(subset) if subset else "none"
             raise InputError(f"criterion: Ds needs a subset of the parameters, found {chosen}, allowed: at least one")
         return Ds(tuple(subset))
-    return DStar.by_unit(units) if name == "Dstar" else {"D": D, "A": A, "E": E}[name]()
+    plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E()}
+    return DStar.by_unit(units) if name == "Dstar" else plain[name]
 
 
 class Criterion(ABC):
