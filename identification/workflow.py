@@ -223,7 +223,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    wanted = load_plan(plan, loaded.joint_types, conditions=True)
+    wanted = load_plan(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
@@ -267,7 +267,7 @@ def identify_files(
     With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
     of the first. With --only all other parameters stay at the values of ARM.
 
-    method : linear, gauss_newton or paper_steps; left out: the best for the model.
+    method : linear or gauss_newton; left out: the best for the model.
     sigma : What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.
     prior : Fit the library's effects too, each held by a prior of its typical size, or not; left out: as the plan asks.
     missing : Only these effects, for --library-prior: backlash,gear_ratio

@@ -140,9 +140,8 @@ def identification_document(result: Identification, data: Data, hidden: frozense
     """
     # of the class of the others: estimation, where it is defined, imports this module
     dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
-    strict = [] if result.geometry is None else result.geometry.strict_table
     rows = [row for row in result.corrected_values if row.parameter not in hidden]
-    sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows, *strict)]
+    sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows)]
     left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
     others = f"{reading_unit(result.arm)} RMS: each posture predicted by a fit to the others, noise included"
     figures: list[tuple[str, str | None]] = [
