@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, frame_of_rows, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
@@ -51,10 +51,7 @@ DH_MEANING = {  # unit, and what the number of a row of the table means
     ),
 }
 # keys of the JSON of a fit that a calibration has elsewhere or is read without
-NOT_KEPT = (
-    "parameters p_value status warnings outlier_rows unexplained_rows clusters base tools geometry joint_offsets "
-    "strict_table"
-)
+NOT_KEPT = "parameters p_value status warnings outlier_rows unexplained_rows clusters base tools geometry joint_offsets"
 Values = Mapping[str, float]  # parameter name -> value [API unit]
 
 
@@ -216,7 +213,7 @@ class Identification(Documented):
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        if self.arm is None or self.arm.chain.planar:
+        if self.arm is None or not self.arm.chain.frame_kinds:
             return None
         return CorrectedGeometry(self.arm.chain, self.values, self.arm.counting)
 
@@ -287,9 +284,9 @@ class Identification(Documented):
             for p, *figures in rows
         ]
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """`corrected_values` as a frame, polars or pandas."""
-        return frame_of_rows([row.to_json() for row in self.corrected_values], kind)
+    def to_frame(self) -> Any:
+        """`corrected_values` as a frame."""
+        return as_frame([row.to_json() for row in self.corrected_values])
 
     def document(self) -> Document:
         """The parameters with their intervals, and how well the model fits."""
@@ -409,8 +406,8 @@ def corrected_values(
         # what the arm file says of them is where fits start
         if all(p.name in values for p in chain.instrument.parameters)
     ]
-    rows = [*lengths, *of_instrument, *zeros] if chain.planar else zeros
-    if not chain.planar:
+    rows = zeros if chain.frame_kinds else [*lengths, *of_instrument, *zeros]
+    if chain.frame_kinds:
         drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
         steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
         slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
@@ -487,7 +484,7 @@ def dh_table(
     Raises `InputError` as `drawn_links`.
     """
     calibration, model = arm.calibration, Model(arm)
-    if calibration is None or arm.chain.planar or calibration.covariance is None:
+    if calibration is None or calibration.covariance is None:
         return (), []
     drawn, values = drawn_links(rows, convention), {**model.fixed, **calibration.values}
 
