@@ -506,7 +506,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs import parquet, tables
+    from doe.jobs import RowTable, parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -522,8 +522,8 @@ def compare_files(
         check_runs(compared_problem(arm, chosen[0]), number)
     where = job.where(1)  # before the folder is made
     alone = job.out is not None and job.out.suffix == ".parquet"
-    folder, name = (job.out.parent, job.out.name) if job.out is not None and alone else (job.out, "rows.parquet")
-    with interruptible(job.out), tables(folder, name, resume=job.resume, force=job.force) as (table,):
+    path = job.out / "rows.parquet" if job.out is not None and not alone else job.out
+    with interruptible(job.out), RowTable(path, resume=job.resume, force=job.force) as table:
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None and not alone:
