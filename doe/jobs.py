@@ -215,9 +215,9 @@ def run_tasks(
 
     function : importable by name where the workers are; `function(key, seed_sequence)` gives the rows of one key
     payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
-    A task that raises, or whose worker dies when it runs alone, becomes a row with `status` "failed" and `error`; every row has
-    its key's entries, `status` and `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a crash
-    loses only what was being computed.
+    A task that raises, or whose worker dies when it runs alone, becomes a row with `status` "failed" and `error`; every
+    row has its key's entries, `status` and `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a
+    crash loses only what was being computed.
     Raises `JobError` if the workers are lost, `InputError` if the table's rows are those of another seed.
     """
     asked, workers = {canonical(key): key for key in keys}, workers or SERIAL

@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 if TYPE_CHECKING:
@@ -58,6 +59,13 @@ class Pictures:
     """Figures and paragraphs on how they are read, made where a rendering shows them, which no terminal does."""
 
     draw: Callable[[], Sequence[Figure | str]]
+
+
+def later(function: str, *of: Any) -> Callable[[], Any]:
+    """What calls a function, `package.module.name`, which is loaded only then: matplotlib takes longer to load than a
+    small job."""
+    module, _, name = function.rpartition(".")
+    return lambda: getattr(import_module(module), name)(*of)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -20,7 +21,9 @@ from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
 from identification.estimation import estimate_batch
-from identification.files.arm import arm_from_tables, dump_arm
+from identification.files.arm import arm_from_tables, dump_arm, load_arm
+from identification.files.io import named_file, read_toml
+from identification.files.measurement import Plan, load_plan
 from identification.files.schema import StrictTable, validated
 from identification.for_design import with_points, without_prior
 from identification.information import spectrum
@@ -107,6 +110,25 @@ class StudyFile(StrictTable):
                 raise InputError(f"{what}: name {max(names, key=names.count)!r} is given twice, allowed: once")
         return file
 
+    @classmethod
+    def read(
+        cls, path: Path | str, replications: int | None = None
+    ) -> tuple[list[Arm], dict[str, Plan | None], dict[str, Any]]:
+        """Arms and plans that a file names, which are beside it (None: a plan that is no file), and what else it says.
+
+        replications : instead of the file's
+        Raises `InputError`, the place in the file, what was found and what is allowed.
+        """
+        content = read_toml(path) | ({} if replications is None else {"replications": replications})
+        file, beside = cls.of(content), partial(named_file, Path(path).parent, whose="the study file")
+        arms = [load_arm(beside(name, "arms")) for name in file.arms]
+        plans = dict[str, Plan | None].fromkeys(file.plans)
+        for name in (name for name in plans if name.endswith(".csv")):
+            if any(arm.counting != arms[0].counting for arm in arms):
+                raise InputError("plans: found files for arms with different [joints], allowed: the same in all arms")
+            plans[name] = load_plan(beside(name, "plans"), arms[0].joint_types if arms[0].counting else None)
+        return arms, plans, {key: value for key, value in content.items() if key not in ("arms", "plans")}
+
 
 # -- data sets and their fits ------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
@@ -169,7 +191,9 @@ def plan_of(truth: Model, postures: Array) -> Measurements:
     """A plan (m, n) as measurements without positions: a row for each measured point at each posture, with the
     orientations of the true arm."""
     names = tuple(truth.arm.chain.tools)
-    named = {"marker": np.tile(names, len(postures)), "marker_names": names} if len(names) > 1 else {}
+    named: dict[str, Any] = {}
+    if len(names) > 1:
+        named = {"marker": np.tile(names, len(postures)), "marker_names": names}
     rows = np.repeat(postures, len(names), axis=0)
     plan = Measurements(rows, np.zeros((len(rows), truth.dimension)), **named)
     if truth.arm.chain.angle_scale is None:

@@ -20,8 +20,8 @@ from identification.arm import Arm, Calibration
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
-from identification.estimation.problem import conditioned
 from identification.estimation.uncertainty import LEVEL
+from identification.information import product_inverse
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import TURN, joint_range, range_of
@@ -169,7 +169,15 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
     of_both = calibration.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.parameter_names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
-    return conditioned(of_both, {name: value for name, value in held.items() if name not in of_set_up})
+    # the normal distribution of the others, where those that the model holds have its values
+    names, covariance = of_both.parameter_names, np.asarray(of_both.covariance)
+    fixed = np.array([name in held for name in names])
+    off = [held[name] - of_both.values[name] for name, is_fixed in zip(names, fixed, strict=True) if is_fixed]
+    gain = covariance[np.ix_(~fixed, fixed)] @ product_inverse(covariance[np.ix_(fixed, fixed)])
+    free = [name for name in names if name not in held]
+    moved = [of_both.values[name] for name in free] + gain @ off
+    rest = covariance[np.ix_(~fixed, ~fixed)] - gain @ covariance[np.ix_(fixed, ~fixed)]
+    return Calibration(dict(zip(free, moved.tolist(), strict=True)), tuple(free), rest)
 
 
 def same_drawing(calibrated: Arm, arm: Arm) -> bool:

@@ -33,12 +33,10 @@ from identification import (
     Replications,
     StudyFile,
     dump_arm,
-    load_arm,
-    load_plan,
     nearest,
     silent,
 )
-from identification.files.io import named_file, read_toml, write_together
+from identification.files.io import write_together
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
@@ -72,6 +70,7 @@ class Study:
                 raise InputError(f"plans: unknown {name!r}, {nearest(name, methods)}, or NAME.csv")
             if plan is None and not asked.runs:
                 raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {name!r} needs them")
+        least = []  # runs of each fit; where one can be done, the others are rows that say why there is nothing
         for arm in arms:
             if arm.sigma is None and asked.sigma_mm is None:
                 raise InputError(f"sigma_mm: is missing, allowed: numbers > 0 [mm], as arm {arm.name} has none")
@@ -81,9 +80,13 @@ class Study:
             for what, entries in (("truths", asked.truths), ("models", asked.models)):
                 for entry in entries:
                     try:
-                        entry.model(arm)
+                        model = entry.model(arm)
                     except InputError as error:
                         raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
+                    least.append(-(-len(model.names) // (model.dimension * len(model.arm.chain.tools))))
+        most = max(*asked.runs, *(len(plan) for plan in plans.values() if plan is not None), 0, 0)
+        if most < min(least):
+            raise InputError(f"runs: found {most}, allowed: at least {min(least)}, an equation for every parameter")
         return cls(arms, plans, asked)
 
 
@@ -95,16 +98,7 @@ def load_study(path: Path | str, replications: int | None = None) -> Study:
     Raises `InputError`, one line naming file, key, what was found and what is allowed.
     """
     try:
-        content = read_toml(path) | ({} if replications is None else {"replications": replications})
-        file = StudyFile.of(content)
-        beside = partial(named_file, Path(path).parent, whose="the study file")
-        arms = [load_arm(beside(name, "arms")) for name in file.arms]
-        plans = dict[str, Plan | None].fromkeys(file.plans)
-        for name in (name for name in plans if name.endswith(".csv")):
-            if any(arm.counting != arms[0].counting for arm in arms):
-                raise InputError("plans: found files for arms with different [joints], allowed: the same in all arms")
-            plans[name] = load_plan(beside(name, "plans"), arms[0].joint_types if arms[0].counting else None)
-        others = {key: value for key, value in content.items() if key not in ("arms", "plans")}
+        arms, plans, others = StudyFile.read(path, replications)
         return Study.of(arms, plans, **others)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
-from identification.arrays import Array, frame_of_rows, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
@@ -481,10 +481,10 @@ class Diagnosis(Documented):
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""
+    def to_frame(self) -> Any:
+        """Data frame with a row for each parameter of each candidate."""
         sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
-        return frame_of_rows([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters], kind)
+        return as_frame([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters])
 
     def document(
         self,

@@ -60,7 +60,7 @@ VALUES = {
     "minimum_distance_deg": "1 30 0 1e4",
     "uncertain": "average worst best",
     "target_mm": "0.1 0.02 -1",
-    "method": "linear gauss_newton paper_steps none",
+    "method": "linear gauss_newton none",
     "payloads": "0,5 0 5,-1",
     "holdout": "more.csv 0.3 2",
     "links": "3 1 12 13 612,572.3 0,1",

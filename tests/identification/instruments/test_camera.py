@@ -11,7 +11,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.estimation import estimate
 from identification.gap.diagnose import diagnose
 from identification.instruments import Coordinate, Instrument
-from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.frames import from_angles, pose
 from identification.model import Model
 from identification.running import Status
 from identification.simulate import simulate
@@ -34,7 +34,7 @@ class Camera(Instrument):
         return self.focal * point[:2] / point[2]
 
 
-BASE = pose([100.0, -200.0, 3000.0], from_own_axes(1.2, -0.4, 2.0))
+BASE = pose([100.0, -200.0, 3000.0], from_angles((1.2, -0.4, 2.0)))
 SIGMA = 0.1  # [px], some 0.15 mm
 
 

@@ -16,7 +16,7 @@ from doe.studies.blind.simulator import RowConditions, TrueArm, session
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.conditions import Conditions
 from identification.kinematics.chain import DHRow, chain_of
-from identification.kinematics.frames import from_own_axes, pose, rotation_about
+from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.measurements import past_from_order
 from identification.model import Model
 
@@ -137,7 +137,7 @@ VALUES: dict[str, tuple[dict, dict, float]] = {
 def truth_and_session(seed: int = 1) -> tuple[TrueArm, RowConditions]:
     """An arm as drawn, 30 postures of it."""
     generator = np.random.default_rng(seed)
-    base = pose((300.0, -200.0, 900.0), from_own_axes(0.3, -0.2, 2.0))
+    base = pose((300.0, -200.0, 900.0), from_angles((0.3, -0.2, 2.0)))
     limit = np.full(5, 2.0)
     loads = {"masses": MASSES, "payload": 4.0, "lower": -limit, "upper": limit, "sigma": 0.05}
     truth = TrueArm.built(

@@ -156,7 +156,7 @@ def test_an_ambiguous_set_is_measured_further(monkeypatch: pytest.MonkeyPatch) -
 
 # -- bookkeeping -------------------------------------------------------------------------------------------------------
 ROW: dict[str, Any] = {"cell": "two, lambda 8", "set": 0, "status": "done", "verdict": "none", "contradictions": []}
-ROW |= dict.fromkeys(("hidden", "named", "candidates", "credible_set", "wrong_rows", "outlier_rows"), [])
+ROW |= {key: [] for key in ("hidden", "named", "candidates", "credible_set", "wrong_rows", "outlier_rows")}
 ROW |= dict.fromkeys(("outside", "place", "where", "probability", "confirmed", "inside_tip"))
 ROW |= dict.fromkeys(("parameters", "values", "interval_of", "low_95", "high_95"))
 ROW |= dict.fromkeys(f"{name}_mm" for name in ("gap_true", "gap_named", "gap_promised", "error_named"))
