@@ -248,8 +248,10 @@ def run_tasks(
                             future = executor.submit(perform, function, dict(key), seed, *needed)
                             running[future] = waiting.popleft()
                         for future in wait(running, 0.2, FIRST_COMPLETED).done:
-                            if future.cancelled() or isinstance(error := future.exception(), BrokenExecutor):
-                                raise BrokenExecutor if future.cancelled() else error
+                            if future.cancelled():
+                                raise BrokenExecutor
+                            if isinstance(error := future.exception(), BrokenExecutor):
+                                raise error
                             text = running.pop(future)  # the executor's own error: rows that cannot travel
                             store(text, None if error else future.result(), error)
                         workers.check(executor)

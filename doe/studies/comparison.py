@@ -126,8 +126,8 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
     value = problem.objective(postures)
     outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
     outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
-    correct = len(postures) == runs and design.plan.weights is None and max(outside) <= rounding
-    correct &= abs(value - design.value) <= rounding and (bound is None or value <= bound.value + rounding)
+    allowed = len(postures) == runs and design.plan.weights is None and max(outside) <= rounding
+    claimed = abs(value - design.value) <= rounding and (bound is None or value <= bound.value + rounding)
     return {
         "outcome": design.status.name,
         "starts_done": design.starts,
@@ -135,7 +135,7 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
         "bound": None if bound is None else bound.value,
         "efficiency": None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters),
         "parameters": problem.parameters,
-        "correct": bool(correct),
+        "correct": bool(allowed and claimed),
         "seconds": design.seconds,
     }
 

@@ -107,7 +107,7 @@ def random_truth(rng: np.random.Generator, n: int) -> TrueArm:
     """A planar arm of n links, its lengths 1 mm and its encoders 8 mrad off."""
     lengths = np.round(rng.uniform(80.0, 400.0, n))
     masses, payload = lengths / 100.0 * rng.uniform(1.0, 5.0, n), float(rng.uniform(1.0, 12.0))
-    loads = {"masses": masses, "payload": payload, "sigma": float(rng.choice([0.02, 0.05, 0.1, 0.2]))}
+    loads: Values = {"masses": masses, "payload": payload, "sigma": float(rng.choice([0.02, 0.05, 0.1, 0.2]))}
     errors, limit = (rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.008, n)), np.full(n, np.pi)
     return TrueArm.planar(lengths, *errors, lower=-limit, upper=limit, **loads)
 
@@ -302,11 +302,10 @@ def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Ge
         return [physics_effect(truth, run, spec.physics, float(np.exp(rng.uniform(*np.log(spec.sizes)))), rng)]
     if spec.lam is None:
         return []
+    names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
     if spec.outside:
-        names, span = SPACE_OUTSIDE if spec.space else OUTSIDE, library_columns(truth, run)
-    else:
-        names = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
-        span = base_jacobian(truth, run)
+        names = SPACE_OUTSIDE if spec.space else OUTSIDE
+    span = library_columns(truth, run) if spec.outside else base_jacobian(truth, run)
     effects: list[Drawn] = []
     while len(effects) < spec.effects:
         new = random_effect(names, truth, run, spec.lam, rng, span)

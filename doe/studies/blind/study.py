@@ -171,7 +171,7 @@ def hidden_in(data: DataSet) -> Row:
         "hidden": sorted(data.effects),
         "outside": data.outside,
         "place": data.place,
-        "gap_true_mm": gap(true, data, data.holdout and data.holdout.positions),
+        "gap_true_mm": gap(true, data, None if data.holdout is None else data.holdout.positions),
         "error_true_mm": gap(true, data, data.exact),
         "error_geometry_mm": gap(geometry, data, data.exact),
         "error_reachable_mm": data.reachable,
