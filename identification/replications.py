@@ -150,7 +150,7 @@ class Replications:
         """Of an arm as the fit knows it, and as it is. Kept, so that all blocks of a cell use one model."""
         model, truth = Model(without_prior(fitted)), Model(true)
         transform = np.eye(len(model.names))
-        if model.arm.chain.planar:
+        if model.parameters.by_link:
             transform = np.vstack([transform, model.parameters.to_orientations])
         return cls(model, truth, true_values(model, truth), transform)
 
@@ -205,7 +205,7 @@ def true_values(model: Model, truth: Model) -> Array:
     """(p,) values of the fitted parameters that are true: those of the truth, zero for those that it does not have;
     of a spatial arm's geometry those that mean the same."""
     values = model.parameters.mapping(model.parameters.vector(truth.best_known))
-    if not model.arm.chain.planar:
+    if model.arm.chain.frame_kinds:
         drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
         # three equations of each for some forty parameters
         postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints))

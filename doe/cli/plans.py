@@ -415,7 +415,7 @@ def relax_files(
     loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
-    held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
+    held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
     if runs is not None and not robust and not held:
         raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = design_problem(loaded, criterion, candidates=candidates if robust else None)
