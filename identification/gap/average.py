@@ -8,6 +8,7 @@ them.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -60,80 +61,89 @@ def geometry(base: Fit) -> PredictingModel:
 
 
 def averaged(posterior: Posterior, rows: int) -> PredictingModel:
-    """The posterior's average under its likeliest noise as a model;  rows : number of coordinates it is fitted to"""
+    """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
     held, library = posterior.writable or posterior, posterior.library
-    problem, draws, arm, g = (
-        held.problems[held.best.noise],
-        held.draws[held.best.noise],
-        library.arm,
-        len(held.whole.base),
-    )
-    states, shares = [problem.products.state(key) for key in draws], np.array([*draws.values()]) / draws.total()
-    first, covariance, variance = mixed(states, shares)
-    used = [float(np.sum(1.0 - np.diag(state.covariance) / np.square(state.sizes))) for state in states]
-    freedom = max(rows - round(float(shares @ used)) - g, 1)
+    whole, arm, g = held.whole, library.arm, len(held.whole.base)
+    chances, shares_of_noise = defaultdict[str, float](float), np.zeros(len(held.problems))
+    for one in held.explanations:
+        shares_of_noise[one.noise] += one.probability
+        for block in one.blocks:
+            chances[block.label] += one.probability
 
     # the base's parameters, and those of all blocks that are likely enough; the base gives way to rows left out, too
-    chances = np.zeros(len(problem.blocks))
-    for state, share in zip(states, shares, strict=True):
-        chances[[*state.blocks]] += share
-    kept = [b for b in np.flatnonzero(chances >= LEVEL).tolist() if problem.blocks[b].row is None]
-    ends = g + np.cumsum([0, *(len(problem.roots[b]) for b in kept)])
-    places = {b: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
-    turn = np.zeros((int(ends[-1]), len(first)))
-    for b, block in enumerate(problem.blocks):
-        own = problem.products.places([b])
-        if b in places:
-            turn[np.ix_(places[b], own)] = problem.roots[b]
-        if b in places or block.row is not None:
-            turn[:g, own] = problem.response[:, own]
-    mean, covariance = turn @ first, turn @ covariance @ turn.T
-    mean[:g] += problem.base
-    covariance[:g, :g] += variance * problem.normal
+    kept = [b for k, b in enumerate(whole.blocks) if b.row is None and chances[b.label] >= LEVEL]
+    ends = g + np.cumsum([0, *(whole.columns[whole.numbers[b.label]].shape[2] for b in kept)])
+    places = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
+    of_each, geometry_of, variance, used = [], defaultdict[str, Array](lambda: np.zeros(g)), 0.0, 0.0
+    for problem, draws, share in zip(held.problems, held.draws, shares_of_noise.tolist(), strict=True):
+        states, drawn = [problem.products.state(key) for key in draws], np.array([*draws.values()]) / draws.total()
+        first, covariance, of_noise = mixed(states, drawn)
+        used += share * sum(
+            n * (len(s.sizes) - np.sum(np.diag(s.covariance) / s.sizes**2)) for n, s in zip(drawn, states, strict=True)
+        )
+        turn = np.zeros((int(ends[-1]), len(first)))
+        for b, block in enumerate(problem.blocks):
+            own = problem.products.places([b])
+            if block.label in places:
+                turn[np.ix_(places[block.label], own)] = problem.roots[b]
+                geometry_of[block.label] += share * problem.response[:, own] @ first[own]
+            if block.label in places or block.row is not None:
+                turn[:g, own] = problem.response[:, own]
+        mean, covariance = turn @ first, turn @ covariance @ turn.T
+        mean[:g] += problem.base
+        covariance[:g, :g] += of_noise * problem.normal
+        of_each.append((share, mean, covariance))
+        variance += share * of_noise
+    mean = sum((share * one for share, one, _ in of_each), np.zeros(int(ends[-1])))
+    covariance = sum(
+        (share * (c + np.outer(m - mean, m - mean)) for share, m, c in of_each), np.zeros((len(mean), len(mean)))
+    )
+    freedom = max(rows - round(float(used)) - g, 1)
 
-    members = {b: problem.blocks[b].spec for b in kept if problem.blocks[b].spec is not None}
-    specs = tuple(spec for spec in members.values() if spec is not None)
+    members = [b for b in kept if b.spec is not None]
+    specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
     place = {name: k for k, name in enumerate(library.base_names(plain))}
-    for b, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
-        place |= {p.name: k for p, k in zip(effect.parameters, places[b].tolist(), strict=True)}
+    for block, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
+        place |= {p.name: k for p, k in zip(effect.parameters, places[block.label].tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
-    curves, tables = [], list[Array]()
-    of_curves = [b for b in kept if problem.blocks[b].span is not None]
-    for b in of_curves:
+    curves = []
+    of_curves = [b for b in kept if b.span is not None]
+    for block in of_curves:
         # beside all else that goes with it: what they exchange makes no difference to any point
-        at, own, (joint, start, stop) = places[b], problem.products.places([b]), problem.blocks[b].span or (0, 0.0, 0.0)
+        at, (joint, start, stop) = places[block.label], block.span or (0, 0.0, 0.0)
         functions = curve_waves(np.linspace(start, stop, 2 * WAVES + 1), start, stop)
         beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         std = np.sqrt(np.maximum(np.sum((functions @ beside) * functions, axis=1), 0.0))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
-        parts = zip(library.base.names, (problem.response[:, own] @ first[own]).tolist(), strict=True)
+        parts = zip(library.base.names, geometry_of[block.label].tolist(), strict=True)
         shifted = {name: value for name, value in parts if not name.startswith(f"{SESSIONS}.")}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
         nodes = np.radians(np.round(np.degrees((functions @ mean[at])[::2]), 7))
         curves.append(Curve(joint + 1, ErrorCurve(start, stop, nodes, shifted), std))
-        tables.append(problem.columns[b])
     entries = (*specs, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
 
     # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
     # measured as much more as the curves are uncertain, and what a file cannot have is there
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
-    spread[np.ix_(of_base, of_base)] = problem.normal[np.ix_(index[of_base], index[of_base])]
+    normal = held.problems[held.best.noise].normal
+    spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
     jacobian = At(model, values, held.at.rows).linearized[1]
-    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[b] for b in of_curves)])
+    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[b.label] for b in of_curves)])
+    tables = [whole.columns[whole.numbers[b.label]] for b in of_curves]
     every, tall = [*index, *known], np.concatenate([jacobian, *tables], axis=2).reshape(held.at.left.size, -1)
     gram = tall.T @ tall / len(jacobian)  # of a covariance C the mean square distance is the sum of gram * C
     inside, beside = gram[: len(index), : len(index)], beside_known(covariance, index, known)
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     if held is not posterior:
-        number = posterior.best.noise
-        products, others = posterior.problems[number].products, posterior.draws[number]
-        of_noise = sum(n * products.state(key).variance for key, n in others.items()) / others.total()
+        of_noise = sum(
+            e.probability * posterior.problems[e.noise].products.state(e.key).variance for e in posterior.explanations
+        )
         more += jacobian.shape[1] * max(variance - of_noise, 0.0)
     sigma = float(np.sqrt(variance))
     written = PredictingModel(model, values, held.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
