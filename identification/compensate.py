@@ -2,8 +2,8 @@
 
 Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
 Inverse kinematics is Levenberg-Marquardt on exact derivatives, all targets at once, from one start and then from many
-(`best_of_seeds`). What no start reaches goes on by Newton's method; postures that miss a constraint are led away from
-what is in the way, unless that is the target itself.
+(`search`). What no start reaches goes on by Newton's method; postures that miss a constraint are led away from what is
+in the way.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, frame_of_columns, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.document import Document, Documented
 from identification.documents.identification import compensation_document
 from identification.errors import InputError
-from identification.estimation.levenberg_marquardt import Index, LeastSquares, Linearize, levenberg_marquardt
+from identification.estimation.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import counting_in, in_columns, turned_into
 from identification.kinematics.parameters import REVOLUTE
@@ -35,15 +35,11 @@ from identification.simulate import servo_shift
 from identification.workspace import PostureCondition
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
-MAX_ITERATIONS = 60
-SEEDS = 32  # random postures per target where none is given, or where the nominal one leads nowhere
-QUICK = 20  # iterations at first: 99 of 100 seeds that reach a target have reached it, the others creep along limits,
-# and for a target out of reach damped least squares often end 1 % too far
-MISSED = 1e3  # a rank from which a target is not reached, or constraints are missed
-BEND = 1e-7  # [rad] of a joint, for second derivatives
-APPROACH = {"directions", "past"}  # what an effect needs whose error depends on the side that a joint comes from
+SEEDS = 32  # random postures per target, where one start is not enough
+QUICK = 20  # iterations from each: 99 of 100 seeds that reach a target have reached it, the others creep along limits
+NEAR, MISSED, BEYOND = 1.0, 2.0, 1e9  # ranks from which a goal is reached nearly, not for constraints, not at all
+BEND = 1e-7  # [rad] of a joint, for derivatives by differences
 Constraints = Sequence[PostureCondition]
-Tried = tuple[Array, Array, Array]  # of k goals, best first: postures (k, s, n), what they leave [mm] and rank (k, s)
 
 
 def compensate(
@@ -71,13 +67,13 @@ def compensate(
     """
     check_calibrated(arm)
     nominal = None if postures is None else _checked("postures", postures, arm.links)
-    if orientations is not None and arm.chain.planar:
+    if orientations is not None and not arm.chain.frame_kinds:
         raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
     as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
     arm, posed = in_own_frame(arm), turned is not None or as_nominal
     arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))  # of an angle of a pose
-    model, familiar, provenance = Model(arm), familiar_range(arm), identified(arm)
+    model, provenance = Model(arm), identified(arm)
     # the nominal arm, without effects; where its base is not given it stands where the calibration found it, a planar
     # one turned by the offset of joint 1, and a spatial one with its points
     chain, stands, place = arm.chain, tuple(spec for spec in arm.effects if spec.name == "base_offset"), None
@@ -103,26 +99,18 @@ def compensate(
     for name, rows in (("postures", nominal), ("orientations", turned)):
         if rows is not None and len(rows) != len(goals):
             raise InputError(f"{name}: {len(rows)} rows for {len(goals)} targets, allowed: as many")
-    where, sided = replace(conditions or Conditions(), orientation=turned), tuple[str, ...]()
-    start = nominal
+    limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
+    boxes = [limits] if nominal is not None or np.array_equal(familiar, limits) else [familiar, limits]
+    start, where, sided = nominal, replace(conditions or Conditions(), orientation=turned), tuple[str, ...]()
     if start is None:
-        start = familiar_postures(drawing, familiar, goals, Conditions(orientation=turned), constraints)
-    if where.directions is None and len(start):
-        sided = tuple(sorted({effect.name for effect in model.effects if not APPROACH.isdisjoint(effect.needs)}))
+        middle = np.tile(np.add(*familiar) / 2.0, (len(goals), 1))
+        start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes)
+    if where.directions is None and len(start):  # effects whose error depends on the side that a joint comes from
+        sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
         past = past_from_order(start) if model.remembers else None
         where = replace(where, directions=directions_from_order(start), past=past)
-    commands = reaching(Task(model, goals, start, where, constraints), enough)
+    commands = search(Task(model, goals, start, where, constraints, enough), boxes, keeps_branch=True)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
-    # found ones that are out of reach, where they are outside familiar angles: the nearest within them
-    lower, upper = familiar
-    strange = (np.linalg.norm(left, axis=1) > enough) & np.any((commands < lower) | (commands > upper), axis=1)
-    if nominal is None and strange.any():
-        # a joint that did not move has 1e-9 rad of room
-        inside = Model(replace(model.arm, lower=lower, upper=np.maximum(upper, lower + 1e-9)))
-        near = np.clip(commands[strange], lower, upper)
-        task = Task(inside, goals[strange], near, where.rows(np.flatnonzero(strange)), constraints)
-        commands[strange] = best_of_seeds(task)[0]
-        left = goals - model.position(commands, conditions=where)
     missed = violations(constraints, commands)
     beyond = outside(arm, commands)
     if beyond is not None:  # nobody drives to what misses a constraint
@@ -150,6 +138,14 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
     if array.ndim != 2 or array.shape[1] != columns or not np.all(np.isfinite(array)):
         raise InputError(f"{name}: shape {array.shape}, allowed: (k, {columns}) finite numbers")
     return array
+
+
+def violations(constraints: Constraints, postures: Array) -> Array:
+    """(m, c) by how much postures (m, n) miss each of c constraints [mm]; 0: satisfied."""
+    if not constraints or not len(postures):
+        return np.zeros((len(postures), len(constraints)))
+    missed = np.column_stack([-np.min(each.margin(postures), axis=1) for each in constraints])
+    return np.where(missed > TOLERANCE, missed, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,15 +257,10 @@ class Compensation(Documented):
         return np.where(turning, np.degrees(commands), commands)
 
     def to_json(self) -> dict[str, Any]:
-        """Counts, largest errors over targets reached and over the others, unreached rows, and a row for each target
+        """Counts, the largest error over targets reached, the others, and a row for each target
         (identification/files/README.md, "JSON keys")."""
-        reached, commands, posed = self.reached, self.commands_in_file_units, self.angles is not None
+        reached, posed = self.reached, self.angles is not None
         degrees = np.degrees(self.errors if self.angles is None else self.angles)
-        unreachable = [int(row) + 1 for row in np.flatnonzero(~reached)]
-        driven = reached | ~self.near  # or missed, by what is left
-
-        def largest(values: Array, rows: NDArray[np.bool_]) -> float | None:
-            return float(np.max(values[rows])) if rows.any() else None
 
         def where(shown: NDArray[np.bool_], rows: Array) -> list[Any]:
             """(k) rows, None where they are not to be said."""
@@ -278,41 +269,31 @@ class Compensation(Documented):
         columns = {
             "target": range(1, len(reached) + 1),
             "target_mm": self.targets.tolist(),
-            "command": where(reached, commands),
-            "nearest": where(~reached, commands),
-            "error_mm": where(driven, self.errors),
-            **({"error_deg": where(driven, degrees)} if posed else {}),
+            "command": where(reached, self.commands_in_file_units),
+            "error_mm": where(reached | ~self.near, self.errors),  # missed by that, if not barred
+            **({"error_deg": where(reached | ~self.near, degrees)} if posed else {}),
             "reachable": reached.tolist(),
             "message": self.messages,
         }
-        beyond = None
-        if (out := self.outside) is not None:  # targets and joints, from 1, beyond the angles of the identification
-            counts = enumerate(out.sum(axis=0).tolist(), start=1)
-            joints = [{"joint": joint, "targets": count} for joint, count in counts if count]
-            beyond = {"targets": (np.flatnonzero(out.any(axis=1)) + 1).tolist(), "joints": joints}
         return {
             "targets": len(self.targets),
             "reached": int(np.count_nonzero(reached)),
-            "max_error_mm": largest(self.errors, reached),
-            "max_error_over": "targets reached",
+            "max_error_mm": float(np.max(self.errors[reached])) if reached.any() else None,
             "tolerance_mm": self.tolerance,
             "model_rms_mm": self.model_rms,
-            "max_unreached_mm": largest(self.errors, ~self.near),
-            **({"max_error_deg": largest(degrees, reached)} if posed else {}),
-            "unreachable": unreachable,
-            "unreachable_count": len(unreachable),
-            "outside_identified": beyond,
+            **({"max_error_deg": float(np.max(degrees[reached])) if reached.any() else None} if posed else {}),
+            "unreachable": (np.flatnonzero(~reached) + 1).tolist(),
             "warnings": self.warnings,
             "commands_deg": columns["command"],
             "commands": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
         }
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`; polars or pandas."""
+    def to_frame(self) -> Any:
+        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`."""
         columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
         columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
         left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
-        return frame_of_columns(columns | left, kind)
+        return as_frame(columns | left)
 
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""
@@ -324,238 +305,158 @@ class Compensation(Documented):
 
 # -- inverse kinematics ------------------------------------------------------------------------------------------------
 class Task(NamedTuple):
-    """Goals (k, d) of a model [mm], of poses three coordinates more, and postures (k, n) that theirs are to be near."""
+    """Goals (k, d) of a model [mm], of poses three coordinates more, and postures (k, n) that theirs are to be near.
+
+    enough : [mm] what is nearly reached, where nothing gets there exactly
+    """
 
     model: Model
     goals: Array
     near: Array
     conditions: Conditions
     constraints: Constraints = ()
+    enough: float = TOLERANCE
 
-    def at(self, rows: Index | NDArray[np.bool_]) -> Task:
-        """Of some of the goals; rows may repeat."""
-        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
+    def at(self, rows: Index) -> Task:
+        """Of some of the goals."""
         return self._replace(goals=self.goals[rows], near=self.near[rows], conditions=self.conditions.rows(rows))
 
+    def within(self, limits: tuple[Array, Array]) -> Task:
+        """With other limits of the joints; of those that do not move 1e-9 rad."""
+        lower, upper = limits
+        return self._replace(model=Model(replace(self.model.arm, lower=lower, upper=np.maximum(upper, lower + 1e-9))))
 
-def reaching(task: Task, enough: float) -> Array:
-    """(k, n) postures, from many seeds where the search from near ends short of the goal, or where the arm may not
-    stand. What ends so near as `enough` [mm] is left only for what gets there exactly: another branch of the arm that
-    is nearer by less than anybody knows is none to go to."""
-    arm = task.model.arm
-    task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
-    commands, errors = inverse_kinematics(task, task.near)
-    missed = violations(task.constraints, commands).sum(axis=1)
-    short = np.flatnonzero((errors > TOLERANCE) | (missed > 0.0))
-    if short.size:
-        again, left = best_of_seeds(task.at(short))
-        now = ranked(np.zeros(len(short)), left, violations(task.constraints, again).sum(axis=1))
-        better = now < ranked(np.zeros(len(short)), errors[short], missed[short])
-        better &= (errors[short] > enough) | (missed[short] > 0.0) | (left <= TOLERANCE)
-        commands[short[better]] = again[better]
-    return commands
+    @property
+    def units(self) -> Array:
+        """(n,) length [mm] that stands for a unit of each joint: the reach for an angle."""
+        return np.where(np.array(self.model.joint_types) == REVOLUTE, self.model.reach, 1.0)
 
+    def gaps(self, postures: Array, rows: Index) -> tuple[Array, Array]:
+        """Goals (k, d) of the rows less the positions of postures (k, n), and the positions' derivatives (k, d, n)."""
+        table = self.model.condition_table(postures, self.conditions.rows(rows))
+        values = np.broadcast_to(self.model.values, (len(postures), len(self.model.values)))
+        tips, jacobian = self.model.expressions.posture_jacobian(postures, table, values)
+        return self.goals[rows] - tips[..., 0], jacobian
 
-def familiar_postures(
-    model: Model, familiar: tuple[Array, Array], goals: Array, conditions: Conditions, constraints: Constraints
-) -> Array:
-    """(k, n) postures for goals (k, d) nearest to the middle of familiar angles, and where possible within them; the
-    best found where no posture gets there."""
-    lower, upper = familiar
-    near = np.tile((lower + upper) / 2.0, (len(goals), 1))
-    reached = best_of_seeds(Task(model, goals, near, conditions, constraints))[0]
-    out = np.flatnonzero(np.any((reached < lower) | (reached > upper), axis=1))
-    if np.any(lower >= upper):
-        return reached
-    inside = Task(Model(replace(model.arm, lower=lower, upper=upper)), goals, near, conditions)
-    for starts in (np.clip(reached, lower, upper), near):
-        if out.size:
-            postures, left = inverse_kinematics(inside.at(out), starts[out])
-            better = (left <= TOLERANCE) & ~violations(constraints, postures).any(axis=1)
-            reached[out[better]] = postures[better]
-            out = out[~better]
-    return reached
+    def descended(self, starts: Array, iterations: int = 60, *, clear: bool = False) -> tuple[Array, Array]:
+        """Postures (k, s, n) within the limits to which the shortest steps lead from starts (k, s, n), and what they
+        leave (k, s) [mm];  clear : with margins that are missed as further residuals, of a place 0.01 mm inside."""
+        k, s, n = starts.shape
+        bends = BEND * self.model.reach / self.units
 
+        def gaps(postures: Array, rows: Index) -> tuple[Array, Array]:
+            residual, jacobian = self.gaps(postures, rows // s)
+            residuals, slopes = [residual], [jacobian]
+            for constraint in self.constraints if clear else ():  # derivatives by differences
+                margins = constraint.margin(postures)
+                missed, slope = np.maximum(0.01 - margins, 0.0), np.zeros((*margins.shape, n))
+                out = np.flatnonzero(missed.any(axis=1))
+                bent = constraint.margin((postures[out, None] + np.diag(bends)).reshape(-1, n))
+                slope[out] = np.swapaxes(bent.reshape(len(out), n, margins.shape[1]) - margins[out, None], 1, 2) / bends
+                slope[missed == 0.0] = 0.0
+                residuals.append(missed)
+                slopes.append(slope)
+            return (residual, jacobian) if not clear else (np.hstack(residuals), np.concatenate(slopes, axis=1))
 
-def violations(constraints: Constraints, postures: Array) -> Array:
-    """(m, c) by how much postures (m, n) miss each of c constraints [mm]; 0: satisfied."""
-    if not constraints or not len(postures):
-        return np.zeros((len(postures), len(constraints)))
-    missed = np.column_stack([-np.min(each.margin(postures), axis=1) for each in constraints])
-    return np.where(missed > TOLERANCE, missed, 0.0)
+        limits, rounding = (self.model.arm.lower, self.model.arm.upper), np.full(k * s, 1e-5 * TOLERANCE)
+        problem = LeastSquares(gaps, *limits, self.units, rounding, metric=self.units, iterations=iterations)
+        solution = levenberg_marquardt(problem, starts.reshape(-1, n))
+        return solution.parameters.reshape(k, s, n), np.sqrt(solution.rss).reshape(k, s)
 
-
-def inverse_kinematics(task: Task, starts: Array, iterations: int = MAX_ITERATIONS) -> tuple[Array, Array]:
-    """Postures (k, n) within the limits and errors (k,) [mm], by Levenberg-Marquardt from starts (k, n); steps are the
-    shortest in joint angles."""
-    linearize = linearization(task.model, task.conditions)
-
-    def gaps(postures: Array, rows: Index) -> tuple[Array, Array]:
-        position, jacobian = linearize(postures, rows)
-        return task.goals[rows] - position, jacobian
-
-    return _least(task.model, gaps, starts, iterations)
+    def ranked(self, postures: Array, left: Array) -> tuple[Array, Array, Array]:
+        """Postures (k, s, n), what they leave and ranks (k, s), best first: those that reach the goal by their distance
+        from `near`; those that nearly do; those that miss constraints, by how much; the others, by what they leave."""
+        distance = np.linalg.norm((postures - self.near[:, None]) * self.units / self.model.reach, axis=2)
+        missed = violations(self.constraints, postures.reshape(-1, postures.shape[2])).sum(axis=1).reshape(left.shape)
+        free = np.where(left > TOLERANCE, NEAR + left / (self.enough + left), distance / (1.0 + distance))
+        rank = np.where(left > self.enough, BEYOND + left, np.where(missed > 0.0, MISSED + missed, free))
+        order = np.argsort(rank, axis=1)
+        left, rank = (np.take_along_axis(values, order, axis=1) for values in (left, rank))
+        return np.take_along_axis(postures, order[:, :, None], axis=1), left, rank
 
 
-def _least(model: Model, linearize: Linearize, starts: Array, iterations: int) -> tuple[Array, Array]:
-    """(k, n) postures within the limits that make residuals least, from starts (k, n), and what they leave (k,)."""
-    reach, negligible = metric(model), np.full(len(starts), 1e-5 * TOLERANCE)
-    limits = model.arm.lower, model.arm.upper
-    problem = LeastSquares(linearize, *limits, reach, negligible, metric=reach, iterations=iterations)
-    solution = levenberg_marquardt(problem, starts)
-    return solution.parameters, np.sqrt(solution.rss)
+def search(task: Task, boxes: Sequence[tuple[Array, Array]], *, keeps_branch: bool = False) -> Array:
+    """(k, n) postures that reach the goals within the first of some limits in which one does; where none does, the
+    closest to the goal within the first.
 
-
-def metric(model: Model) -> Array:
-    """(n,) length [mm] that stands for a unit of each joint: the reach for an angle."""
-    return np.where(np.array(model.joint_types) == REVOLUTE, model.reach, 1.0)
-
-
-def linearization(model: Model, conditions: Conditions) -> Linearize:
-    """Postures (k, n) and row numbers -> positions (k, d) and derivatives with respect to the posture (k, d, n)."""
-    evaluate = model.expressions.posture_jacobian
-
-    def linearize(postures: Array, rows: Index) -> tuple[Array, Array]:
-        table = model.condition_table(postures, conditions.rows(rows))
-        tips, jacobian = evaluate(postures, table, np.broadcast_to(model.values, (len(postures), len(model.values))))
-        return tips[..., 0], jacobian
-
-    return linearize
-
-
-def ranked(distance: Array, left: Array, missed: Array) -> Array:
-    """Of goals reached the distance; behind them what misses constraints, by how much; then what is left."""
-    return np.where(left > TOLERANCE, 1e3 * MISSED + left, np.where(missed > 0.0, MISSED + missed, distance))
-
-
-def tried(task: Task, seeds: Array, iterations: int = QUICK) -> Tried:
-    """From `near` and from seeds (s, n), or (k, s, n) of each goal its own."""
-    seeds = np.broadcast_to(seeds, (len(task.goals), *seeds.shape[-2:]))
-    starts = np.concatenate([task.near[:, None], seeds], axis=1)
-    k, s, n = starts.shape
-    flat, left = inverse_kinematics(task.at(np.repeat(np.arange(k), s)), starts.reshape(-1, n), iterations)
-    missed = violations(task.constraints, flat).sum(axis=1).reshape(k, s)
-    reached, left = flat.reshape(k, s, n), left.reshape(k, s)
-    distance = np.linalg.norm((reached - task.near[:, None]) * metric(task.model) / task.model.reach, axis=2)
-    rank = ranked(distance, left, missed)
-    order = np.argsort(rank, axis=1)
-    left, rank = (np.take_along_axis(values, order, axis=1) for values in (left, rank))
-    return np.take_along_axis(reached, order[:, :, None], axis=1), left, rank
-
-
-def best_of_seeds(task: Task) -> tuple[Array, Array]:
-    """(k, n) postures and (k,) errors: of the solutions that reach a goal the nearest to `near`, else the closest.
-
-    At first a few steps are made from each seed.
+    keeps_branch : of the postures that reach a goal that to which `near` leads is taken, not the nearest to `near`
     """
-    arm = task.model.arm
-    # random postures, always the same
-    seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, arm.links))
-    redundant = task.conditions.orientation is None and arm.links > task.goals.shape[1]
-    postures, errors = np.empty_like(task.near), np.empty(len(task.goals))
-    for start in range(0, len(task.goals), 1_000):  # targets at a time, times SEEDS starts
-        rows = np.arange(start, min(start + 1_000, len(task.goals)))
-        part = task.at(rows)
-        chosen = seeds[:SEEDS]
-        if redundant:  # reaches most goals from most seeds: the six whose linear steps to the goal end nearest
-            positions, jacobians = linearization(task.model, Conditions())(seeds, np.arange(len(seeds)))
-            scale = metric(task.model) / task.model.reach
-            shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
-            steps = np.einsum("snd,ksd->ksn", shortest, part.goals[:, None] - positions)
-            ends = np.clip(seeds + steps, arm.lower, arm.upper)
-            away = np.linalg.norm((ends - part.near[:, None]) * scale, axis=2)
-            chosen = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
-        first = tried(part, chosen)
-        postures[rows], errors[rows] = first[0][:, 0], first[1][:, 0]
-        rest = first[2][:, 0] >= MISSED
-        if task.constraints and rest.any():
-            rest[rest] = ~_barred(part.at(rest), *(values[rest] for values in first[:2]))
-        if rest.any():
-            again = first[0][rest], first[1][rest], first[2][rest]
-            if task.constraints or redundant:
-                again = tried(part.at(rest), seeds[:SEEDS], MAX_ITERATIONS if task.constraints else QUICK)
-            postures[rows[rest]], errors[rows[rest]] = _led_on(part.at(rest), *again)
-    missed = np.flatnonzero(errors > TOLERANCE) if not redundant else np.arange(0)
-    missed = missed[np.argsort(errors[missed], kind="stable")]
-    # effort: those missed by least with the other seeds, while there is progress
-    for start in range(0, len(missed), 32):
-        rows = missed[start : start + 32]
-        reached, left = _led_on(task.at(rows), *tried(task.at(rows), seeds[SEEDS:]))
-        better = left <= TOLERANCE
-        if not better.any():
+    postures, rank = np.empty_like(task.near), np.full(len(task.near), np.inf)
+    for limits in boxes:
+        rest = np.flatnonzero(rank >= MISSED)
+        for rows in np.split(rest, range(1_000, len(rest), 1_000)):
+            ends, ranks = _within_limits(task.within(limits).at(rows), keeps_branch)
+            better = (ranks < MISSED) | np.isinf(rank[rows])
+            postures[rows[better]], rank[rows[better]] = ends[better], ranks[better]
+    return postures
+
+
+def _within_limits(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) ranks within the limits of the model."""
+    arm, (k, n) = task.model.arm, task.near.shape
+    task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
+    postures, rank = task.near.copy(), np.full(k, np.inf)
+    seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, n))  # always the same
+    redundant = task.conditions.orientation is None and n > task.goals.shape[1]
+
+    def take(rows: Index, ends: Array, ranks: Array) -> None:
+        # a branch that is nearer to a goal that is nearly reached, by less than anybody knows, is none to go to
+        better = ranks < np.where((rank[rows] >= NEAR) & (rank[rows] < MISSED), NEAR, rank[rows])
+        postures[rows[better]], rank[rows[better]] = ends[better], ranks[better]
+
+    if keeps_branch:
+        ends, _, ranks = task.ranked(*task.descended(task.near[:, None]))
+        take(np.arange(k), ends[:, 0], ranks[:, 0])
+    for first in (True, False) if redundant else (False,):
+        if not (rest := np.flatnonzero(rank >= (NEAR if first or not redundant else BEYOND))).size:
             break
-        postures[rows[better]], errors[rows[better]] = reached[better], left[better]
-    return postures, errors
+        part, starts = task.at(rest), np.broadcast_to(seeds[:SEEDS], (len(rest), SEEDS, n))
+        if first:  # most seeds reach most goals: the six whose linear steps to them end nearest
+            origin = Task(task.model, np.zeros((256, task.goals.shape[1])), seeds, Conditions())
+            gaps, jacobians = origin.gaps(seeds, np.arange(256))
+            scale = task.units / task.model.reach
+            shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
+            ends = seeds + np.einsum("snd,ksd->ksn", shortest, part.goals[:, None] + gaps)
+            away = np.linalg.norm((np.clip(ends, arm.lower, arm.upper) - part.near[:, None]) * scale, axis=2)
+            starts = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
+        take(rest, *_tried(part, np.concatenate([part.near[:, None], starts], axis=1), last=not first))
+    missed = np.flatnonzero(rank >= MISSED)
+    missed = missed[np.argsort(rank[missed], kind="stable")]
+    for start in range(0, len(missed), 32):  # effort: those missed by least with the other seeds, while it helps
+        rows = missed[start : start + 32]
+        take(rows, *_tried(task.at(rows), np.broadcast_to(seeds[SEEDS:], (len(rows), 256 - SEEDS, n))))
+        if np.all(rank[rows] >= MISSED):
+            break
+    return postures, rank
 
 
-def _barred(task: Task, postures: Array, left: Array) -> NDArray[np.bool_]:
-    """(k,) where the goals themselves miss a constraint, as far as postures (k, s, n) that leave (k, s) tell: postures
-    that reach a goal are different, and all miss some margin by the same amount."""
-    reached = left <= TOLERANCE
-    margins = np.column_stack([each.margin(postures.reshape(-1, postures.shape[2])) for each in task.constraints])
-
-    def ends(values: Array) -> tuple[Array, Array]:
-        """(k, c) largest and smallest of (k, s, c) over postures that reach the goal."""
-        high, low = (np.where(reached[:, :, None], values, end) for end in (-np.inf, np.inf))
-        return high.max(axis=1), low.min(axis=1)
-
-    high, low = ends(margins.reshape(*left.shape, -1))
-    # margins that differ by less than 1 % of what is missed are those of the target, whatever the posture
-    same = np.any((high < -TOLERANCE) & (high - low <= 0.01 * -high), axis=1)
-    # six witnesses must agree, and differ by 0.5 rad or mm of some joint
-    spread = np.subtract(*ends(postures)).max(axis=1)
-    return same & (np.count_nonzero(reached, axis=1) >= 6) & (spread > 0.5)
-
-
-def _led_on(task: Task, postures: Array, left: Array, rank: Array) -> tuple[Array, Array]:
-    """(k, n) postures and (k,) errors of goals that were tried: where no seed reaches one by Newton's method, where
-    those that reach it miss constraints by what is missed as further residuals."""
-    best, errors = postures[:, 0].copy(), left[:, 0].copy()
-    beyond = errors > TOLERANCE
-    missed = ~beyond & (rank[:, 0] >= MISSED) & bool(task.constraints)
-    missed &= best.shape[1] > task.goals.shape[1]  # a redundant arm has more than the seeds found
-    for which, further in ((beyond, _polished), (missed, _turned_away)):
+def _tried(task: Task, starts: Array, *, last: bool = True) -> tuple[Array, Array]:
+    """(k, n) the best postures that starts (k, s, n) lead to, and their ranks (k,): where all miss a constraint by what
+    is missed as further residuals, and where none reaches the goal, if these are the last starts, by Newton's method.
+    """
+    ends, _, rank = task.ranked(*task.descended(starts, QUICK))
+    best, ranks = ends[:, 0], rank[:, 0]
+    beyond, barred = (ranks >= BEYOND) & last, (ranks >= MISSED) & (ranks < BEYOND)
+    barred &= ends.shape[2] > task.goals.shape[1]  # a redundant arm has more than the starts found
+    for which, led_on in ((beyond, _newton), (barred, _turned_away)):
         if which.any():
-            best[which], errors[which] = further(task.at(which), postures[which])
-    return best, errors
+            part = task.at(np.flatnonzero(which))
+            further, _, better = part.ranked(*led_on(part, ends[which]))
+            gains = better[:, 0] < ranks[which]
+            rows = np.flatnonzero(which)[gains]
+            best[rows], ranks[rows] = further[gains, 0], better[gains, 0]
+    return best, ranks
 
 
 def _turned_away(task: Task, starts: Array) -> tuple[Array, Array]:
-    """(k, n) postures and what they leave (k,): of those led from postures that miss constraints, starts (k, s, n),
-    best first, to where they hold; the nearest to that where none gets there."""
-    starts = starts[:, :4]  # a few seeds are led out of there, more is effort
-    every, k, n = task.at(np.repeat(np.arange(len(starts)), starts.shape[1])), len(starts), starts.shape[2]
-    linearize = linearization(task.model, every.conditions)
-    bends = BEND * task.model.reach / metric(task.model)
-
-    def gaps(postures: Array, rows: Index) -> tuple[Array, Array]:
-        """Of the goal and, where a margin is missed, of a place 0.01 mm inside; derivatives by differences."""
-        position, jacobian = linearize(postures, rows)
-        residuals, slopes = [every.goals[rows] - position], [jacobian]
-        for constraint in task.constraints:
-            margins = constraint.margin(postures)
-            missed, slope = np.maximum(0.01 - margins, 0.0), np.zeros((*margins.shape, n))
-            out = np.flatnonzero(missed.any(axis=1))
-            bent = constraint.margin((postures[out, None] + np.diag(bends)).reshape(-1, n))
-            bent = bent.reshape(len(out), n, margins.shape[1])
-            slope[out] = np.swapaxes(bent - margins[out, None], 1, 2) / bends
-            slope[missed == 0.0] = 0.0
-            residuals.append(missed)
-            slopes.append(slope)
-        return np.concatenate(residuals, axis=1), np.concatenate(slopes, axis=1)
-
-    ends, _ = _least(task.model, gaps, starts.reshape(-1, n), MAX_ITERATIONS)
-    ends, left = inverse_kinematics(every, ends)
-    rank = ranked(np.zeros(len(left)), left, violations(task.constraints, ends).sum(axis=1)).reshape(k, -1)
-    best = np.ravel_multi_index((np.arange(k), np.argmin(rank, axis=1)), rank.shape)
-    return ends[best], left[best]
+    """What postures that miss constraints, starts (k, s, n), best first, are led to: a few of them, more is effort."""
+    return task.descended(task.descended(starts[:, :3], 8, clear=True)[0], QUICK)
 
 
-def _polished(task: Task, starts: Array) -> tuple[Array, Array]:
-    """(k, n) postures and (k,) errors: the closest to goals out of reach, within the limits, by Newton's method;
-    starts (k, s, n), best first."""
-    model, arm, units = task.model, task.model.arm, task.model.reach / metric(task.model)
-    linearize = linearization(model, task.conditions)
+def _newton(task: Task, starts: Array) -> tuple[Array, Array]:
+    """The closest postures (k, 1, n) to goals out of reach, by Newton's method, and what they leave (k, 1);  starts :
+    (k, s, n), best first"""
+    arm, units = task.model.arm, task.model.reach / task.units
     # of starts that are nearly the same the first
     firsts = (np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1]) for ordered in starts)
     kinds = [ordered[first] for ordered, first in zip(starts, firsts, strict=True)]
@@ -563,17 +464,16 @@ def _polished(task: Task, starts: Array) -> tuple[Array, Array]:
     bends = np.concatenate([np.zeros((1, arm.links)), np.diag(BEND * units)])
 
     def height(q: Array, rows: Index) -> Array:
-        return -0.5 * np.sum((linearize(q, goal[rows])[0] - task.goals[goal[rows]]) ** 2, axis=1)
+        return -0.5 * np.sum(task.gaps(q, goal[rows])[0] ** 2, axis=1)
 
     def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
         bent = (q[:, None] + bends).reshape(-1, arm.links)
-        position, jacobian = linearize(bent, np.repeat(goal[rows], len(bends)))
-        gap = task.goals[goal[rows]] - position.reshape(len(q), len(bends), -1)[:, 0]
-        jacobian = jacobian.reshape(len(q), len(bends), *jacobian.shape[1:])
-        along = np.einsum("kd,kidn->kin", gap, jacobian)
+        gap, jacobian = task.gaps(bent, np.repeat(goal[rows], len(bends)))
+        gap, jacobian = (each.reshape(len(q), len(bends), *each.shape[1:]) for each in (gap, jacobian))
+        along = np.einsum("kd,kidn->kin", gap[:, 0], jacobian)
         bend = (along[:, 1:] - along[:, :1]) / (BEND * units[:, None])
         return along[:, 0], 0.5 * (bend + np.swapaxes(bend, 1, 2)) - np.swapaxes(jacobian[:, 0], 1, 2) @ jacobian[:, 0]
 
     ends = newton_ascent(np.concatenate(kinds), height, slopes, (arm.lower, arm.upper), units)
     order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
-    return inverse_kinematics(task, ends[order[np.unique(goal[order], return_index=True)[1]]])
+    return task.descended(ends[order[np.unique(goal[order], return_index=True)[1]], None])

@@ -10,9 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from difflib import SequenceMatcher
 from types import MappingProxyType
 
-FEWEST, LONGEST = 3, 60  # characters of a word in which letters may be wrong: shorter ones are like too many others
-NEAR, NEAR_OF_THREE = 0.75, 0.66  # share of the letters that two words have in common, in this order; of three letters
-SHOWN = 3  # names that are suggested at once; more help nobody
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
@@ -32,13 +29,19 @@ class JobError(ArmcalError):
     """The input was fine, the job itself could not be done (solver failed, parameters not identifiable)."""
 
 
+def require(condition: bool, message: str) -> None:
+    """Raises `InputError` where the condition does not hold."""
+    if not condition:
+        raise InputError(message)
+
+
 def printable(text: str) -> str:
     """`text` with control characters, line breaks, and what no output can encode written as in Python."""
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
 def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> list[str]:
-    """Up to three names: those that are most alike (`difflib`), else those that have the word or are a part of it.
+    """Up to three names: those that are most alike (`difflib`), else those that begin with it or have it in them.
 
     meant : another word -> the name that says the same
 
@@ -47,38 +50,21 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     >>> close_names("offset", ["base_offset", "tool_offset", "backlash"])
     ['base_offset', 'tool_offset']
     """
-    options, low = sorted(set(allowed)), word.lower()
-    if len(word) > LONGEST:
+    low, options = word.lower(), sorted(set(allowed))
+    if not 0 < len(low) <= 60:  # longer than any name
         return []
-    spelt = {**{other: name for other, name in meant.items() if name in options}, **{name: name for name in options}}
-    matcher = SequenceMatcher(b=low, autojunk=False)
-    alike = dict[str, float]()
-    for name in spelt:
-        matcher.set_seq1(name.lower())
-        alike[name] = matcher.ratio()
+    spelt = {other: name for other, name in meant.items() if name in options} | {name: name for name in options}
+    alike = {other: SequenceMatcher(None, other.lower(), low, autojunk=False).ratio() for other in spelt}
     best = max(alike.values(), default=0.0)
-    limit = NEAR if len(low) > FEWEST else NEAR_OF_THREE if len(low) == FEWEST else 1.0
-    if best >= limit:
-        near = dict.fromkeys(spelt[name] for name, ratio in alike.items() if ratio == best)
+    # the share of the letters that two words have in common, in this order; of three letters
+    if best >= (0.66 if len(low) == 3 else 0.75 if len(low) > 3 else 1.0):
+        near = dict.fromkeys(spelt[other] for other, ratio in alike.items() if ratio == best)
     else:
-        near = dict.fromkeys(option for option in options if _is_part(low, option.lower()))
-    return list(near) if len(near) <= SHOWN else []
-
-
-def _is_part(word: str, name: str) -> bool:
-    """Whether a name has all parts of the word, begins with it, or is the beginning of it, whatever separates them; or
-    both have the same number at the end, and a name begins as the word does: `dir1`, `direction1`."""
-    parts, name_parts = ([part for part in re.split(r"[^a-z0-9]+", text) if part] for text in (word, name))
-    if not parts or not name_parts:
-        return False
-    if parts[0] == name_parts[0] and (set(name_parts) <= set(parts) or (len(parts) == 1 and len(word) < FEWEST)):
-        return True
-    if len(word) < FEWEST:
-        return len(parts) > 1 and set(parts) <= set(name_parts)
-    stem, number = word.rstrip("0123456789"), re.sub(r".*?(\d*)$", r"\1", word, flags=re.DOTALL)
-    numbered = bool(number) and name.startswith(stem) and name.endswith(number) and len(stem) >= FEWEST
-    numbered = numbered and name.rstrip("0123456789") + number == name
-    return numbered or "".join(name_parts).startswith("".join(parts)) or set(parts) <= set(name_parts)
+        bare = {name: re.sub(r"[^a-z0-9]", "", name.lower()) for name in (*options, word)}
+        part = bare[word]
+        near = dict.fromkeys(n for n in options if part and (bare[n].startswith(part) or part.startswith(bare[n])))
+        near = near or dict.fromkeys(n for n in options if len(part) >= 3 and part in bare[n])
+    return list(near) if len(near) <= 3 else []  # more help nobody
 
 
 def nearest(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> str:

@@ -98,8 +98,16 @@ class ArmModel(Model):
 
     @cached_property
     def joint_frames(self) -> Callable[[Array], Array]:
-        """Of postures (m, n) the frames (m, n + 1, 4, 4) [mm] as best known: see `KinematicChain.joint_frames`."""
-        return self.arm.chain.joint_frames(self._geometry_values)
+        """Of postures (m, n) the frames (m, n + 1, 4, 4) [mm] as best known, in that of the base: of each
+        joint after it moved, and the tip's with the first measured point as its origin."""
+        placed = self.arm.chain.frames_at(self.geometry)
+
+        def at(postures: Array) -> Array:
+            frames = placed(postures)
+            frames[..., -2, :3, 3] = frames[..., -1, :3, 3]
+            return frames[..., 1:-1, :, :]
+
+        return at
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
@@ -294,7 +302,7 @@ class ArmModel(Model):
     def theorem_joints(self) -> tuple[int, ...] | None:
         """Joints (from 0) on which det M depends where the planar theorem holds, that is for all lengths and joint
         offsets of a planar chain: all but the first, and the first too with a base offset; None: it does not hold."""
-        if not self.planar or not self.linear_in_links:
+        if self.closed_form is None or not self.closed_form.exact:
             return None
         offset = any(effect.name == "base_offset" for effect in self.effects)
         return tuple(range(0 if offset else 1, self.joints))

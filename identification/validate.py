@@ -18,7 +18,7 @@ from identification.documents.identification import (
     BY_CHANCE,
     DRAWN,
     FITTED,
-    reading_unit,
+    unit_key,
     validation_sections,
     validation_verdict,
 )
@@ -43,8 +43,6 @@ if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
 
 REFITS = (*DRAWN,)
-QUARTERS = 4  # groups by time; the quadrants of the workspace are as many
-FEWEST = 3 * QUARTERS  # rows from which groups are formed
 
 
 class Figures(NamedTuple):
@@ -67,14 +65,14 @@ class Validation(Documented):
     """What a calibrated model leaves of other measurements, beside the drawing.
 
     refit : what was refitted, `base`, `offsets` or `none`, in each session separately
-    refitted : for each session the refitted parameters, name -> value [API unit]
+    refitted : session, name, unit and value of each refitted parameter, in file units
     residuals, nominal_residuals : (m, d) measured less computed [mm], by the model and by the drawing
     """
 
     arm: Arm
     measurements: Measurements
     refit: str
-    refitted: tuple[Mapping[str, float], ...]
+    refitted: tuple[Mapping[str, Any], ...]
     residuals: Array
     nominal_residuals: Array
     notes: tuple[str, ...] = ()
@@ -104,21 +102,9 @@ class Validation(Documented):
     def to_json(self) -> dict[str, Any]:
         """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks` are the rows by session, time,
         workspace, and range of the identification."""
-        if self.arm.chain.instrument.own_targets:
-            every = placed_model(Model(self.arm), self.measurements).arm.chain.every_parameter
-        elif self.arm.chain.planar:
-            every = Model(with_base_offset(self.arm)).all_parameters
-        else:
-            every = with_markers(one_unnamed(self.arm.chain, self.measurements), self.measurements).every_parameter
-        parameters = {p.name: p for p in every}
-        refitted = [
-            {"session": session, "name": name, "unit": (p := parameters[name]).file_unit, "value": value * p.to_file}
-            for session, values in zip(self.measurements.sessions or (None,), self.refitted, strict=True)
-            for name, value in values.items()
-        ]
 
-        def millimetres(figures: Figures) -> dict[str, float]:
-            return {f"{name}_mm": value for name, value in figures._asdict().items()}
+        def millimetres(figures: Figures, of: str = "") -> dict[str, float]:
+            return {f"{name}{of}_mm": value for name, value in figures._asdict().items()}
 
         blocks = [
             {"kind": kind, "name": name, "rows": len(rows), **millimetres(figures_of(self.residuals[rows]))}
@@ -129,19 +115,19 @@ class Validation(Documented):
             "rows": len(self.residuals),
             "refit": self.refit,
             **millimetres(self.model),
-            **{f"{name}_nominal_mm": value for name, value in self.nominal._asdict().items()},
+            **millimetres(self.nominal, "_nominal"),
             **dict(zip(("rms_deg", "rms_nominal_deg"), self.rms_angles, strict=False)),
             "blocks": blocks,
-            "refitted": refitted,
+            "refitted": [dict(row) for row in self.refitted],
             "notes": list(self.notes),
-            **({"reading_unit": reading_unit(self)} if reading_unit(self) != "mm" else {}),
+            **unit_key(self.arm),
         }
 
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
         notes = [note for note in self.notes if BY_CHANCE not in note]
-        parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
+        parts = validation_sections(data, ", measured points" if TOOL in self.arm.chain.frame_kinds else "")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
 
@@ -169,7 +155,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
-    if arm.chain.planar or len(measurements.sessions) < 2:
+    if not arm.chain.frame_kinds or len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, "base", arm)[1]
     model = Model(with_sessions(replace(drawing, chain=replace(arm.chain, settled=frozenset())), measurements))
     free = {model.names[k] for k in placing(model.parameters)}
@@ -179,8 +165,8 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
 
 def _refitted(
     arm: Arm, measurements: Measurements, refit: str, calibrated: Arm | None = None
-) -> tuple[list[dict[str, float]], Array, int]:
-    """Values of the refitted parameters by session, (m, d) residuals [mm], and how many combinations the data leave
+) -> tuple[list[dict[str, Any]], Array, int]:
+    """The refitted parameters (`Validation.refitted`), (m, d) residuals [mm], and how many combinations the data leave
     open;  calibrated : the arm whose conditions hold, None: this one
 
     The temperature is counted from the mean of the data of the identification, where it is known. Where the arm was set
@@ -200,8 +186,8 @@ def _refitted(
         conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
     if measurements.temperature is not None and mean is not None:
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))
-    refitted, residuals, left_open = [], np.empty_like(measurements.positions), 0
-    for rows in measurements.session_rows:
+    refitted, residuals, left_open = list[dict[str, Any]](), np.empty_like(measurements.positions), 0
+    for name, rows in zip(measurements.sessions or (None,), measurements.session_rows, strict=True):
         session, session_conditions = measurements.rows(rows), conditions.rows(rows)
         model, values = refit_model(arm, session, session_conditions, refit)
         weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
@@ -215,12 +201,14 @@ def _refitted(
             left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         # where base and measured points are, by the names of their parameters, in place of their corrections
-        named = model.parameters.mapping(values)
-        stands, placed = standing_in(model.arm.chain, named), dict[str, float]()
-        points = {f"{TOOL}[{name}]": pose(place, stands.tool_axes.get(name)) for name, place in stands.tools.items()}
-        for name, frame in {BASE: stands.base, **points}.items():
-            placed |= displaced_by(np.eye(4), frame, error_names(name))
-        refitted.append({name: placed.get(name, value) for name, value in named.items()})
+        stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
+        points = {f"{TOOL}[{point}]": pose(at, stands.tool_axes.get(point)) for point, at in stands.tools.items()}
+        for place, frame in {BASE: stands.base, **points}.items():
+            placed |= displaced_by(np.eye(4), frame, error_names(place))
+        refitted += [
+            {"session": name, "name": p.name, "unit": p.file_unit, "value": placed.get(p.name, value) * p.to_file}
+            for p, value in zip(model.parameters, values.tolist(), strict=True)
+        ]
     return refitted, residuals, left_open
 
 
@@ -236,15 +224,6 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
         yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell (p = {gained.p_above():.2g})"
     if angles := validation.rms_angles:
         yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
-    out = outside(arm, measurements.postures)
-    beyond = np.zeros(len(after), dtype=bool) if out is None else np.asarray(out.any(axis=1))
-    if FEWEST <= np.count_nonzero(beyond) <= len(beyond) - FEWEST:
-        familiar, elsewhere = (
-            f"{np.sqrt(np.mean(after[rows] ** 2)):.3g} mm (drawing {np.sqrt(np.mean(before[rows] ** 2)):.3g} mm)"
-            for rows in (~beyond, beyond)
-        )
-        seen = f"{100.0 * np.mean(~beyond):.2g} % of these rows lie at joint angles that the calibration has seen"
-        yield f"{seen}: RMS there {familiar}, elsewhere {elsewhere}"
     tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
     fresh = [name for name in names if name not in tools]
     if refit != "none":  # measured points that the calibration does not have are fitted
@@ -386,9 +365,9 @@ def as_calibrated(arm: Arm) -> Arm:
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
     """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; in space the
     offsets of the first joint and the last stay, which base and points stand for."""
-    planar, last = arm.chain.planar, arm.links - (not arm.chain.planar)
+    planar, last = not arm.chain.frame_kinds, arm.links - (TOOL in arm.chain.frame_kinds)
     free = {f"{JOINT_OFFSET}:{j}" for j in range(2, last + 1)} if refit == "offsets" else set[str]()
-    if planar and refit != "none" and arm.chain.positions_in_plane:
+    if refit != "none" and arm.chain.positions_in_plane:
         values = Model(arm).best_known
         free |= {*PLANAR_BASE}
         model = Model(with_base_offset(arm), {name: value for name, value in values.items() if name not in free})
@@ -442,10 +421,10 @@ def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str,
     m = len(measurements)
     for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
         yield "session", name, rows
-    if m < FEWEST:
+    if m < 12:  # three for each part
         return
     if not measurements.sessions:
-        for k, rows in enumerate(np.array_split(measurements.sequence, QUARTERS), start=1):
+        for k, rows in enumerate(np.array_split(measurements.sequence, 4), start=1):
             yield "time", f"quarter {k}", rows
     # of lengths and contacts the places computed, in the frame of the base
     seen = arm.chain.instrument.places

@@ -11,8 +11,9 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, TypeVar
 
@@ -222,7 +223,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    wanted = load_plan(plan, loaded.joint_types, conditions=True)
+    wanted = load_plan(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
@@ -250,13 +251,12 @@ def identify_files(
     *,
     method: str | None = None,
     sigma: Literal["given", "estimated"] | None = None,
-    prior: Annotated[bool | None, "--prior/--no-prior", "--library-prior/--no-library-prior"] = None,
+    prior: Annotated[bool | None, "--library-prior/--no-library-prior"] = None,
     missing: Names | None = None,
     prior_from: Path | None = None,
     only: tuple[Names, ...] = (),
     parameters: Literal["minimal", "all"] | None = None,
     without_outliers: bool = False,
-    full: bool = False,
     urdf: Written | None = None,
     out: Written | None = None,
     force: bool = False,
@@ -267,240 +267,154 @@ def identify_files(
     With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
     of the first. With --only all other parameters stay at the values of ARM.
 
-    method : linear, gauss_newton or paper_steps; left out: the best for the model.
+    method : linear or gauss_newton; left out: the best for the model.
     sigma : What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.
-    prior : Fit the library's effects too, each held by a prior of its typical size, or not.
+    prior : Fit the library's effects too, each held by a prior of its typical size, or not; left out: as the plan asks.
     missing : Only these effects, for --library-prior: backlash,gear_ratio
-    prior_from : An earlier calibration with its covariance as the prior; --prior FILE is the same.
+    prior_from : An earlier calibration with its covariance as the prior.
     only : Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.
     parameters : Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are
         free.
     without_outliers : Leave rows out that nothing of the model explains, and say which.
-    full : Print every corrected value of a spatial arm, also those hardly determined.
     urdf : Write the corrected URDF file of a spatial arm.
     out : Write a calibrated arm file (TOML).
     """
-    from identification.documents.identification import identification_actions, identification_document
+    import identification.estimation as estimation
+    from identification import reuse
+    from identification.documents.identification import hardly_better, identification_actions, identification_document
+    from identification.estimation.problem import Prior
     from identification.files.arm import load_arm
+    from identification.gap.library_prior import given_by, library_prior
+    from identification.gap.noise import with_repeats_doubted
+    from identification.model import Model
     from identification.origin import diagnosed, identified
-    from identification.simulate import with_servo_errors
+    from identification.sessions import with_sessions
+    from identification.simulate import following_errors, with_servo_errors
+    from identification.validate import prior_judged
 
+    # the arm, its rows, and how they are to be fitted
     loaded, words, minimal = load_arm(arm), [each for text in only for each in words_in(text)], parameters == "minimal"
     for option, value in (("--parameters", parameters), ("--urdf", urdf)):
         if value is not None and loaded.chain.planar:
             raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
+    keys: dict[str, Any] = {"only": words} if words else {}
+    if errors := following_errors(measurements, loaded.joint_types):
+        keys["servo_error"] = [error.to_json() for error in errors]
     loaded = with_servo_errors(loaded, measurements)
     reference = identified(old or loaded).get("mean_temperature_C")
     if reference is not None and (old or words or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
         measurements = replace(measurements, reference=float(reference))
-    against = {
-        "--no-library-prior": prior is False,
-        f"--method {method}": method not in (None, "gauss_newton"),
-        "--parameters minimal": minimal,
-        "--only and the effects that ARM has": bool(words and measurements.fit) and _has_all(loaded, measurements),
-    }
-    prior, missing, planned, lines = _as_planned(data, measurements.fit, prior, missing, against)
+    lines = []
+    if asked := measurements.fit:  # by the plan
+        refused = {"--no-library-prior": prior is False, f"--method {method}": method not in (None, "gauss_newton")}
+        refused |= {"--parameters minimal": minimal, "--only": bool(words)}
+        against = None if prior else next((option for option, given in refused.items() if given), None)
+        keys["fit"] = {"asked": asked, "followed": against is None, "against": against}
+        meant = f"{data} says # fit: {asked}"
+        if against is None:
+            prior, missing = True, missing or asked.partition("--missing ")[2] or None
+            how = "Fitted with the prior of the library, as the plan is meant"
+            lines.append(f"{how}: {meant} (--no-library-prior fits without).")
+        else:
+            how = f"Not fitted with the prior of the library, because of {against}"
+            lines.append(f"{how}, although {meant}: what the plan promises is of a fit with it.")
     if missing is not None and not prior:
-        raise InputError("--missing: found without --prior, allowed: with --prior")
-    if prior or old is not None:
-        if minimal:
-            raise InputError("--parameters: minimal with --prior, allowed: all")
-        if method not in (None, "gauss_newton"):
-            raise InputError(f"--method: {method} with --prior, allowed: gauss_newton")
-    names = None if missing is None else words_in(missing)
+        raise InputError("--missing: found without --library-prior, allowed: with --library-prior")
+    if (prior or old is not None) and (minimal or method not in (None, "gauss_newton")):
+        option = "--parameters minimal" if minimal else f"--method {method}"
+        raise InputError(f"{option}: found with a prior, allowed: without one")
 
+    def library(rows: Measurements) -> LibraryPrior | None:
+        names = None if missing is None else words_in(missing)
+        return library_prior(with_sessions(loaded, rows), given_by(rows), names) if prior else None
+
+    def fit(rows: Measurements) -> Identification:
+        wide, held = with_sessions(loaded, rows), Prior({})
+        if (of_library := library(rows)) is not None:
+            wide, held = of_library.arm, of_library.prior
+        model = reuse.only(wide, [*words, *held.deviations], rows) if words else Model(wide)
+        if of_library is None and old is None:
+            model = minimal_model(model, rows) if minimal else model
+            return with_repeats_doubted(estimation.estimate(model, rows, method=method, sigma=sigma), rows)
+        if old is not None:
+            try:
+                held = replace(held, earlier=reuse.earlier(old, model, rows))
+            except InputError as error:
+                raise InputError(f"{prior_from}: {error}") from None
+        return with_repeats_doubted(estimation.estimate_with_prior(model, rows, held, sigma=sigma), rows)
+
+    # the fit, and what is doubtful about it
     progress(0, None, f"fitting {len(measurements)} rows")
-    before = None if prior_from is None or old is None else (prior_from, old)
-    fit = _Fit(loaded, words, names, before, bool(prior), minimal, method, sigma)
-    fitted, rows, told, mounted_anew = _fitted(fit, measurements, without_outliers=without_outliers)
-    effects = fit.library(rows)
-
-    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
-    keys = ({"only": words} if words else {}) | planned | told
-    result, doubts = _identified_in_json(fitted, arm, loaded, measurements, rows, effects, hidden, keys)
-    kept = loaded.calibration if words else None, None if old is None else old.calibration
-    written, refused = _write_calibrated(fitted, arm, (out, urdf), force, hidden, kept)
-    lines += [*([] if effects is None else [effects.sentence]), *written]
-    if words:
-        lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
     if without_outliers:
-        numbers = ", ".join(map(str, keys["left_out"]))
+        fitted, left_out = estimation.without_outliers(fit, measurements)
+        keys["left_out"] = list(left_out)
+        rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
+        numbers = ", ".join(map(str, left_out))
         lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
-    if (earlier := keys.get("prior_from")) is not None:
-        free = f"; without a prior: {', '.join(earlier['anew'])}" if earlier["anew"] else ""
-        lines.append(f"Prior: {len(earlier['parameters'])} parameters from {earlier['file']}{free}.")
-    every = full or old is not None or fitted.machining_factor is None  # as where [machining] holds no value
+    else:
+        fitted, rows = fit(measurements), measurements
+    if fitted.prior is not None and (known := fitted.prior.earlier) is not None:
+        free = [name for name in fitted.names if name not in {*fitted.prior.names, *fitted.model.prior}]
+        contradicted = [one._asdict() for one in fitted.contradictions]
+        keys["prior_from"] = {"file": str(prior_from), "parameters": list(known.parameter_names)}
+        keys["prior_from"] |= {"anew": free, "contradicted": contradicted}
+        without = f"; without a prior: {', '.join(free)}" if free else ""
+        lines.append(f"Prior: {len(known.parameter_names)} parameters from {prior_from}{without}.")
+    if words:
+        fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), words, rows)
+        lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
+    doubted = reuse.with_mounting_doubt(fitted, rows, fit)
+    mounted_anew, fitted = doubted is not fitted, doubted
+    doubts, better = [*fitted.warnings], True
+    if (effects := library(rows)) is not None:
+        keys["prior"] = effects.to_json()
+        lines.append(effects.sentence)
+        alone = None
+        if not words and old is None:
+            alone = prior_judged(lambda: estimation.estimate(Model(with_sessions(loaded, rows)), rows), fitted, rows)
+        if alone is not None:
+            keys["offered"], better = alone.to_json(), alone.better
+            doubts += [] if better else [hardly_better(keys["offered"])]
+
+    result = fit_in_json(fitted, rows, loaded, arm) | keys
+    if loaded.calibration is not None and words and set(words) <= {"base", "tool"}:
+        result["rms_nominal_mm"] = result["rms_drawing_mm"]
+    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
+    result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
+    kept = loaded.calibration if words else None, None if old is None else old.calibration
+    written, refused_files = _write_calibrated(fitted, arm, (out, urdf), force, hidden, kept)
+    document = identification_document(fitted, result, hidden).plus(*lines, *written)
+    if failed := bool(fitted.not_identifiable) or refused_files:
+        return Answer(result, [document], fitted, int(failed), doubts)
     actions = identification_actions(
         str(arm),
         str(data),
         out,
         diagnosed=diagnosed(loaded),
         allowed_for=effects is not None,
-        better=keys.get("offered", {"better": True})["better"],
+        better=better,
         mounted_anew=mounted_anew,
     )
-    failed = bool(fitted.not_identifiable) or refused
-    document = identification_document(fitted, result, hidden, full=every).plus(*lines)
-    return Answer(result, [replace(document, actions=[] if failed else actions)], fitted, int(failed), doubts)
+    return Answer(result, [replace(document, actions=actions)], fitted, warnings=doubts)
 
 
-def _has_all(arm: Arm, measurements: Measurements) -> bool:
-    """Whether an arm has every effect that a plan for the library's prior, and its rows, can be about."""
-    from identification.gap.library_prior import given_by, library_prior
-
-    names = measurements.fit.partition("--missing ")[2]
-    try:
-        return not library_prior(arm, given_by(measurements), names.split(",") if names else None).added
-    except InputError:
-        return True
-
-
-def _as_planned(
-    data: Path, asked: str, prior: bool | None, missing: str | None, refused: Mapping[str, bool]
-) -> tuple[bool | None, str | None, dict[str, Any], list[str]]:
-    """`prior` and `missing` as the plan of the rows of `data` asks for them, and what JSON and people are told of it.
-
-    refused : options that stand against it unless the prior is asked for -> whether they are given
-    """
-    if not asked:
-        return prior, missing, {}, []
-    against = None if prior else next((option for option, refuses in refused.items() if refuses), None)
-    told = {"fit": {"asked": asked, "followed": against is None, "against": against}}
-    meant = f"{data} says # fit: {asked}"
-    if against is None:
-        how = "Fitted with the prior of the library, as the plan is meant"
-        line = f"{how}: {meant} (--no-library-prior fits without)."
-        return True, missing or asked.partition("--missing ")[2] or None, told, [line]
-    how = f"Not fitted with the prior of the library, because of {against}"
-    return prior, missing, told, [f"{how}, although {meant}: what the plan promises is of a fit with it."]
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """How rows are fitted: the arm; all that is estimated, none: everything (`words`); an earlier calibration as the
-    prior, and its file (`old`); whether the effects of the library are fitted too, those of `names`."""
-
-    arm: Arm
-    words: list[str]
-    names: list[str] | None
-    old: tuple[Path, Arm] | None
-    prior: bool
-    minimal: bool
-    method: str | None
-    sigma: Literal["given", "estimated"] | None
-
-    def library(self, rows: Measurements) -> LibraryPrior | None:
-        """The library's effects that these rows can show."""
-        from identification.gap.library_prior import given_by, library_prior
-        from identification.sessions import with_sessions
-
-        return library_prior(with_sessions(self.arm, rows), given_by(rows), self.names) if self.prior else None
-
-    def __call__(self, rows: Measurements) -> Identification:
-        """The fit, in which the library's effects are always free."""
-        from identification.estimation import estimate, estimate_with_prior
-        from identification.estimation.problem import Prior
-        from identification.gap.noise import with_repeats_doubted
-        from identification.model import Model
-        from identification.reuse import earlier, only
-        from identification.sessions import with_sessions
-
-        if (library := self.library(rows)) is None:
-            wide, held = with_sessions(self.arm, rows), Prior({})
-        else:
-            wide, held = library.arm, library.prior
-        model = only(wide, [*self.words, *held.deviations], rows) if self.words else Model(wide)
-        if library is None and self.old is None:
-            model = minimal_model(model, rows) if self.minimal else model
-            return with_repeats_doubted(estimate(model, rows, method=self.method, sigma=self.sigma), rows)
-        if self.old is not None:
-            try:
-                held = replace(held, earlier=earlier(self.old[1], model, rows))
-            except InputError as error:
-                raise InputError(f"{self.old[0]}: {error}") from None
-        return with_repeats_doubted(estimate_with_prior(model, rows, held, sigma=self.sigma), rows)
-
-
-def _fitted(
-    fit: _Fit, measurements: Measurements, *, without_outliers: bool
-) -> tuple[Identification, Measurements, dict[str, Any], bool]:
-    """The fit with its doubts, the rows that are no outliers, what JSON says of outliers and of the earlier
-    calibration, and whether reflectors are mounted elsewhere in some session."""
-    from identification.estimation import without_outliers as fitted_without_outliers
-    from identification.reuse import with_base_doubt, with_mounting_doubt
-    from identification.sessions import with_sessions
-
-    rows, told = measurements, dict[str, Any]()
-    if without_outliers:
-        identified, left_out = fitted_without_outliers(fit, measurements)
-        told["left_out"] = list(left_out)
-        rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
-    else:
-        identified = fit(measurements)
-    if fit.old is not None and identified.prior is not None and (known := identified.prior.earlier) is not None:
-        held = {*identified.prior.names, *identified.model.prior}
-        told["prior_from"] = {
-            "file": str(fit.old[0]),
-            "parameters": list(known.parameter_names),
-            "anew": [name for name in identified.names if name not in held],
-            "contradicted": [one._asdict() for one in identified.contradictions],
-        }
-    if fit.words:
-        identified = with_base_doubt(identified, with_sessions(fit.arm, rows), fit.words, rows)
-    doubted = with_mounting_doubt(identified, rows, fit)
-    return doubted, rows, told, doubted is not identified
-
-
-def _identified_in_json(
-    fit: Identification,
-    path: Path,
-    arm: Arm,
-    measurements: Measurements,
-    rows: Measurements,
-    library: LibraryPrior | None,
-    hidden: frozenset[str],
-    keys: dict[str, Any],
-) -> tuple[dict[str, Any], list[str]]:
-    """What JSON says of a fit, with the `keys` that there are already, and the doubts of it.
-
-    path, arm : of the arm file, and as it is fitted;  rows : of the measurements, which are no outliers
-    library : its effects in the fit, whose parameters are `hidden`
-    """
-    from identification.documents.identification import hardly_better, reading_unit
-    from identification.estimation import estimate
+def fit_in_json(fit: Identification, rows: Measurements, arm: Arm, path: Path) -> dict[str, Any]:
+    """What JSON says of a fit of rows by an arm (of the file `path`), what the drawing leaves of them included."""
+    from identification.documents.identification import unit_key
     from identification.estimation.doubts import left_out_rms
     from identification.measurements import rms_distance
-    from identification.model import Model
-    from identification.sessions import with_sessions
-    from identification.simulate import following_errors
-    from identification.validate import drawing_residuals, prior_judged
+    from identification.validate import drawing_residuals
 
-    doubts, words = list(fit.warnings), keys.get("only", ())
-    if library is not None:
-        keys["prior"] = library.to_json()
-        if not words and "prior_from" not in keys:
-            offered = prior_judged(lambda: estimate(Model(with_sessions(arm, rows)), rows), fit, rows)
-            keys |= {} if offered is None else {"offered": offered.to_json()}
-            doubts += [] if offered is None or offered.better else [hardly_better(keys["offered"])]
-    if errors := following_errors(measurements, arm.joint_types):
-        keys["servo_error"] = [error.to_json() for error in errors]
-    try:
+    keys: dict[str, Any] = {"cross_validated_mm": left_out_rms(fit, rows), "rms_drawing_mm": None}
+    with suppress(InputError):  # too few rows
         keys["rms_drawing_mm"] = rms_distance(drawing_residuals(arm, rows))
-        if arm.calibration is not None and words and set(words) <= {"base", "tool"}:
-            keys["rms_nominal_mm"] = keys["rms_drawing_mm"]
-    except InputError:  # too few rows
-        keys["rms_drawing_mm"] = None
     if fit.geometry is not None and not fit.not_identifiable:
         table, places = dh_lines(fit.calibrated_arm(), fit.corrected_values, path)
         keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    if (unit := reading_unit(fit.model)) != "mm":
-        keys["reading_unit"] = unit
-    result = fit.to_json() | {"cross_validated_mm": left_out_rms(fit, rows)} | keys
-    result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
-    return result, doubts
+    return fit.to_json() | keys | unit_key(fit.arm)
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
@@ -611,7 +525,7 @@ def diagnose_files(
     arm: Path,
     data: tuple[Path, ...],
     *,
-    holdout: Annotated[Path | float | None, "FILE|SHARE"] = None,
+    holdout: Path | None = None,
     report: Written | None = None,
     curves: Written | None = None,
     named_only: bool = False,
@@ -627,19 +541,15 @@ def diagnose_files(
     are sessions of one arm, as are the rows that a column session tells apart: each gets a base of its own, and
     each named effect is compared between them.
 
-    holdout : Measurements used for nothing but the confirmation; or a share of DATA (0.3): random postures are held
-        out.
+    holdout : Measurements used for nothing but the confirmation.
     report : Write an HTML page with pictures.
     curves : Write the error curves of joints as a table (CSV).
     named_only : Write what is named alone, without what is less likely and curves.
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
     """
-    import numpy as np
-
     from identification.documents.diagnosis import holds_in_words, tests_of
     from identification.files.arm import load_arm
     from identification.gap.average import curves_text
-    from identification.gap.confirmation import split
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
     from identification.simulate import with_servo_errors
@@ -648,11 +558,8 @@ def diagnose_files(
     loaded = load_arm(arm)
     if models := [path for path in data if Path(path).suffix.lower() == ".toml"]:
         raise InputError(f"{models[0]}: found an arm file among the data, allowed: files of measurements")
-    measurements, held_out = load_sessions(data, loaded), None
-    if isinstance(holdout, float):
-        measurements, held_out = split(measurements, holdout, np.random.default_rng(seed))
-    elif holdout is not None:
-        held_out = load_sessions([holdout], loaded)
+    measurements = load_sessions(data, loaded)
+    held_out = None if holdout is None else load_sessions([holdout], loaded)
     loaded = with_servo_errors(loaded, measurements)
     diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
     result = diagnosis.to_json()
@@ -676,7 +583,7 @@ def diagnose_files(
             files[curves] = curves_text(diagnosis.curves)
         if report is not None:
             nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
-            read = [arm, *data, *([holdout] if isinstance(holdout, Path) else [])]
+            read = [arm, *data, *([] if holdout is None else [holdout])]
             files[report] = page(diagnosis.document(names, out, nominal), read)
         write_together(files, force=force)
     except InputError as error:  # the diagnosis is shown all the same
@@ -772,16 +679,12 @@ def effects(name: str | None = None) -> Answer:
     """The physical effects that armcal knows, and the data that each needs.
 
     A list of the library, or everything about the effect NAME: formula, parameters with units and typical sizes,
-    which data or tables it needs and how to give them, and how it stands in an arm file. For gravity: the block of
-    the arm file that some of them need. Effects of installed packages (entry points armcal.effects) are in the
-    list.
+    which data or tables it needs and how to give them, and how it stands in an arm file. Effects of installed
+    packages (entry points armcal.effects) are in the list.
     """
-    from identification.documents.identification import entry_document, gravity_document, library_document
-    from identification.effects.catalogue import GRAVITY, entries, entry
+    from identification.documents.identification import entry_document, library_document
+    from identification.effects.catalogue import entries, entry
 
-    if name == "gravity":
-        needed = [effect.name for effect in entries() if "gravity" in effect.needs]
-        return Answer({"name": name, "needed_by": needed, "block": GRAVITY}, [gravity_document(needed)])
     if name is not None:
         effect = entry(name.partition(":")[0])
         return Answer(effect.to_json(), [entry_document(effect)])

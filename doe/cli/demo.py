@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import count
 from pathlib import Path
 
 from doe.cli.plans import with_collisions
@@ -18,7 +17,7 @@ from identification.workflow import Folder
 def command(
     *,
     spatial: bool = False,
-    out: Folder | None = None,
+    out: Folder = Folder(Path("armcal-demo")),  # noqa: B008
     force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
@@ -30,41 +29,24 @@ def command(
     corrected URDF file, and a report.html.
 
     spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
-    out : Directory for the files; left out: the next free armcal-demo.
+    out : Directory for the files.
     """
     from doe.demo.run import demo_document, overview_figure, planar, run_demo
     from doe.demo.run import spatial as six_axes
 
-    directory = next_free(Path("armcal-demo")) if out is None else out
     try:
-        if directory.is_file():
-            raise InputError(f"{directory}: is a file, allowed: a directory")
-        if directory.exists() and any(directory.iterdir()) and not force:
-            raise InputError(f"{directory}: exists and is not empty, allowed: a new directory, or --force")
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:  # a name that is too long, links that lead in a circle, no right to look or to write
-        raise InputError(f"{directory}: cannot be created ({error.strerror}), allowed: a writable place") from None
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()) and not force:
+            raise InputError(f"{out}: exists and is not empty, allowed: a new directory, or --force")
+    except OSError as error:  # a file, a name that is too long, links that lead in a circle, no right to write
+        raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
     try:
-        demo = run_demo(directory, six_axes() if spatial else planar(), seed, progress, force)
+        demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
         document, picture = demo_document(demo), overview_figure(demo)
-        text = page(document, [directory / name for name in demo.files])
-        write_together({directory / "overview.png": picture, directory / "report.html": text}, force=True)
+        text = page(document, [out / name for name in demo.files])
+        write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
     except KeyboardInterrupt as error:
-        raise JobError(f"{stopped_by(error)}; the files in {directory} are whole, but not all there") from None
-    look = f"Look at {directory / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
-    answer = Answer(demo.to_json(directory), [document.plus(look)])
+        raise JobError(f"{stopped_by(error)}; the files in {out} are whole, but not all there") from None
+    look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
+    answer = Answer(demo.to_json(out), [document.plus(look)])
     return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
-
-
-def next_free(path: Path) -> Path:
-    """Create and return the first of `path`, `path-2`, `path-3`, ... that does not exist; two runs never share one."""
-    for number in count(1):
-        free = path if number == 1 else path.with_name(f"{path.name}-{number}")
-        try:
-            free.mkdir()
-        except FileExistsError:
-            continue
-        except OSError:  # said by the caller
-            pass
-        return free
-    raise AssertionError

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Sequence
-from errno import ENOSPC
 from typing import Any
 
 import click
 
 from doe import SINGLE_THREAD
 from doe.cli import demo, plans, study
-from doe.cli.verb import in_one_line, no_output, verb
+from doe.cli.verb import in_one_line, say, verb
 from identification import InputError, nearest
 from identification.document import Answer
 from identification.workflow import VERBS
@@ -27,27 +25,8 @@ OTHER_VERBS = {  # words for the same -> verb
     **dict.fromkeys(("plan", "optimize", "optimise"), "design"),
     **dict.fromkeys(("inspect", "verify"), "check"),
     **dict.fromkeys(("new", "start", "create"), "init"),
-    **dict.fromkeys(("correct", "inverse"), "compensate"),
     **dict.fromkeys(("predict", "test"), "validate"),
-    **dict.fromkeys(("page", "html"), "report"),
-    "recommend": "advise",
-    "library": "effects",
-    "evaluate": "score",
 }
-OTHER_OPTIONS = {
-    **dict.fromkeys(("output", "save"), "out"),
-    **dict.fromkeys(("time", "timeout", "budget"), "seconds"),
-    **dict.fromkeys(("n", "m", "measurements", "postures", "poses"), "runs"),
-    **dict.fromkeys(("dof", "joints", "axes"), "dh"),
-    **dict.fromkeys(("plot", "figure", "image"), "picture"),
-    "overwrite": "force",
-    "silent": "quiet",
-    "threads": "workers",
-}
-FORMATS = "formats"
-OTHER_TOPICS = dict.fromkeys(
-    ("file", "files", "toml", "csv", "json", "units", "columns", "data", "measurements", "armfile", "keys"), FORMATS
-)
 
 
 class Verbs(click.Group):
@@ -58,30 +37,22 @@ class Verbs(click.Group):
         return list(self.commands)
 
     def main(self, args: Sequence[str] | None = None, prog_name: str | None = None, **_: Any) -> Any:  # type: ignore[override]
-        """As in click, but usage errors, and a full disk while help is printed, are one line like every other error.
+        """As in click, but usage errors, and a standard output that cannot be written, are one line like every other
+        error.
 
         The words of the command line are the object of the context.
         """
         words = list(sys.argv[1:] if args is None else args)
         try:
-            if any("\0" in word for word in words):  # no shell can pass one on; a program that calls this can
-                raise click.UsageError("a word with a null character, allowed: text")
             sys.exit(super().main(words, prog_name, obj=tuple(words), standalone_mode=False))
         except click.exceptions.NoArgsIsHelpError as error:  # the whole help, on purpose
             error.show()
-        except click.NoSuchOption as error:
-            parameters = [] if error.ctx is None else error.ctx.command.params
-            options = (option for parameter in parameters for option in (*parameter.opts, *parameter.secondary_opts))
-            names = [option.removeprefix("--") for option in options if option.startswith("--")]
-            near = nearest(error.option_name.removeprefix("--"), names, OTHER_OPTIONS)
-            meant = ", " + re.sub("'(.+?)'", r"'--\1'", near.split("? ")[0]) + "?" if "? " in near else ""
-            click.UsageError(in_one_line(error.message.rstrip(".") + meant)).show()
         except click.UsageError as error:
             click.UsageError(in_one_line(error.format_message())).show()
         except OSError as error:
-            if error.errno != ENOSPC or error.filename is not None:
-                raise
-            no_output(error)
+            say(f"standard output cannot be written ({error.strerror})")
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
+            sys.exit(1)
         sys.exit(2)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
@@ -91,24 +62,13 @@ class Verbs(click.Group):
         return super().resolve_command(ctx, args)
 
 
-def versions(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-    """Show the version of armcal, and those of the solvers that its numbers come from."""
-    if not wanted or context.resilient_parsing:
-        return
-    from importlib.metadata import version
-
-    solvers = ", ".join(f"{name} {version(name)}" for name in ("casadi", "cvxpy", "clarabel", "numpy", "scipy"))
-    click.echo(f"armcal {version('armcal')} ({solvers})")
-    context.exit()
-
-
 @click.group(
     cls=Verbs,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Every verb takes --json, --seed and --quiet, and `armcal VERB --help` shows an example. "
     "A calibration starts with `armcal init`; file formats: `armcal help formats`.",
 )
-@click.option("--version", is_flag=True, is_eager=True, expose_value=False, callback=versions, help="Show versions.")
+@click.version_option(package_name="armcal", message="armcal %(version)s")
 def main() -> None:
     """Certified experiment design and calibration for robot arms.
 
@@ -120,12 +80,12 @@ def main() -> None:
 
 
 @verb("armcal help formats")
-def help_of(topic: str = FORMATS) -> Answer:
+def help_of(topic: str = "formats") -> Answer:
     """The help of a verb, or the file formats.
 
     Show the help of the verb TOPIC, or with `formats` all file formats and JSON keys.
     """
-    if topic == FORMATS:
+    if topic == "formats":
         from rich.markdown import Markdown
 
         from identification import formats
@@ -133,7 +93,7 @@ def help_of(topic: str = FORMATS) -> Answer:
         text = formats()
         return Answer({"topic": topic, "text": text}, [Markdown(text)])
     if topic not in main.commands:
-        raise InputError(f"unknown topic {topic!r}, {nearest(topic, [FORMATS, *main.commands], OTHER_TOPICS)}")
+        raise InputError(f"unknown topic {topic!r}, {nearest(topic, ['formats', *main.commands])}")
     parent = click.get_current_context().parent
     text = main.commands[topic].get_help(click.Context(main.commands[topic], info_name=topic, parent=parent))
     return Answer({"topic": topic, "text": text}, [text])

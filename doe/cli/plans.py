@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter
@@ -48,7 +49,7 @@ class CriterionOptions:
 
     criterion: str | None = None
     test_poses: Path | None = None
-    subset: str | None = None
+    subset: Names | None = None
     robust: bool = False
     missing: Names | None = None
 
@@ -62,7 +63,6 @@ def design_problem(
     candidates: Path | None = None,
     apart: float | None = None,
     uncertain: str | None = None,
-    draws: int = 5,
 ) -> DesignProblem:
     """The problem that the options describe;  apart : smallest distance of two postures [rad], left out: the default
 
@@ -97,55 +97,44 @@ def design_problem(
     if wanted.robust:
         if uncertain is not None:
             raise InputError("--uncertain: found with --robust, allowed: one of them")
-        missing = None if wanted.missing is None else words(wanted.missing)
+        missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
         problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
         poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, arm.joint_types).postures
         names = problem.model.parameters.names
-        subset = None if wanted.subset is None else words(wanted.subset)
-        for word in subset or ():
+        for word in wanted.subset or ():
             if word not in names:
                 raise InputError(f"--subset: unknown parameter {word!r}, {nearest(word, names)}")
         chosen = criterion(
             name,
             units=list(problem.model.parameters.units),
-            subset=None if subset is None else [names.index(word) for word in subset],
+            subset=None if wanted.subset is None else [names.index(word) for word in wanted.subset],
             test_jacobians=None if poses is None else tip_jacobians(problem, poses),
         )
         problem = replace(problem, criterion=chosen)
     if uncertain is None:
         return problem
-    return ensemble_problem(problem, prior_draws(model, draws, np.random.default_rng(seed)), uncertain)
+    return ensemble_problem(problem, prior_draws(model, 5, np.random.default_rng(seed)), uncertain)
 
 
-def words(text: str) -> list[str]:
-    """`a, b` as ["a", "b"]."""
-    return [word.strip() for word in text.split(",")]
-
-
-def written(
-    contents: Mapping[Path | None, str | bytes | Callable[[], Figure]], force: bool, what: str = ""
-) -> list[str]:
+def written(contents: Mapping[Path | None, str | tuple[Any, ...]], force: bool, what: str = "") -> list[str]:
     """Write the files that were asked for, all or none, pictures among them; the lines that report the texts.
 
-    contents : file -> its content, or what draws a picture; None: not asked for;  what : the text is
+    contents : file -> its text, or a picture: the name of a function of doe/report/figures.py, and its arguments; None:
+        not asked for
+    what : the text is
     """
-    wanted = {path: content for path, content in contents.items() if path is not None}
-    write_together(wanted, force=force)
-    return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
-
-def drawing(name: str, *of: Any) -> Callable[[], Figure]:
-    """What draws a picture of doe/report/figures.py: matplotlib takes longer to load than a small design."""
-
-    def draw() -> Figure:
-        from doe.report import figures
+    def draw(name: str, *of: Any) -> Figure:
+        from doe.report import figures  # matplotlib takes longer to load than a small design
 
         picture: Figure = getattr(figures, name)(*of)
         return picture
 
-    return draw
+    wanted = {path: content for path, content in contents.items() if path is not None}
+    write_together({path: c if isinstance(c, str) else partial(draw, *c) for path, c in wanted.items()}, force=force)
+    return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
 def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
@@ -173,7 +162,6 @@ def design_files(
     starts: Count | None = None,
     seconds: Seconds | None = None,
     discriminating: bool = False,
-    loss: float | None = None,
     order: str | None = None,
     approach: str = "any",
     criterion: CriterionOptions,
@@ -182,7 +170,6 @@ def design_files(
     repeats: bool = False,
     minimum_distance_deg: float | None = None,
     uncertain: str | None = None,
-    draws: Annotated[int, range(1, 51)] | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
     package_dir: tuple[Path, ...] = (),
@@ -199,7 +186,6 @@ def design_files(
     starts : Number of starts.
     seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
-    loss : Largest loss of D-efficiency that --discriminating accepts; left out: 0.05.
     order : given, travel (least joint travel) or random; left out: travel where bodies are known.
     approach : any, or from where each joint comes to every posture: positive, negative or alternate.
     keep : Postures already measured; the plan complements them.
@@ -207,7 +193,6 @@ def design_files(
     repeats : A posture may be measured more than once.
     minimum_distance_deg : Postures differ by this in some joint (1 deg).
     uncertain : average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.
-    draws : Arms drawn for --uncertain; left out: 5.
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
@@ -220,12 +205,6 @@ def design_files(
     from doe.solvers import solve
     from identification import load_arm
 
-    for option, value, other, there in (
-        ("--loss", loss, "--discriminating", discriminating),
-        ("--draws", draws, "--uncertain", uncertain),
-    ):
-        if value is not None and not there:
-            raise InputError(f"{option}: found without {other}, allowed: with {other}")
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
     loaded = load_arm(arm, package_dir)
@@ -238,7 +217,7 @@ def design_files(
     signs = () if loaded.counting is None else loaded.counting.sign
     apart = 0.0 if repeats else None if minimum_distance_deg is None else math.radians(minimum_distance_deg)
     known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
-    problem = design_problem(loaded, criterion, seed, apart=apart, draws=draws or 5, **known)
+    problem = design_problem(loaded, criterion, seed, apart=apart, **known)
     problem = with_approach(problem, approach, signs)
     if criterion.robust and solver in (None, "fedorov"):
         problem = with_choices(problem)
@@ -247,8 +226,7 @@ def design_files(
     if discriminating:
         from doe.discrimination.design import discrimination_design
 
-        accepted = 0.05 if loss is None else loss
-        chosen = discrimination_design(problem, loaded, runs, loss=accepted, progress=progress, **effort)
+        chosen = discrimination_design(problem, loaded, runs, progress=progress, **effort)
         design, data, extra = chosen.design, chosen.to_json(), discriminating_parts(chosen)
     else:
         design = solve(problem, runs, progress=progress, **effort)
@@ -267,7 +245,7 @@ def design_files(
     data |= driven.to_json()
     extra += driven.in_words()
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
-    extra += written({out: text, picture: drawing("plan_figure", loaded, design.plan.postures)}, force, "plan")
+    extra += written({out: text, picture: ("plan_figure", loaded, design.plan.postures)}, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
@@ -275,12 +253,11 @@ def design_files(
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
-@verb("armcal score arm.toml plan.csv --picture plan.png --aliases aliases.png")
+@verb("armcal score arm.toml plan.csv --picture plan.png")
 def score_files(
     arm: Path,
     plan: Path,
     *,
-    aliases: Picture | None = None,
     seconds: Seconds = 20.0,
     robust: bool = False,
     missing: Names | None = None,
@@ -292,7 +269,6 @@ def score_files(
 
     Efficiency against the bound, expected standard deviations, effects that the PLAN could show.
 
-    aliases : Draw which effects this plan can hardly distinguish.
     seconds : Time budget of the bound [s], which may be cut.
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
@@ -320,15 +296,11 @@ def score_files(
         counted = f"{len(outside)} of {len(judged)} runs are outside joint limits or constraints"
         sentence = f"{plan}: {counted}, the first is run {outside[0]}: the bound does not apply"
         warnings.warn(sentence, UserWarning, stacklevel=2)
-    pictures: dict[Path | None, Any] = {picture: drawing("plan_figure", loaded, judged.postures)}
     sees = None
     try:
         sees = design_model(Model(loaded)).detectability(judged.postures)
         tables: list[Any] = [*sees.document().parts]
-        pictures[aliases] = sees.figure
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
-        if aliases is not None:
-            raise InputError(f"--aliases: {plan}: {reason}") from reason
         tables = [f"missing effects: {reason}"]
     problem = DesignProblem.of(Model(loaded))
     values, tip = criterion_values(problem, judged.postures), replace(problem, criterion=average_error(problem))
@@ -344,7 +316,7 @@ def score_files(
         data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
-    written(pictures, force)
+    written({picture: ("plan_figure", loaded, judged.postures)}, force)
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
@@ -381,7 +353,7 @@ def advise_files(
     from identification import Model, design_model, load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
-    named = [word for text in only for word in words(text) if word]
+    named = [word for words in only for word in words]
     model = design_model(Model(loaded))
     problem = DesignProblem.of(model.only(named) if named else model)
     fewest = problem.fewest_runs
@@ -400,7 +372,7 @@ def advise_files(
         enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
-    written({picture: drawing("advice_figure", advice)}, force)
+    written({picture: ("advice_figure", advice)}, force)
     return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
@@ -443,7 +415,7 @@ def relax_files(
     loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
-    held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
+    held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
     if runs is not None and not robust and not held:
         raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = design_problem(loaded, criterion, candidates=candidates if robust else None)
@@ -484,8 +456,8 @@ def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
     runs: WholeNumbers,
-    solvers: str | None = None,
-    criteria: Annotated[str, "--criterion"] = "D",
+    solvers: Names | None = None,
+    criteria: Annotated[Names, "--criterion"] = "D",  # type: ignore[assignment]
     starts: WholeNumbers | None = None,
     repeats: Count = 5,
     seconds: Seconds = 60.0,
@@ -506,7 +478,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs import parquet, tables
+    from doe.jobs import RowTable, parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -515,18 +487,17 @@ def compare_files(
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = [n for n in available_solvers() if n != "fedorov"] if solvers is None else words(solvers)
-    loaded, chosen = [load_arm(arm) for arm in arms], words(criteria)
-    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, chosen)
+    names = [n for n in available_solvers() if n != "fedorov"] if solvers is None else solvers
+    loaded = [load_arm(arm) for arm in arms]
+    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, criteria)
     for arm, number in product(loaded, runs):
-        check_runs(compared_problem(arm, chosen[0]), number)
+        check_runs(compared_problem(arm, criteria[0]), number)
     where = job.where(1)  # before the folder is made
-    alone = job.out is not None and job.out.suffix == ".parquet"
-    folder, name = (job.out.parent, job.out.name) if job.out is not None and alone else (job.out, "rows.parquet")
-    with interruptible(job.out), tables(folder, name, resume=job.resume, force=job.force) as (table,):
+    path = None if job.out is None else job.out / "rows.parquet"
+    with interruptible(job.out), RowTable(path, resume=job.resume, force=job.force) as table:
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
-    if job.out is not None and not alone:
+    if job.out is not None:
         from doe.report.page import svg
         from doe.report.studies import profile_figure
 

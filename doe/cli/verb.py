@@ -14,13 +14,12 @@ import re
 import shlex
 import signal
 import sys
-import tempfile
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
@@ -33,42 +32,21 @@ from identification.files.io import check_writable
 from identification.workflow import Folder, Picture, Written
 
 if TYPE_CHECKING:
-    from rich.progress import ProgressColumn
-
     from doe.jobs import Workers as Pool
     from identification.document import Document
 
-SHARED_MEMORY = Path("/dev/shm")  # of Linux; may be written to where nothing else may
 PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
-INTERVAL = 10.0  # seconds between lines in a log
-LONGEST_WORD, LONGEST_LINE = 400, 2000  # characters of a message; what is in the middle of a longer one is left out
+LONGEST_LINE = 1000  # characters of a message
 
 
 # -- types of options --------------------------------------------------------------------------------------------------
 class FilePath(click.Path):
-    """The name of a file that is read or written, of a picture, or of a folder, which is the verb's own to check.
+    """The name of a file that is read or written, of a picture, or of a folder, which is the verb's own to check."""
 
-    share : a number between 0 and 1 may stand in its place
-    """
-
-    def __init__(
-        self, name: str = "file", *, written: bool = False, picture: bool = False, share: bool = False
-    ) -> None:
+    def __init__(self, name: str = "file", *, written: bool = False, picture: bool = False) -> None:
         super().__init__(path_type=Path)
-        self.name, self.written, self.picture, self.share = name, written, picture, share
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """A path or a float."""
-        try:
-            share = float(value) if self.share else None
-        except ValueError:
-            share = None
-        if share is None:
-            return super().convert(value, param, ctx)
-        if not 0.0 < share < 1.0:
-            self.fail(f"{value} is not in the range 0<x<1 (a file of this name: ./{value}).", param, ctx)
-        return share
+        self.name, self.written, self.picture = name, written, picture
 
 
 def seconds_above_zero(text: str) -> float:
@@ -86,6 +64,11 @@ def whole_numbers(text: str) -> list[int]:
     return numbers
 
 
+def words(text: str) -> list[str]:
+    """`a, b` as ["a", "b"]."""
+    return [word.strip() for word in text.split(",")]
+
+
 FOLDER = FilePath("dir", written=True)
 FILES: dict[Any, click.ParamType] = {
     Path: FilePath(),
@@ -95,7 +78,7 @@ FILES: dict[Any, click.ParamType] = {
 }
 Seconds = Annotated[float, seconds_above_zero, "SECONDS"]
 Workers = Annotated[int, range(1, 4097)]  # each is a process of about 100 MB
-Names = Annotated[str, "NAMES"]
+Names = Annotated[list[str], words, "NAMES"]
 Count = Annotated[int, click.IntRange(min=1)]
 WholeNumbers = Annotated[list[int], whole_numbers, "M,.."]
 
@@ -106,7 +89,7 @@ class JobOptions:
 
     workers : Tasks at the same time; left out: on all cores, of compare one.
     cluster : Scheduler of a dask cluster, tcp://host:port.
-    out : Folder; left out: STUDY.results. Of compare also NAME.parquet: the rows only.
+    out : Folder; left out: STUDY.results, of compare none.
     resume : Go on with an interrupted or extended run.
     """
 
@@ -190,39 +173,14 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
             if answer.failure is not None:
                 say(str(answer.failure))
                 answer.exit_code = answer.failure.exit_code
-            try:
-                shown(answer, as_json)
-                sys.stdout.flush()
-            except BrokenPipeError:  # `| head`: click ends quietly
-                raise
-            except OSError as error:  # a full disk
-                no_output(error)
+            shown(answer, as_json)
+            sys.stdout.flush()
             sys.exit(answer.exit_code)
 
-        epilog = f"\b\nExample:\n  {example}"
-        return PriorOrFile(
-            called, callback=run, params=parameters, help=text, short_help=text.split("\n")[0], epilog=epilog
-        )
+        texts: dict[str, Any] = {"short_help": text.split("\n")[0], "epilog": f"\b\nExample:\n  {example}"}
+        return click.Command(called, callback=run, params=parameters, help=text, **texts)
 
     return decorate
-
-
-class PriorOrFile(click.Command):
-    """A command that reads `--prior FILE` as `--prior-from FILE`, since the flag --prior leaves a word too many."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As in click; if that fails, parse again with --prior-from in the place of --prior."""
-        words = [re.sub(r"^--prior(?==|$)", "--prior-from", word) for word in args]
-        same = words == args
-        try:
-            return super().parse_args(ctx, args)
-        except click.UsageError:
-            if same:
-                raise
-            ctx.params.clear()
-            with suppress(click.UsageError):
-                return super().parse_args(ctx, words)
-            raise
 
 
 def documented(thing: Any) -> tuple[str, dict[str, str]]:
@@ -245,7 +203,7 @@ def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click
     extras, several = list[Any](), False
     while (origin := get_origin(hint)) in (Annotated, Union, UnionType, tuple):
         parts = get_args(hint)
-        extras += parts[1:] if origin is Annotated else [FilePath(share=True)] if {Path, float} <= {*parts} else []
+        extras += parts[1:] if origin is Annotated else []
         several |= origin is tuple
         hint = next(part for part in parts if part is not NoneType)
     texts = [extra for extra in extras if isinstance(extra, str)]
@@ -269,19 +227,14 @@ def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click
 
 # -- errors and signals ------------------------------------------------------------------------------------------------
 def in_one_line(text: str) -> str:
-    """A message as one line of printable characters, whatever names and cells of files it repeats.
-
-    Control characters are written as in Python; of a very long word or line the middle is left out.
+    """A message as one line of printable characters, whatever names and cells of files it repeats: control characters
+    are written as in Python; of a very long line the middle is left out.
 
     >>> in_one_line("arm\\nfile.toml: no such file")
     'arm\\\\nfile.toml: no such file'
     """
-
-    def shortened(text: str, most: int) -> str:
-        return text if len(text) <= most else f"{text[: most * 2 // 3]} .. {text[-most // 4 :]}"
-
     text = "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
-    return shortened(re.sub(r"\S+", lambda word: shortened(word.group(), LONGEST_WORD), text), LONGEST_LINE)
+    return text if len(text) <= LONGEST_LINE else f"{text[: LONGEST_LINE * 2 // 3]} .. {text[-LONGEST_LINE // 4 :]}"
 
 
 def say(sentence: str) -> None:
@@ -300,15 +253,14 @@ def check_outputs(context: click.Context) -> None:
         for path in (value if isinstance(value, tuple) else (value,))
         if isinstance(path, Path)
     ]
-    outputs = [(name, kind, path) for name, kind, path in paths if kind.written]
     taken = {os.path.realpath(path): name for name, kind, path in paths if not kind.written}
-    for name, kind, path in outputs:
-        other = taken.setdefault(os.path.realpath(path), name)
-        if other != name and (context.command.name, name, other) not in UPDATES:
-            raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
-        if kind is not FOLDER:
-            check_writable(path, context.params["force"], picture=kind.picture)
-    provide_temporary_folder(*(path if kind is FOLDER else path.parent for _, kind, path in outputs), SHARED_MEMORY)
+    for name, kind, path in paths:
+        if kind.written:
+            other = taken.setdefault(os.path.realpath(path), name)
+            if other != name and (context.command.name, name, other) not in UPDATES:
+                raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
+            if kind is not FOLDER:
+                check_writable(path, context.params["force"], picture=kind.picture)
 
 
 @contextmanager
@@ -318,10 +270,6 @@ def errors_as_lines() -> Iterator[None]:
         with stoppable():
             if sys.stdout is None:
                 raise JobError("standard output is closed; send it to a file or to /dev/null")
-            try:
-                os.getcwd()
-            except FileNotFoundError:
-                raise JobError("the working directory is no longer there; change into another one") from None
             yield
         return
     except (InputError, JobError) as error:
@@ -333,21 +281,9 @@ def errors_as_lines() -> Iterator[None]:
         say("there is not enough memory, allowed: smaller input, or more memory")
     except ImportError as error:  # of a library in C: memory, or an installation that is not whole
         say(f"a library cannot be loaded ({error}), allowed: enough memory, and a whole installation")
+    except OSError as error:  # no folder for temporary files, too many open files
+        say(f"the system refuses: {error}")
     sys.exit(1)
-
-
-def provide_temporary_folder(*folders: Path) -> None:
-    """Where the system has no folder for temporary files (a root file system that is read-only), name one of these,
-    the first that can be written to: some libraries want one as soon as they are loaded. Folders may be missing yet;
-    what counts is where they would be made."""
-    try:
-        tempfile.gettempdir()
-    except FileNotFoundError:
-        for folder in folders:
-            existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.is_dir())
-            if os.access(existing, os.W_OK):
-                os.environ["TMPDIR"] = str(existing)  # for processes started from here too
-                return
 
 
 @contextmanager
@@ -360,24 +296,13 @@ def stoppable() -> Iterator[None]:
         threading.excepthook = lambda _: None  # of threads whose processes are killed next
         raise came[0]
 
-    def not_lost(unraisable: Any, otherwise: Callable[[Any], object] = sys.unraisablehook) -> None:
-        # a signal that met the end of an object, where nothing can be raised, comes again a little later
-        if isinstance(unraisable.exc_value, KeyboardInterrupt):
-            number = signal.Signals[next(iter(unraisable.exc_value.args), "SIGINT")]
-            main = threading.main_thread().ident or 0  # where it ends a wait too; in the timer's thread it would not
-            threading.Timer(0.01, signal.pthread_kill, (main, number)).start()
-        elif not came:  # after a signal nothing else that objects say at their end is reported
-            otherwise(unraisable)
-
     with ExitStack() as stack:
         if threading.current_thread() is threading.main_thread():
+            stack.callback(setattr, threading, "excepthook", threading.excepthook)
             for number in (signal.SIGTERM, signal.SIGINT):
                 if (before := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
                     stack.callback(signal.signal, number, before)
                     signal.signal(number, stop)
-            stack.callback(setattr, sys, "unraisablehook", sys.unraisablehook)
-            stack.callback(setattr, threading, "excepthook", threading.excepthook)
-            sys.unraisablehook = not_lost
         try:
             yield
         except (InputError, JobError):
@@ -386,6 +311,8 @@ def stoppable() -> Iterator[None]:
             if came:
                 raise came[0] from None
             raise
+        if came:  # it met the end of an object, where nothing can be raised
+            raise came[0]
 
 
 def stopped_by(error: BaseException) -> str:
@@ -409,8 +336,7 @@ def warnings_as_lines(quiet: bool) -> Iterator[None]:
     seen: set[str] = set()
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        text = str(message)
-        if text not in seen and not quiet:
+        if (text := str(message)) not in seen and not quiet:
             say(f"warning: {text}")
         seen.add(text)
 
@@ -423,93 +349,52 @@ def warnings_as_lines(quiet: bool) -> Iterator[None]:
 
 # -- progress on standard error ----------------------------------------------------------------------------------------
 @contextmanager
-def shown_progress(title: str, quiet: bool) -> Iterator[Progress]:
-    """The callback for a job: a bar on a terminal, which is hidden in the first half second, else a line in a while."""
+def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[Progress]:
+    """The callback for a job: a bar on a terminal, which is hidden in the first half second, else a line every
+    `interval` seconds, even while the job reports nothing."""
+    started = time.monotonic()
     if quiet or sys.stderr is None:  # None: closed, as by 2>&-
         yield silent
-        return
-    if not sys.stderr.isatty():
-        with lines(title) as told:
-            yield told.tell
-        return
-    from rich.console import Console
-    from rich.progress import Progress as Bar
+    elif sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+        from rich.table import Column
 
-    with Bar(*bar_columns(), console=Console(stderr=True), transient=True, expand=True) as bar:
-        task, started = bar.add_task(title, total=None, visible=False), time.monotonic()
+        # a terminal too narrow for all of it cuts the text, never the times
+        text = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True))
+        elapsed, left = (Column(no_wrap=True, min_width=len("0:00:00")) for _ in range(2))
+        times = TimeElapsedColumn(table_column=elapsed), TimeRemainingColumn(table_column=left)
+        columns = text, BarColumn(bar_width=8), *times
+        with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
+            task = bar.add_task(title, total=None, visible=False)
 
-        def report(done: float, total: float | None, message: str) -> None:
-            visible = time.monotonic() - started > 0.5
-            bar.update(task, completed=done, total=total, description=message or title, visible=visible)
+            def report(done: float, total: float | None, message: str) -> None:
+                visible = time.monotonic() - started > 0.5
+                bar.update(task, completed=done, total=total, description=message or title, visible=visible)
 
-        yield report
+            yield report
+    else:
+        latest, ended = [""], threading.Event()
 
+        def tell(done: float, total: float | None, message: str) -> None:
+            share = [f"{100.0 * done / total:.0f} % done"] if total and 0 < done < total else []
+            latest[0] = "".join(f", {part}" for part in (message, *share) if part)
 
-def bar_columns() -> list[ProgressColumn]:
-    """Text, bar, time elapsed and left; a terminal too narrow for all of it cuts the text, never the times."""
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-    from rich.table import Column
+        def speak() -> None:
+            while not ended.wait(interval):
+                click.echo(f"armcal {title}: {time.monotonic() - started:.0f} s{latest[0]}", err=True)
 
-    text = Column(ratio=1, no_wrap=True, overflow="ellipsis")
-    elapsed, left = (Column(no_wrap=True, min_width=len("0:00:00")) for _ in range(2))
-    times = TimeElapsedColumn(table_column=elapsed), TimeRemainingColumn(table_column=left)
-    return [TextColumn("{task.description}", markup=False, table_column=text), BarColumn(bar_width=8), *times]
-
-
-@dataclass
-class Lines:
-    """The latest report of a job, formatted as a line of a log."""
-
-    title: str
-    started: float = field(default_factory=time.monotonic)
-    done: float = 0.0
-    total: float | None = None
-    message: str = ""
-    advanced: float = field(default_factory=time.monotonic)  # when `done` last grew
-
-    def tell(self, done: float, total: float | None, message: str) -> None:
-        """Store a report of the job."""
-        if done != self.done:
-            self.advanced = time.monotonic()
-        self.done, self.total, self.message = done, total, message
-
-    def text(self) -> str:
-        """'armcal design: 20 s, best -1.35, 40 % done, about 30 s left'."""
-        used = time.monotonic() - self.started
-        parts = [f"armcal {self.title}: {used:.0f} s", *filter(None, [self.message])]
-        if self.total and 0 < self.done < self.total:
-            since = time.monotonic() - self.advanced
-            left = max((used - since) * (self.total / self.done - 1.0) - since, 0.0)
-            parts.append(f"{100.0 * self.done / self.total:.0f} % done, about {left:.0f} s left")
-        return ", ".join(parts)
-
-
-@contextmanager
-def lines(title: str, interval: float = INTERVAL) -> Iterator[Lines]:
-    """Print a line every `interval` seconds, even while the job reports nothing."""
-    told, ended = Lines(title), threading.Event()
-
-    def speak() -> None:
-        while not ended.wait(interval):
-            click.echo(told.text(), err=True)
-
-    speaker = threading.Thread(target=speak, daemon=True)
-    speaker.start()
-    try:
-        yield told
-    finally:
-        ended.set()
-        speaker.join()
+        speaker = threading.Thread(target=speak, daemon=True)
+        speaker.start()
+        try:
+            yield tell
+        finally:
+            ended.set()
+            speaker.join()
 
 
 # -- output ------------------------------------------------------------------------------------------------------------
-def no_output(error: OSError) -> NoReturn:
-    """Exit with one line on standard error: standard output cannot be written."""
-    say(f"standard output cannot be written ({error.strerror})")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries again when it ends
-    sys.exit(1)
-
-
 def shown(answer: Answer, as_json: bool) -> None:
     """The answer on standard output."""
     if as_json:

@@ -21,7 +21,7 @@ from identification.document import (
     number,
     unit_or_dash,
 )
-from identification.effects.catalogue import GRAVITY, Entry
+from identification.effects.catalogue import Entry
 from identification.kinematics.parameters import REVOLUTE
 from identification.running import Status
 from identification.sessions import placing
@@ -43,15 +43,9 @@ DRAWN = {
     "offsets": "after fitting joint offsets and where the arm stands",
     "none": "as it stands",
 }
-ALL_OF_THEM = (
-    "All values belong together: do not enter a part of them. --full prints the complete table, --json and --out have "
-    "it; --urdf writes it as a URDF file.",
-    "--parameters minimal gives a complete set of as few values as will do, with all others as drawn: the one to type "
-    "in by hand.",
-)
 BETA = (
     "beta: turn about the new y axis after alpha, where the next axis is nearly parallel (Hayati). A controller that "
-    "has no beta cannot take that row; --full prints frames of six numbers, --urdf writes them."
+    "has no beta cannot take that row; --urdf writes frames of six numbers."
 )
 FITTED = "these are the measurements that the model was identified from: this says nothing about others"
 BY_CHANCE = "may be chance"  # said of a gain within what the rows scatter by
@@ -83,17 +77,21 @@ def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
     return f"{scatter}: {cause}. The intervals {follows}; {do}"
 
 
-def reading_unit(model: Any) -> str:
-    """Unit of the errors of what has an arm: that of what its instrument reads."""
-    arm = getattr(model, "arm", None)
+def reading_unit(arm: Any) -> str:
+    """Unit of the errors of an arm, None: of no arm: that of what its instrument reads."""
     return "px" if arm is not None and any(c.quantity == "pixel" for c in arm.chain.instrument.coordinates) else "mm"
+
+
+def unit_key(arm: Any) -> dict[str, str]:
+    """`reading_unit` of JSON, where it is not mm."""
+    return {} if (unit := reading_unit(arm)) == "mm" else {"reading_unit": unit}
 
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
     closed = fit.method == "linear" and fit.status is Status.converged
     outcome = "Closed form, the exact global minimum." if closed else fit.status.value
-    unit, tip = reading_unit(fit.model), None
+    unit, tip = reading_unit(fit.arm), None
     if fit.expected_tip is not None:
         doubt = "; but chi2 says that it is not" if fit.misfit else ""
         measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
@@ -134,24 +132,18 @@ def parameters_document(fit: Identification) -> Document:
     return Document("Identification", [], [table, Sheet.facts([*open_ones, *fit_facts(fit)])], (), fit.warnings)
 
 
-def identification_document(
-    result: Identification, data: Data, hidden: frozenset[str] = frozenset(), *, full: bool = True
-) -> Document:
-    """Everything about a fit: warnings, verdict, figures, the corrected values but for those `hidden`.
+def identification_document(result: Identification, data: Data, hidden: frozenset[str] = frozenset()) -> Document:
+    """Everything about a fit: warnings, verdict, figures, the Denavit-Hartenberg table where the arm file has one, else
+    the corrected values but for those `hidden`.
 
     data : what `armcal identify --json` says of it
-    full : False: of a spatial arm its Denavit-Hartenberg table, or the values that the measurements determine
     """
-    rows, space = [row for row in result.corrected_values if row.parameter not in hidden], result.geometry
     # of the class of the others: estimation, where it is defined, imports this module
     dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
-    if full:
-        strict = [] if space is None else space.strict_table
-        sections = [corrected_section("Corrected values", rows, *strict)]
-    else:
-        sections = dh_sections(dh, data.get("dh_places", ())) or [in_short(rows, minimal=not hidden)]
+    rows = [row for row in result.corrected_values if row.parameter not in hidden]
+    sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows)]
     left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
-    others = f"{reading_unit(result.model)} RMS: each posture predicted by a fit to the others, noise included"
+    others = f"{reading_unit(result.arm)} RMS: each posture predicted by a fit to the others, noise included"
     figures: list[tuple[str, str | None]] = [
         *fit_facts(result),
         ("cross-validated", None if left is None else f"{number(left)} {others}"),
@@ -231,24 +223,13 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str,
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
     """Nominal and corrected values with intervals, without those that are the drawing's to the last digit shown."""
-    keys = ("nominal", "corrected", "std", "low_95", "high_95")
-    cells = [
-        [
-            f"{row.name} *" if row.weak else row.name,
-            *(estimate_text(getattr(row, key), row.std, row.unit) for key in keys),
-            unit_or_dash(row.unit),
-        ]
-        for row in rows
-        if not equals_drawing(row, 5)
-    ]
+    keys, cells = ("nominal", "corrected", "std", "low_95", "high_95"), []
+    for row in rows:
+        name, std, unit = f"{row.name} *" if row.weak else row.name, row.std, row.unit
+        same = {number(getattr(row, key), 5) for key in keys if key != "std"}
+        if unit not in ("mm", "deg") or len(same) > 1 or row.nominal is None:
+            cells.append([name, *(estimate_text(getattr(row, key), std, unit) for key in keys), unit_or_dash(unit)])
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
-
-
-def equals_drawing(row: CorrectedValue, decimals: int) -> bool:
-    """Whether a length or an angle and its interval are the drawing's to this many decimals."""
-    figures = (row.nominal, row.corrected, row.low_95, row.high_95)
-    same = {None if figure is None else f"{figure:z.{decimals}f}" for figure in figures}
-    return row.unit in ("mm", "deg") and None not in same and len(same) == 1
 
 
 def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str = "") -> list[Section]:
@@ -259,27 +240,6 @@ def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str 
     beta = [BETA] if any(row.name.endswith(" beta") for row in rows) else []
     title = f"Corrected Denavit-Hartenberg table{name and f': {name}'}"
     return [Section(title, [corrected_table(rows), *lines, together, *beta])] if rows else []
-
-
-def in_short(rows: Sequence[CorrectedValue], minimal: bool) -> Section:
-    """Of a spatial arm the values that the measurements determine, base and points, the others counted, and where all
-    of them are.
-
-    minimal : whether a minimal set can be fitted instead, which has no prior
-    """
-    frames, places = ([row for row in rows if (row.nominal is None) is placed] for placed in (False, True))
-    sure = [row for row in frames if not row.weak and not equals_drawing(row, 3)]
-    weak: dict[str, list[str]] = {}  # `joint 2 x, y, yaw; zero of joint 5`
-    for place, _, axis in (row.name.rpartition(" ") for row in frames if row.weak):
-        weak.setdefault(place, []).append(axis)
-    parts: list[Part] = [corrected_table([*sure, *(row for row in places if row.corrected is not None)])]
-    if weak:
-        named = "; ".join(f"{place} {', '.join(axes)}" for place, axes in weak.items())
-        parts.append(f"Weakly determined, mostly the prior of [machining]: {named}.")
-    if same := len(frames) - len(sure) - sum(map(len, weak.values())):
-        parts.append(f"As drawn to three decimals: {same} more.")
-    title = f"Well determined: {len(sure)} of {len(frames)} corrected values"
-    return Section(title, [*parts, *(ALL_OF_THEM if minimal else ALL_OF_THEM[:1])])
 
 
 # -- what to do next ---------------------------------------------------------------------------------------------------
@@ -458,15 +418,6 @@ def library_document(entries: Sequence[Entry]) -> Document:
         parts.append(Sheet(("name", "what is wrong", "needs"), rows, title))
     advice = "A name with :j belongs to joint j. More about one of them: armcal effects backlash"
     return Document("Effects", [], [*parts, advice])
-
-
-def gravity_document(needed: Sequence[str]) -> Document:
-    """What is no effect but what effects follow from;  needed : names of these"""
-    needs = (
-        "[gravity] is no effect but a block of the arm file: how gravity pulls, and what the links and the payload "
-        f"weigh. The torques that follow from it are needed by {', '.join(needed)}. To paste, with your masses:"
-    )
-    return Document("gravity", [], [f"{needs}\n\n{GRAVITY}\n"])
 
 
 def entry_document(entry: Entry) -> Document:

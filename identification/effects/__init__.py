@@ -1,3 +1,4 @@
+# ruff: noqa: F401 - the names of this package
 """The effect library: every physical effect is one class (identification/README.md, "Effects").
 
 A user's own effect is a subclass of `Effect` under the decorator `register`, or is found through the entry-point group
@@ -13,27 +14,13 @@ from itertools import repeat
 from types import MappingProxyType
 
 from identification.arm import EffectSpec
-from identification.effects import formulas  # noqa: F401  (it fills the library)
+from identification.effects import formulas  # it fills the library
 from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
 from identification.effects.chain import Chain
 from identification.errors import InputError, close_names, nearest, suggestion
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
 from identification.running import additions
-
-__all__ = [
-    "Chain",
-    "Effect",
-    "Parameter",
-    "Scope",
-    "Setting",
-    "build",
-    "build_all",
-    "library",
-    "of_dimension",
-    "register",
-    "unknown_effect",
-]
 
 # what people call what the library has another name for
 OTHER_NAMES = {

@@ -79,7 +79,7 @@ def entries() -> list[Entry]:
 def entry(name: str) -> Entry:
     """The effect with this name. Raises `InputError` for an unknown name."""
     if name not in library():
-        raise unknown_effect(name, ("gravity",))
+        raise unknown_effect(name)
     cls = library()[name]
     settings = {key: Setting.of(value) for key, value in cls.settings.items()}
     chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}

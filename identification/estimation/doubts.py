@@ -12,7 +12,7 @@ and along the axis where it turns about one only, however many rows there are.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm, Machining
 from identification.arrays import Array, rows_in_words
+from identification.estimation.problem import Contradiction
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, product_inverse
 from identification.inspection.readings import DRAWN, read_differently
@@ -263,22 +264,6 @@ def copied_rows(measurements: Measurements) -> list[str]:
 
 
 # -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-class Contradiction(NamedTuple):
-    """A parameter in file units: as the prior has it, and as the measurements do without that prior; both with the
-    parameters that are not contradicted as the earlier calibration has them.
-
-    instead : parameters that would explain the measurements as well
-    """
-
-    name: str
-    unit: str
-    prior: float
-    prior_std: float
-    value: float
-    std: float
-    instead: tuple[str, ...] = ()
-
-
 def contradiction_warnings(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
     """The warning;  without_prior : parameters without a prior."""
     if not contradictions:

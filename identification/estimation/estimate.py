@@ -17,14 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.doubts import Contradiction, doubts, far_from_drawing, far_rows, flange_turns
+from identification.estimation.doubts import doubts, far_from_drawing, far_rows, flange_turns
 from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
     METHODS,
     Prior,
     Problem,
     check_measurements,
-    conditioned,
     contradicted,
     likeliest,
     starts,
@@ -50,19 +49,16 @@ def estimate(
     measurements: Measurements,
     method: str | None = None,
     sigma: ArrayLike | Literal["given", "estimated"] | None = None,
-    weights: ArrayLike | None = None,
 ) -> Identification:
     """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
 
     model : a `Model`, or another, of any dimension, with the same parameters, prior, values, joints, effects, sigma,
         reach, closed_form, position and linearize
-    method : `linear` (closed form, the default where the model is linear in its links), `gauss_newton` (the default
-        for every other model) or `paper_steps`
+    method : `linear` (closed form, the default where the model is linear in its links) or `gauss_newton` (the default
+        for every other model)
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
         same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
         out: as "given" as long as chi2 does not contradict it, else the scatter of the residuals
-    weights : (m,) relative weights >= 0 of the rows, on top of sigma: the variance of row i is sigma^2 / weights_i;
-        rows of weight 0 are left out
 
     Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so; its
     geometry is held by the prior of its machining, as by `estimate_with_prior`. What a plan does not determine is named
@@ -72,9 +68,9 @@ def estimate(
     if prior := model.prior:
         if method not in (None, "gauss_newton"):
             raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
-        return estimate_with_prior(model, measurements, Prior(prior), sigma, weights)
+        return estimate_with_prior(model, measurements, Prior(prior), sigma)
     placed = placed_model(model, measurements)
-    problem = Problem.of(placed, measurements, sigma, weights)
+    problem = Problem.of(placed, measurements, sigma)
     chosen = method or ("linear" if problem.exact_form else "gauss_newton")
     if chosen not in METHODS:
         raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
@@ -82,7 +78,7 @@ def estimate(
     while True:
         solution = METHODS[chosen](problem)
         if not (status := solution.status[0]).succeeded:
-            raise JobError(f"{chosen}: {status.value} Nothing damps this method; gauss_newton may do better.")
+            raise JobError(f"{chosen}: {status.value}")
         residuals, jacobians = problem.linearize(solution.parameters, np.arange(1))
         decomposed = spectrum(jacobians[0], placed.scales, problem.tolerance)
         if useful > RANK_TOLERANCE:
@@ -114,11 +110,10 @@ def estimate_with_prior(
     measurements: Measurements,
     prior: Prior,
     sigma: ArrayLike | Literal["given", "estimated"] | None = None,
-    weights: ArrayLike | None = None,
 ) -> Identification:
     """Estimates of all parameters, those with a prior as far as the data move them, with intervals of the posterior.
 
-    model, measurements, weights : as of `estimate`
+    model, measurements : as of `estimate`
     sigma : numbers or "given": the noise is what is given; "estimated": of the largest marginal likelihood; left out:
         the latter, but no less than what is given
 
@@ -130,33 +125,13 @@ def estimate_with_prior(
     model, zeros = placed_with_zeros(model, measurements)
     prior = replace(prior, deviations={**model.prior, **prior.deviations})
     check_measurements(model, measurements, prior)
-    problem, solution, widths, jacobian = _with_likeliest_noise(
-        Problem.of(model, measurements, sigma, weights, prior), zeros
-    )
+    problem, solution, widths, jacobian = _with_likeliest_noise(Problem.of(model, measurements, sigma, prior), zeros)
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, problem.prior_rows)
     determined = decomposed.determined(jacobian)
     fit = _identification(problem, measurements, "gauss_newton", solution, decomposed, determined)
     far = (*fit.doubts, *far_from_drawing(model.arm.machining, *widths))
     fit = replace(fit, prior=problem.prior, machining_factor=widths[0] if model.prior else None, doubts=far)
-    if (earlier := prior.earlier) is None:
-        return fit
-    names, noise, jacobian = contradicted(problem, fit.parameters)
-    least = replace(problem, noise=min(noise, problem.noise))  # that is there without the earlier calibration
-    seen = spectrum(jacobian, model.scales, problem.tolerance, least.prior_rows).covariance
-    fit = replace(fit, covariance_seen=least.noise**2 * seen)
-    if not names:
-        return fit
-    others = {name: earlier.values[name] for name in earlier.parameter_names if name not in names}
-    held = replace(model, held={**model.fixed, **others})
-    free = estimate_with_prior(held, measurements, replace(prior, earlier=None), sigma, weights)
-    before, contradictions = conditioned(earlier, others), []
-    for name, instead in names.items():
-        p, k = free.model.parameters[now := free.names.index(name)], before.parameter_names.index(name)
-        old = before.values[name], np.sqrt(np.asarray(before.covariance)[k, k])
-        figures = *old, free.parameters[now], free.std[now]
-        prior_value, prior_std, value, std = (float(x * p.to_file) for x in figures)
-        contradictions.append(Contradiction(name, p.file_unit, prior_value, prior_std, value, std, instead))
-    return replace(fit, contradictions=tuple(contradictions))
+    return fit if prior.earlier is None else replace(fit, contradictions=contradicted(problem, fit.parameters))
 
 
 def without_outliers(
@@ -289,15 +264,12 @@ def _identification(
 
 
 # -- many data sets ----------------------------------------------------------------------------------------------------
-def estimate_batch(
-    model: Model, plan: Measurements | ArrayLike, positions: ArrayLike, weights: ArrayLike | None = None
-) -> Solution:
+def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: ArrayLike) -> Solution:
     """Fits every data set, each as `estimate` would.
 
-    plan : measurements whose postures and conditions all data sets share (their positions are not read), or (m, n)
-        postures [rad] in the order of measurement
+    plan : measurements whose postures, conditions and sigma per row, if they have one, all data sets share (their
+        positions are not read), or (m, n) postures [rad] in the order of measurement
     positions : (K, m, d) measured [mm]
-    weights : (m,) relative weights of the rows; left out: 1/sigma^2 with the plan's sigma per row where it has one
 
     A spatial arm stands where its file has it. Its geometry is held by the prior of its machining (`Model.prior`),
     weighed against the plan's sigma, else the arm's, as by `estimate` with sigma="given".
@@ -313,7 +285,7 @@ def estimate_batch(
     check_measurements(model, replace(plan, positions=np.zeros((m, d))))
     sigma = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
     prior = Prior(model.prior) if model.prior else None
-    problem = replace(Problem.of(model, plan, sigma if prior is None else "given", weights, prior), positions=measured)
+    problem = replace(Problem.of(model, plan, sigma if prior is None else "given", prior), positions=measured)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
     if undetermined := decomposed.identifiability(model.names, model.scales).combinations:
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")

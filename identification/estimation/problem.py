@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +34,7 @@ from identification.estimation.levenberg_marquardt import (
     levenberg_marquardt,
     outcomes,
 )
-from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, product_inverse, significant, spectrum
+from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.measurements import Conditions, Measurements
@@ -51,18 +52,6 @@ SOURCES = {  # what an effect needs -> where it comes from
 
 
 # -- the prior ---------------------------------------------------------------------------------------------------------
-def conditioned(calibration: Calibration, values: Mapping[str, float]) -> Calibration:
-    """A calibration's normal distribution of the others, where some of its parameters have these values."""
-    names, covariance = calibration.parameter_names, np.asarray(calibration.covariance)
-    means = np.array([calibration.values[name] for name in names])
-    named = np.array([name in values for name in names], dtype=bool)
-    crossed, off = covariance[np.ix_(~named, named)], [values[name] for name in names if name in values] - means[named]
-    gain = crossed @ product_inverse(covariance[np.ix_(named, named)])
-    free = tuple(name for name in names if name not in values)
-    moved = dict(zip(free, (means[~named] + gain @ off).tolist(), strict=True))
-    return Calibration(moved, free, covariance[np.ix_(~named, ~named)] - gain @ crossed.T)
-
-
 @dataclass(frozen=True, eq=False)
 class Prior(ByValue):
     """Independent normal distributions of zero mean, and that of an earlier calibration, with its covariance.
@@ -150,7 +139,7 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
         for need, lacks, what in (
             ("temperature", measurements.temperature is None, "the column temperature_C, the measurements have none"),
             ("gravity", model.arm.gravity is None, "gravity torques"),
-            ("distance", "distance" not in model.arm.offers, "measured distances"),
+            ("distance", "distance" not in model.arm.chain.instrument.offers, "measured distances"),
         ):
             if lacks and need in effect.needs:
                 raise InputError(f"effects: {effect.key} needs {what}, allowed: {SOURCES[need]}")
@@ -191,16 +180,12 @@ class Problem:
         model: Model,
         measurements: Measurements,
         sigma: ArrayLike | str | None = None,
-        weights: ArrayLike | None = None,
         prior: Prior | None = None,
     ) -> Problem:
-        """The problem of one data set;  sigma, weights : as of `estimate`. Which sigma holds: argument, then rows, then
+        """The problem of one data set;  sigma : as of `estimate`. Which sigma holds: argument, then rows, then
         arm. Of rows that are copied the first counts, the others have no weight. Raises `InputError`."""
         m, data = len(measurements), measurements
-        relative = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
-        if relative.shape != (m,) or not np.all(np.isfinite(relative) & (relative >= 0.0)) or not np.any(relative):
-            raise InputError(f"weights: shape {relative.shape}, allowed: ({m},) finite numbers >= 0, not all zero")
-        relative = np.where(data.originals == np.arange(m), relative, 0.0)
+        relative = np.where(data.originals == np.arange(m), 1.0, 0.0)
         reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
         if isinstance(sigma, str) and sigma not in RELIANCE:
             raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
@@ -383,73 +368,83 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
 
 
 # -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-def posterior_squares(problem: Problem, x: Array, residual: Array, jacobian: Array) -> float:
-    """Least weighted squares, of measurements and prior together, in units of the noise, linear about x (p,).
+class Contradiction(NamedTuple):
+    """A parameter in file units: as the earlier calibration has it, and as the fit does without that prior of it.
+
+    instead : parameters that would explain the measurements as well
+    """
+
+    name: str
+    unit: str
+    prior: float
+    prior_std: float
+    value: float
+    std: float
+    instead: tuple[str, ...] = ()
+
+
+def released_drops(problem: Problem, x: Array, residual: Array, jacobian: Array) -> dict[str, float]:
+    """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units of
+    the noise, fall where its own prior is released and the others' stay, linear about x (p,).
+
+    Released, a mean of the prior is one more unknown: its column is that of the calibration's rows.
 
     residual, jacobian : of `Problem.linearized`
     """
+    assert problem.prior is not None
+    assert problem.prior.earlier is not None
+    names = [name for name in problem.model.names if name in problem.prior.earlier.parameter_names]
     rows = problem.prior_rows
     whole = np.concatenate([jacobian, rows])
+    shifts = np.zeros((len(whole), len(names)))
+    shifts[-len(names) :] = rows[-len(names) :, [problem.model.names.index(name) for name in names]]
     target = np.concatenate([residual, rows @ (problem.prior_center - x)])
-    scaled = whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
-    left = target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]
-    return float(left @ left) / problem.noise**2
+    basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
+    left = shifts - basis @ (basis.T @ shifts)
+    squares = np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny)
+    return dict(zip(names, ((left.T @ target) ** 2 / squares / problem.noise**2).tolist(), strict=True))
 
 
-def contradicted(problem: Problem, x: Array) -> tuple[dict[str, tuple[str, ...]], float, Array]:
-    """Parameters whose prior, an earlier calibration, the measurements contradict, the clearest first, each with those
-    that would explain it as well; and the noise without that calibration and the (N, p) Jacobian, about x.
+def contradicted(problem: Problem, x: Array) -> tuple[Contradiction, ...]:
+    """Parameters whose prior, an earlier calibration, the measurements contradict, the clearest first.
 
-    The drop of the weighted squares, where a parameter's own prior is released and the others' stay, is chi2 of one
-    degree of freedom if both agree (F where the noise is estimated). What drops it most is released first, since errors
-    of one parameter look like errors of others, and the fit is made again, from the one before since an error of
-    degrees is not linear, before the others are tested.
+    The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
+    What drops it most is released first, since errors of one parameter look like errors of others, and the fit is made
+    again, from the one before since an error of degrees is not linear, before the others are tested.
 
     x : (p,) of the fit with the whole prior
     """
-    model, prior, explained, first = problem.model, problem.prior, dict[str, tuple[str, ...]](), None
+    model, prior, explained = problem.model, problem.prior, dict[str, tuple[str, ...]]()
     assert prior is not None
-    assert prior.earlier is not None
-    alone = replace(problem, prior=prior.released(model.names, model.prior))
-    while True:
+    earlier = prior.earlier
+    assert earlier is not None
+    alone, posed = replace(problem, prior=prior.released(model.names, model.prior)), problem
+    while posed.prior is not None and posed.prior.earlier is not None:
         residual, jacobian = problem.linearized(x)
         noise = likeliest(alone, x, residual, jacobian)[0]
-        first = first or (noise, jacobian)
         decomposed = spectrum(jacobian, model.scales, prior=replace(alone, noise=noise).prior_rows)
         freedom = problem.equations - decomposed.determined(jacobian)
         if problem.reliance == "given" or (problem.sigma is not None and noise == 1.0):
             freedom = np.inf
         if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
-            return explained, *first
-
-        left, rest = (
-            dict[str, float](),
-            [name for name in prior.earlier.parameter_names if name in {*model.names} - {*explained}],
-        )
-        for name in ("", *rest):
-            released = replace(problem, prior=prior.released([*explained, name], model.prior), noise=noise)
-            left[name] = posterior_squares(released, x, residual, jacobian)
-        if (worst := worst_contradicted(left, freedom)) is None:
-            return explained, *first
-        explained |= worst
-        freed = replace(problem, prior=prior.released(explained, model.prior), noise=noise)
-        x = freed.minimized(x[None]).parameters[0]
-
-
-def worst_contradicted(left: Mapping[str, float], freedom: float) -> dict[str, tuple[str, ...]] | None:
-    """The parameter whose prior is contradicted most, with those that would explain it as well; None where none is.
-
-    left : name -> least squares without its prior, and with that of all under "";  freedom : of the noise, infinite
-        where it is given
-    """
-    *_, best = sorted(left, key=lambda name: -left[name])
-
-    def p_value(drop: float) -> float:
-        return float(chdtrc(1.0, max(drop, 0.0)) if np.isinf(freedom) else fdtrc(1.0, freedom, max(drop, 0.0)))
-
-    if best == "" or p_value(left[""] - left[best]) * (len(left) - 1) >= 0.01:
-        return None
-    return {best: tuple(name for name in left if name not in ("", best) and p_value(left[name] - left[best]) > 0.05)}
+            break
+        drops = released_drops(replace(posed, noise=noise), x, residual, jacobian)
+        worst = max(drops, key=drops.__getitem__)
+        less = np.array([drops[worst], *(drops[worst] - drop for drop in drops.values())])
+        p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
+        if p_least * len(drops) >= 0.01:
+            break
+        explained[worst] = tuple(name for name, p in zip(drops, p_less, strict=True) if p > 0.05 and name != worst)
+        posed = replace(problem, prior=prior.released(explained, model.prior), noise=noise)
+        x = posed.minimized(x[None]).parameters[0]
+    covariance = posed.noise**2 * spectrum(posed.linearized(x)[1], model.scales, prior=posed.prior_rows).covariance
+    contradictions = []
+    for name, instead in explained.items():
+        p, of_earlier = model.parameters[k := model.names.index(name)], earlier.about({name}).covariance
+        figures = earlier.values[name], np.sqrt(np.asarray(of_earlier)[0, 0]), x[k], np.sqrt(covariance[k, k])
+        prior_value, prior_std, value, std = (float(figure * p.to_file) for figure in figures)
+        contradictions.append(Contradiction(name, p.file_unit, prior_value, prior_std, value, std, instead))
+    return tuple(contradictions)
 
 
 # -- the methods -------------------------------------------------------------------------------------------------------
@@ -464,38 +459,9 @@ def linear(problem: Problem) -> Solution:
     return Solution(parameters, squares, status)
 
 
-def paper_steps(problem: Problem) -> Solution:
-    """The paper's iteration (Section III, Steps 1-5): the linearised solution of eq. 11, repeated until the correction
-    is below 1e-12 of the reach ("required accuracy").
-
-    Step 1 starts at zero errors, Step 2 computes positions, Step 3 solves eq. 11 for the residuals, Step 4 corrects the
-    model, Step 5 repeats. Nothing damps it and it knows no bounds. A linear change of coordinates does not change the
-    iteration, so orientation offsets (the paper's) and joint offsets (ours) take the same steps.
-
-    Raises `InputError` for parameters with bounds.
-    """
-    model, limit = problem.model, 1e-12 * problem.model.reach
-    for parameter in model.parameters:
-        if np.isfinite(parameter.lower) or np.isfinite(parameter.upper):
-            bounded = f"{parameter.name} is bounded to [{parameter.lower:g}, {parameter.upper:g}]"
-            raise InputError(f"method: paper_steps knows no bounds, {bounded}; allowed: gauss_newton")
-    errors, correction, steps = np.zeros(len(model.parameters)), np.array(np.inf), 0  # Step 1
-    while np.linalg.norm(correction * model.scales) > limit and steps < 50 and np.all(np.isfinite(errors)):  # Step 5
-        residuals, jacobian = (rows[0] for rows in problem.linearize(errors[None], np.arange(1)))  # Step 2
-        # Step 3, eq. 11: the least-squares solution, the shortest where the rank is not full
-        root = spectrum(jacobian, model.scales, problem.tolerance).root
-        correction = root @ ((jacobian @ root).T @ residuals)
-        errors, steps = errors + correction, steps + 1  # Step 4
-    finite = bool(np.all(np.isfinite(errors)))
-    status = Status.converged if finite and steps < 50 else Status.iteration_limit if finite else Status.solver_failed
-    x = (errors if finite else np.zeros(len(errors)))[None]
-    return Solution(x, problem.squares(x), np.array([status]), iterations=np.array([steps]))
-
-
 METHODS: Mapping[str, Callable[[Problem], Solution]] = {
     "linear": linear,
     "gauss_newton": lambda problem: problem.minimized(starts(problem)),  # Levenberg-Marquardt: the name is historical
-    "paper_steps": paper_steps,
 }
 
 

@@ -7,22 +7,22 @@ table is a complete set of values, none of which is arbitrary.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, frame_of_rows, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
-from identification.estimation.doubts import Contradiction, contradiction_warnings, hardly_determined, tip_of
-from identification.estimation.problem import Prior
+from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
+from identification.estimation.problem import Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
 from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
@@ -35,7 +35,6 @@ from identification.running import Status
 STEP = {"mm": 1e-3, "rad": 1e-6}  # of central differences: exact for shifts, to 1e-12 for angles
 ZERO = "add to the zero of joint {j}: real position = reading + this; or take it off every command"
 STANDS = "where the arm stands: type it into the controller only if the measurements are in the controller's own frame"
-TURNED = f"zero of joint 1 with how the arm is turned, {STANDS}"
 FRAME = "frame of joint {j} in that of {before}, as a URDF joint's origin: x, y, z, then roll, pitch, yaw"
 TURNED_FRAME = (
     "frame of joint {j} in that of {before}: x, y, z, then how it is turned from the drawing about its own x, y and z "
@@ -52,15 +51,8 @@ DH_MEANING = {  # unit, and what the number of a row of the table means
     ),
 }
 # keys of the JSON of a fit that a calibration has elsewhere or is read without
-NOT_KEPT = (
-    "parameters p_value status warnings outlier_rows unexplained_rows clusters base tools geometry joint_offsets "
-    "strict_table"
-)
+NOT_KEPT = "parameters p_value status warnings outlier_rows unexplained_rows clusters base tools geometry joint_offsets"
 Values = Mapping[str, float]  # parameter name -> value [API unit]
-# name, parameter, nominal, value, its derivatives by parameters, unit, convention, bounds: all but the names in file
-# units, derivatives per API unit
-Quantity = tuple[str, str | None, float | None, float, Values, str, str, tuple[float, float]]
-UNBOUNDED = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,7 +76,6 @@ class Identification(Documented):
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     contradictions : parameters whose prior, an earlier calibration, the measurements contradict
-    covariance_seen : (p, p) with the noise that is there without that prior; None: no such prior
     flange_turns : (3,) see `doubts.flange_turns`, of a fit of both base and measured points; None: of others
     """
 
@@ -111,7 +102,6 @@ class Identification(Documented):
     prior: Prior | None = None
     machining_factor: float | None = None
     contradictions: tuple[Contradiction, ...] = ()
-    covariance_seen: Array | None = None
     flange_turns: Array | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
@@ -223,7 +213,7 @@ class Identification(Documented):
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        if self.arm is None or self.arm.chain.planar:
+        if self.arm is None or not self.arm.chain.frame_kinds:
             return None
         return CorrectedGeometry(self.arm.chain, self.values, self.arm.counting)
 
@@ -251,7 +241,7 @@ class Identification(Documented):
         unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
         factor = None if self.prior is None else self.prior.factor(self.model.parameters)
         freedom = self.uncertainty.freedom
-        return corrected_values(self.arm, calibration, freedom, unknown, factor, self.covariance_seen)
+        return corrected_values(self.arm, calibration, freedom, unknown, factor)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
@@ -294,9 +284,9 @@ class Identification(Documented):
             for p, *figures in rows
         ]
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """`corrected_values` as a frame, polars or pandas."""
-        return frame_of_rows([row.to_json() for row in self.corrected_values], kind)
+    def to_frame(self) -> Any:
+        """`corrected_values` as a frame."""
+        return as_frame([row.to_json() for row in self.corrected_values])
 
     def document(self) -> Document:
         """The parameters with their intervals, and how well the model fits."""
@@ -313,7 +303,6 @@ class CorrectedValue:
     std, low_95, high_95 : None where the value is held, or nothing can be said
     convention : what the value means, and what to do with it
     prior_std : standard deviation before the measurements, None: nothing was known, or not of all that it is made of
-    held_by_prior : the measurements say next to nothing about it: they take less than a tenth of its variance
     """
 
     name: str
@@ -326,7 +315,6 @@ class CorrectedValue:
     unit: str
     convention: str
     prior_std: float | None = None
-    held_by_prior: bool = False
 
     @property
     def weak(self) -> bool:
@@ -338,116 +326,113 @@ class CorrectedValue:
         return dict(vars(self))
 
 
+class _Spread(NamedTuple):
+    """What is known of parameters: names and covariance (p, p), degrees of freedom of the variances (p,), a factor
+    (p, r) of the covariance before the measurements, and names of those that are not estimable."""
+
+    names: tuple[str, ...]
+    covariance: Array | None
+    freedom: Array
+    before: Array
+    unknown: Collection[str] = ()
+
+    def row(
+        self,
+        name: str,
+        nominal: float | None,
+        value: float,
+        slopes: Values,
+        unit: str,
+        convention: str,
+        bounds: tuple[float, float] = (-np.inf, np.inf),
+    ) -> CorrectedValue:
+        """A value with what is known of it;  slopes : its derivatives by parameters [API unit]; all else in file units,
+        of one parameter its name is said."""
+        slope = np.array([slopes.get(each, 0.0) for each in self.names])
+        at, deviation, prior = np.flatnonzero(slope), np.nan, None
+        slope, before = slope[at], self.before[at]
+        undetermined = any(slopes.get(each) for each in self.unknown)
+        if self.covariance is not None and at.size and not undetermined:
+            deviation = max(float(slope @ self.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
+        half = float(quantile_95(self.freedom[at].min(initial=np.inf))) * deviation
+        figures = [np.nan if undetermined else value, deviation, *np.clip([value - half, value + half], *bounds)]
+        corrected, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
+        if at.size and np.all(np.any(before != 0.0, axis=1)):
+            prior = float(np.linalg.norm(before.T @ slope))
+        parameter = next(iter(slopes)) if len(slopes) == 1 else None
+        return CorrectedValue(name, parameter, nominal, corrected, std, low, high, unit, convention, prior)
+
+
 def corrected_values(
     arm: Arm,
     calibration: Calibration | None = None,
     freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
     factor: Array | None = None,
-    seen: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
-    """What was estimated or differs from the drawing: geometry, then effects.
+    """What was estimated or differs from the drawing: lengths and zeros of a planar arm; in space zeros, frames, base
+    and measured points; values of the instrument, where they were estimated; and parameters of effects.
 
     calibration : None: the arm's own calibration
     freedom : degrees of freedom of the variances of `calibration.parameter_names`; None: as its provenance says
     unknown : names of parameters that are not estimable
     factor : (p, r) factor of the covariance of `calibration.parameter_names` before the measurements, 0 where
         there is none; None: that of the arm's machining, where all that it says something of was estimated
-    seen : (p, p) covariance by which the measurements say next to nothing; None: that of `calibration`
     """
-    model, calibration = Model(arm), calibration or arm.calibration or Calibration({})
+    model, chain, calibration = Model(arm), arm.chain, calibration or arm.calibration or Calibration({})
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    quantities = _quantities(model, values, {*names, *unknown})
-    rows = (_row(one, calibration, freedom, unknown, before, seen) for one in quantities)
-    return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
-
-
-def _row(
-    quantity: Quantity,
-    calibration: Calibration,
-    freedom: Collection[float] | None = None,
-    unknown: Collection[str] = (),
-    before: Array | None = None,
-    seen: Array | None = None,
-) -> CorrectedValue:
-    """A quantity with what the covariance, and that before the measurements, say of it."""
-    name, parameter, nominal, value, derivatives, unit, convention, bounds = quantity
-    slope = np.array([derivatives.get(each, 0.0) for each in calibration.parameter_names])
-    at, undetermined, deviation = np.flatnonzero(slope), any(derivatives.get(each) for each in unknown), np.nan
-    slope, of_used = slope[at], np.ix_(at, at)
-    covariance = calibration.covariance
-    if covariance is not None and at.size and not undetermined:
-        deviation = max(float(slope @ covariance[of_used] @ slope), 0.0) ** 0.5
     spread = freedom_of(calibration) if freedom is None else np.array([*freedom], dtype=float)
-    half = float(quantile_95(spread[at].min(initial=np.inf))) * deviation
-    limits = np.clip([value - half, value + half], *bounds)
-    figures = [np.nan if undetermined else value, deviation, *limits]
-    corrected, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
-    prior, seen = None, covariance if seen is None else seen
-    if before is not None and at.size and np.all(np.any(before[at] != 0.0, axis=1)):
-        prior = float(np.linalg.norm(before[at].T @ slope))
-    held = False
-    if std is not None and prior is not None and seen is not None:
-        held = bool(slope @ seen[of_used] @ slope > 0.9 * prior**2)
-    return CorrectedValue(name, parameter, nominal, corrected, std, low, high, unit, convention, prior, held)
-
-
-def _quantities(model: Model, values: Values, names: Collection[str]) -> Iterator[Quantity]:
-    """Lengths and zeros of a planar arm; in space zeros, frames, base and measured points, with derivatives by the
-    parameters `names`; values of the instrument, where they were estimated; and parameters of effects."""
-    arm, chain = model.arm, model.arm.chain
-    if chain.planar:
-        for j, length in enumerate(arm.lengths.tolist(), start=1):
-            value = length + values.get(name := f"{LENGTH_ERROR}:{j}", 0.0)
-            yield f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link", UNBOUNDED
+    of, lengths, zeros = _Spread(names, calibration.covariance, spread, before, unknown), [], []
+    for j, length in enumerate(arm.lengths.tolist() if chain.planar else (), start=1):
+        value = length + values.get(name := f"{LENGTH_ERROR}:{j}", 0.0)
+        lengths.append(of.row(f"length of link {j}", length, value, {name: 1.0}, "mm", "length of the link"))
     # what each joint adds to what is read, as the controller counts: of coupled joints what both add
-    shares, zeros = np.eye(arm.links) if arm.counting is None else arm.counting.matrix, list[Quantity]()
+    shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
     turned = any(spec.name == "base_offset" for spec in arm.effects)
     for j, kind in enumerate(arm.joint_types, start=1):
         p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
         slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
-        value, alone = (
-            sum(x * values.get(name, 0.0) for name, x in slopes.items()),
-            p.name if len(slopes) == 1 else None,
-        )
-        convention = (
-            ZERO.format(j=j) if j > 1 or not turned else f"zero of joint 1 with how the arm is turned, {STANDS}"
-        )
-        if alone not in chain.instrument.hidden(chain.base):
-            zeros.append((f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, convention, UNBOUNDED))
-    instrument = [
-        (name, parameter, None, value, slopes, unit, convention, UNBOUNDED)
-        for name, parameter, value, slopes, unit, convention in chain.instrument.own_values(values)
+        if not (len(slopes) == 1 and {*slopes} <= {*chain.instrument.hidden(chain.base)}):
+            value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
+            meaning = (
+                ZERO.format(j=j) if j > 1 or not turned else f"zero of joint 1 with how the arm is turned, {STANDS}"
+            )
+            zeros.append(of.row(f"zero of joint {j}", 0.0, value, slopes, p.file_unit, meaning))
+    of_instrument = [
+        replace(of.row(name, None, value, slopes, unit, meaning), parameter=parameter)
+        for name, parameter, value, slopes, unit, meaning in chain.instrument.own_values(values)
         # what the arm file says of them is where fits start
         if all(p.name in values for p in chain.instrument.parameters)
     ]
-    yield from (*instrument, *zeros) if chain.planar else zeros
-    if not chain.planar:
-        drawn, corrected = _tables(chain, {}), _tables(chain, values)
-        steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in names and p.kind != JOINT_OFFSET}
+    rows = zeros if chain.frame_kinds else [*lengths, *of_instrument, *zeros]
+    if chain.frame_kinds:
+        drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
+        steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
         slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
-        for (place, key), value in corrected.items():
-            convention, nominal = "measured point in the frame of the tip", None
+        for (place, key), value in corrected_tables.items():
+            meaning, nominal = "measured point in the frame of the tip", None
             if place == "base":
-                convention = "pose of the base for the instrument, turned about its own x, y and z axis"
+                meaning = "pose of the base for the instrument, turned about its own x, y and z axis"
             if place.startswith("joint "):
                 j = int(place.removeprefix("joint "))
-                frame = FRAME if (place, "roll_deg") in corrected else TURNED_FRAME
-                convention = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
+                frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME
+                meaning = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
                 nominal = drawn[place, key] + 0.0  # no -0
                 value = value - _turns(value - nominal, key)
             axis, _, unit = key.rpartition("_")
-            yield f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, convention, UNBOUNDED
-        yield from instrument
+            row = of.row(f"{place} {axis}", nominal, value, slopes_of[place, key], unit, meaning)
+            rows.append(replace(row, parameter=None))
+        rows += of_instrument
     for effect in model.effects:  # their names with the settings
-        convention = "no value of a controller: armcal compensate takes it off the commands"
-        convention = STANDS if effect.name == "base_offset" else convention
+        meaning = "no value of a controller: armcal compensate takes it off the commands"
+        meaning = STANDS if effect.name == "base_offset" else meaning
         for p in effect.parameters:
             value, bounds = values.get(p.name, 0.0) * p.to_file, (p.lower * p.to_file, p.upper * p.to_file)
-            slopes = {p.name: p.to_file}
-            yield f"{effect.label}.{p.short}", p.name, 0.0, value, slopes, p.file_unit, convention, bounds
+            label = f"{effect.label}.{p.short}"
+            rows.append(of.row(label, 0.0, value, {p.name: p.to_file}, p.file_unit, meaning, bounds))
+    return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
 def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], float]:
@@ -499,7 +484,7 @@ def dh_table(
     Raises `InputError` as `drawn_links`.
     """
     calibration, model = arm.calibration, Model(arm)
-    if calibration is None or arm.chain.planar or calibration.covariance is None:
+    if calibration is None or calibration.covariance is None:
         return (), []
     drawn, values = drawn_links(rows, convention), {**model.fixed, **calibration.values}
 
@@ -518,13 +503,13 @@ def dh_table(
     nominal, now = numbers(drawn), table(values)
     units = {p.name: p.unit for p in model.geometry_parameters}  # effects, hundreds with the library, are not in it
     steps = {name: STEP.get(units[name], 1e-6) for name in calibration.parameter_names if name in units}
-    slopes, listed = _differences(table, values, steps), []
+    names, slopes, listed = calibration.parameter_names, _differences(table, values, steps), []
+    of = _Spread(names, calibration.covariance, freedom_of(calibration), np.zeros((len(names), 0)))
     for (j, name), value in now.items():
         row_number = j + (convention != STANDARD and name in ("a", "alpha", "beta"))
         unit, meaning = DH_MEANING[name]
-        about = f"row {row_number} {name}", None, nominal[j, name], value
-        quantity = (*about, slopes[j, name], unit, meaning.format(j=j, k=j + 1), UNBOUNDED)
-        listed.append(_row(quantity, calibration))
+        about = f"row {row_number} {name}", nominal[j, name], value, slopes[j, name]
+        listed.append(replace(of.row(*about, unit, meaning.format(j=j, k=j + 1)), parameter=None))
     real = corrected(arm.chain, values)
     (_, first, last), (_, drawn_first, drawn_last) = (corrected_links(chain, drawn) for chain in (real, arm.chain))
     behind = np.linalg.inv(drawn_last) @ last

@@ -29,8 +29,12 @@ from identification.files.bodies import GivenBody, Shape, ShapedBodies, pairs_ap
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import (
     CONSTRAINTS,
+    CURVE,
+    CURVE_KEYS,
     POSE,
     GravityTable,
+    JointsTable,
+    MachiningTable,
     PoseTable,
     require_count,
     validated_arm,
@@ -40,7 +44,7 @@ from identification.instruments import kinds
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.counting import Counting, check_kinds
-from identification.kinematics.frames import from_own_axes, pose, pose_table, rotation_to_z, tool_tables
+from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import (
     FILE_UNITS,
     GEOMETRY,
@@ -58,8 +62,7 @@ if TYPE_CHECKING:
 
 Plain = dict[str, Any]
 Effects = list[tuple[EffectSpec, "Effect"]]
-Names = Mapping[str, tuple[str, float]]  # name in files -> API name, factor from API to file unit; or API name -> ...
-CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg", "geometry")
+Names = Mapping[str, tuple[str, float]]  # name in files -> API name, factor from file unit to API; or API name -> ...
 COUNTED = (  # keys with a value for each joint
     *("gravity.link_masses_kg", "gravity.center_of_mass", "calibration.length_errors_mm"),
     *("calibration.joint_offsets_deg", "joints.sign", "joints.coupled_to", "joints.zero_deg", "gear_ratio"),
@@ -99,32 +102,34 @@ def _in_file(values: Any, factor: float = 1.0) -> Any:
     29.999999999999996, the same angle in radians to rounding."""
     if np.ndim(values):
         return [_in_file(value, factor) for value in values]
-    return float(values) if factor == 1.0 else float(f"{values * factor:.15g}")
+    if factor != 1.0:
+        return float(f"{values * factor:.15g}")
+    return values if isinstance(values, int) else float(values)
 
 
-def _degrees(radians: Any) -> Any:
-    return _in_file(radians, math.degrees(1.0))
+def _names(geometry: Iterable[Parameter], effects: Effects, *, of_api: bool = False) -> Names:
+    """All parameters of a calibration by their names in files, or in the API: of the geometry, then of effects."""
+    names = [(p.name, p) for p in geometry]
+    names += [(f"{effect.key}.{p.toml_key}", p) for _, effect in effects for p in effect.parameters]
+    if of_api:
+        return {p.name: (name, p.to_file) for name, p in names}
+    return {name: (p.name, 1.0 / p.to_file) for name, p in names}
 
 
-def _names(geometry: Iterable[Parameter], effects: Effects) -> Names:
-    """All parameters of a calibration by their names in files: those of the geometry, then those of effects."""
-    names = {p.name: (p.name, p.to_file) for p in geometry}
-    for _, effect in effects:
-        names |= {f"{effect.key}.{p.toml_key}": (p.name, p.to_file) for p in effect.parameters}
-    return names
+def _named(names: Names, keys: Iterable[str], place: str, points: float | None = None) -> Names:
+    """The parameters of these names. Raises `InputError` for another.
 
-
-def _by_api(names: Names) -> Names:
-    return {api: (file, factor) for file, (api, factor) in names.items()}
-
-
-def _named(names: Names, key: str, place: str, points: bool = False) -> tuple[str, float]:
-    """The parameter of this name. Raises `InputError` for another;  points : measured points of any name are allowed"""
-    if key in names:
-        return names[key]
-    if points and (point := MARKER.fullmatch(key)):
-        return key, math.degrees(1.0) if point[1] else 1.0
-    raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, names)}")
+    points : factor of the angles of measured points, of which any name is allowed
+    """
+    named: dict[str, tuple[str, float]] = {}
+    for key in keys:
+        if key in names:
+            named[key] = names[key]
+        elif points is not None and (point := MARKER.fullmatch(key)):
+            named[key] = key, points if point[1] else 1.0
+        else:
+            raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, names)}")
+    return named
 
 
 def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
@@ -155,9 +160,8 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
         arm = arm_from_tables(tables, Path(path).parent, package_dirs)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    limits = tables.get("joint_limits_deg") or {}
-    values = [abs(value) for key in ("lower", "upper") for value in limits.get(key, ())]
-    if values and max(values) <= 2.0 * np.pi + 0.01:
+    limits = [abs(value) for values in tables.get("joint_limits_deg", {}).values() for value in values]
+    if limits and max(limits) <= 2.0 * np.pi + 0.01:
         message = "joint_limits_deg: all limits are within 6.3 deg and look like radians; write them in degrees"
         warnings.warn(f"{path}: {message}", UserWarning, stacklevel=2)
     return arm
@@ -171,12 +175,11 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     file = validated_arm(tables)
     urdf = None if file.urdf is None else _urdf(str(file.urdf), folder)
     chain = _drawn_chain(file, urdf)
-    n = len(chain)
+    n, calibration, counting = len(chain), None, None
     for place in COUNTED:
         table, _, key = place.rpartition(".")
         if (values := getattr(getattr(file, table) if table else file, key, None)) is not None:
             require_count(place, values, n)
-    counting = None
     if file.joints is not None:  # what it leaves out is as usual
         usual: Plain = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
         counting = Counting(**usual | _in_api(file.joints))
@@ -186,7 +189,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     if file.links_mm is None:  # so that they stand in its URDF file
         limits = zip(chain.joints, lower.tolist(), upper.tolist(), strict=True)
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in limits))
-    calibration, halves = None, Plain(center_of_mass=(0.5,) * n)
+    halves = Plain(center_of_mass=(0.5,) * n)
     if file.calibration is not None:
         calibration, chain = _calibration(file, chain, effects, tables["calibration"].get("provenance", {}))
     return Arm(
@@ -210,77 +213,57 @@ def _cell(
     file: Any, urdf: Urdf | None, chain: KinematicChain, folder: PathLike, package_dirs: Sequence[PathLike]
 ) -> Cell | None:
     """The bodies of the file, which are read when they are asked for; None: it names none."""
-    given = dict[str, GivenBody]()
+    given, apart = dict[str, GivenBody](), set[frozenset[str]]()
     if file.link_width_mm is not None:
         for j, length in enumerate(file.links_mm, start=1):
             place, between = segment((0.0, 0.0), (length, 0.0))
             sizes = {"radius": np.array([0.5 * file.link_width_mm]), "length": between}
             given[f"link {j}"] = GivenBody(f"link {j}", j, (Shape("capsule", place, sizes),))
+        apart |= {frozenset((f"link {j}", f"link {j + 1}")) for j in range(1, len(chain))}
     for k, table in enumerate(file.cell.bodies if file.cell is not None else (), start=1):
         joint, name = table.joint or 0, table.name or f"{table.kind} {k}"
-        if joint > len(chain):
-            raise InputError(f"cell.bodies[{k}].joint: found {joint}, allowed: 1 to {len(chain)}, or left out")
         before = given.get(name, GivenBody(name, joint, ()))
-        if before.joint != joint:
-            raise InputError(
-                f"cell.bodies[{k}].joint: found {joint} for another part of {name!r}, allowed: {before.joint}"
-            )
-        given[name] = replace(before, shapes=(*before.shapes, _shape(table, k, folder)))
+        for wrong, sentence in (
+            (joint > len(chain), f", allowed: 1 to {len(chain)}, or left out"),
+            (joint != before.joint, f" for another part of {name!r}, allowed: {before.joint}"),
+        ):
+            if wrong:
+                raise InputError(f"cell.bodies[{k}].joint: found {joint}{sentence}")
+        shapes = (*before.shapes, _shape(table, f"cell.bodies[{k}].file", folder))
+        given[name] = replace(before, shapes=shapes)
     drawn = urdf is not None and urdf.robot.find("link/collision") is not None
-    wanted = drawn and (file.cell is None or file.cell.bodies_of_urdf is not False)
-    if file.cell is None and not wanted and not given:
+    drawn = drawn and (file.cell is None or file.cell.bodies_of_urdf is not False)
+    if file.cell is None and not drawn and not given:
         return None
     beside = Path(folder) if urdf is None or urdf.text == file.urdf else Path(urdf.path).parent
     bodies = ShapedBodies(
         tuple(given.values()),
-        urdf.text if wanted and urdf is not None else "",
+        urdf.text if drawn and urdf is not None else "",
         "" if urdf is None else urdf.path,
         (str(file.base_link), str(file.tip_link)),
         tuple(dict.fromkeys(str(each) for each in (beside, folder, *package_dirs))),
         chain.reach,
     )
-    apart = set(urdf.neighbours()) if wanted and urdf is not None else set[frozenset[str]]()
-    if file.link_width_mm is not None:
-        apart |= {frozenset((f"link {j}", f"link {j + 1}")) for j in range(1, len(chain))}
+    apart |= urdf.neighbours() if drawn and urdf is not None else set()
     if file.cell is None:
         return Cell(bodies, apart=frozenset(apart))
     if file.cell.srdf is not None:
         apart |= pairs_apart(named_file(folder, file.cell.srdf, "cell.srdf", "the arm file"))
-    apart |= set(map(frozenset, file.cell.apart))
-    return Cell(bodies, file.cell.floor_z_mm, file.cell.clearance_mm, frozenset(apart))
+    return Cell(
+        bodies, file.cell.floor_z_mm, file.cell.clearance_mm, frozenset(apart | {*map(frozenset, file.cell.apart)})
+    )
 
 
-def _shape(table: Any, k: int, folder: PathLike) -> Shape:
-    """What an entry of `[[cell.bodies]]` says, the k-th from 1."""
-    values, file = {key: value for key, value in table.model_dump().items() if value is not None}, ""
-    if table.kind in ("capsule", "cylinder"):
-        place, length = segment(table.start_mm, table.end_mm)
+def _shape(table: Any, key: str, folder: PathLike) -> Shape:
+    """What an entry of `[[cell.bodies]]` says;  key : of the name of a mesh's file"""
+    if table.kind in ("capsule", "cylinder", "sphere"):
+        ends = (table.center_mm,) * 2 if table.kind == "sphere" else (table.start_mm, table.end_mm)
+        place, length = segment(*ends)
         return Shape(table.kind, place, {"radius": np.array([table.radius_mm]), "length": length})
-    if table.kind == "sphere":
-        return Shape("sphere", segment(table.center_mm, table.center_mm)[0], {"radius": np.array([table.radius_mm])})
-    place = _pose(PoseTable(**{key: values[key] for key in PoseTable.model_fields.keys() & values.keys()}))
     if table.kind == "box":  # as thick as long in the plane, in which its middle is
-        return Shape("box", place, {"size": np.array([*table.size_mm, max(table.size_mm)][:3])})
-    file = str(named_file(folder, table.file, f"cell.bodies[{k}].file", "the arm file"))
-    return Shape("mesh", place, {"scale": np.full(3, METER if table.unit == "m" else 1.0)}, file)
-
-
-def _cell_tables(cell: Cell, dimension: int) -> Plain:
-    """`[cell]` of its bodies as they are covered, without what they look like."""
-    tables: Plain = {} if cell.floor is None else {"floor_z_mm": float(cell.floor)}
-    tables["clearance_mm"] = float(cell.clearance)
-    tables |= {"apart": sorted(map(sorted, cell.apart))} if cell.apart else {}
-    entries = []
-    for body in cell.bodies:
-        named: Plain = {"name": body.name} | ({"joint": body.joint} if body.joint else {})
-        for start, end, (radius,) in (np.split(capsule, [3, 6]) for capsule in body.capsules):
-            ends = {"start_mm": _in_file(start[:dimension]), "end_mm": _in_file(end[:dimension])}
-            entries.append({"kind": "capsule", **named, **ends, "radius_mm": float(radius)})
-        for middle, turn, half in (np.split(box, [3, 12]) for box in body.boxes):
-            place = pose_table(pose(middle, turn.reshape(3, 3)))
-            kept = {key: place[key] for key in POSE[dimension].replace("?", "").split()}
-            entries.append({"kind": "box", **named, "size_mm": _in_file(2.0 * half[:dimension]), **kept})
-    return tables | ({"bodies": entries} if entries else {})
+        return Shape("box", _pose(table), {"size": np.array([*table.size_mm, max(table.size_mm)][:3])})
+    file = str(named_file(folder, table.file, key, "the arm file"))
+    return Shape("mesh", _pose(table), {"scale": np.full(3, METER if table.unit == "m" else 1.0)}, file)
 
 
 def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
@@ -292,15 +275,8 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(str(file.base_link), str(file.tip_link), limited)
     else:
-        conventions = dict.fromkeys(row.convention for row in file.dh if row.convention)
-        if len(conventions) > 1:
-            raise InputError(f"dh: found conventions {' and '.join(conventions)}, allowed: one for all rows")
-        for k, row in enumerate(file.dh, start=1):
-            if row.joint == PRISMATIC and file.joint_limits_mm is None:
-                missing = "a prismatic joint without limits"
-                raise InputError(f"dh[{k}]: {missing}, allowed: lower and upper in [joint_limits_mm]")
         rows = [replace(_row(row), limits=(-np.pi, np.pi)) for row in file.dh]
-        chain = chain_of(rows, next(iter(conventions), STANDARD))
+        chain = chain_of(rows, _convention(file))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -329,9 +305,14 @@ def _row(table: Any) -> DHRow:
     return DHRow(table.a_mm, math.radians(table.alpha_deg), table.d_mm, math.radians(table.offset_deg), table.joint)
 
 
+def _convention(file: Any) -> str:
+    return next((row.convention for row in file.dh if row.convention), STANDARD)
+
+
 def _pose(table: Any) -> Array:
-    angles = np.radians((table.rx_deg, table.ry_deg, table.rz_deg)).tolist()
-    return pose((table.x_mm, table.y_mm, table.z_mm), from_own_axes(*angles))
+    """(4, 4) [mm] of the keys x_mm .. rz_deg, zero where they are left out."""
+    x, y, z, *angles = (getattr(table, key) or 0.0 for key in PoseTable.model_fields)
+    return pose((x, y, z), from_angles(np.radians(angles)))
 
 
 def _with_tools(chain: KinematicChain, tables: Mapping[str, Any]) -> KinematicChain:
@@ -377,16 +358,9 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
     specs = []
     for k, table in enumerate(file.effects, start=1):
         place, curve, given = f"effects[{k}]", None, dict(table.__pydantic_extra__)
-        for key in CURVE_KEYS:
-            missing = getattr(table, key) is None
-            if table.name != CURVE and not missing:
-                raise InputError(f"{place}.{key}: unknown key of {table.name}, allowed: for {CURVE} only")
-            if table.name == CURVE and missing and key != "geometry":
-                raise InputError(f"{place}.{key}: is missing, allowed: as `armcal diagnose --out` writes it")
         if table.name == CURVE:
-            ends = math.radians(table.from_deg), math.radians(table.to_deg)
             try:
-                curve = ErrorCurve(*ends, np.radians(table.values_deg))
+                curve = ErrorCurve(*map(np.radians, (table.from_deg, table.to_deg, table.values_deg)))
             except InputError as error:
                 raise InputError(f"{place}.{error}") from None
         settings = getattr(library().get(table.name), "settings", {})
@@ -415,8 +389,8 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
             if wrong:
                 raise InputError(f"effects: {spec.key} {sentence}")
         if spec.curve is not None and table.geometry:  # that was fitted with it
-            known = {key: _named(names, key, f"effects[{k}].geometry", points=True) for key in table.geometry}
-            values = {api: table.geometry[key] / factor for key, (api, factor) in known.items()}
+            fitted = _named(names, table.geometry, f"effects[{k}].geometry", points=math.radians(1.0))
+            values = {api: table.geometry[key] * factor for key, (api, factor) in fitted.items()}
             effects[k - 1] = replace(spec, curve=replace(spec.curve, geometry=values)), effect
     return effects
 
@@ -435,25 +409,18 @@ def _calibration(
         chain = _with_tools(chain, table.tools)
     names = _names(chain.parameters(), effects)
     lists = ((LENGTH_ERROR, table.length_errors_mm), (JOINT_OFFSET, table.joint_offsets_deg))
-    of_links = {f"{kind}:{j}": value for kind, list_ in lists for j, value in enumerate(list_ or (), start=1)}
-    values = {}
-    for key, value in {**of_links, **(table.values or {}), **table.effects}.items():
-        api, factor = _named(names, key, "calibration")
-        values[api] = value / factor
-    order = [_named(names, key, "calibration.parameters") for key in table.parameters or ()]
-    factors = np.array([factor for _, factor in order])
-    matrix = None if table.covariance is None else np.array(table.covariance).reshape(len(order), len(order))
+    given = {f"{kind}:{j}": value for kind, list_ in lists for j, value in enumerate(list_ or (), start=1)}
+    given |= (table.values or {}) | table.effects
+    values = {api: given[key] * factor for key, (api, factor) in _named(names, given, "calibration").items()}
+    order = _named(names, table.parameters or (), "calibration.parameters").values()
+    covariance, factors = None, np.array([factor for _, factor in order])
+    if table.covariance is not None:
+        covariance = np.array(table.covariance).reshape(len(order), len(order)) * np.outer(factors, factors)
     base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
-    calibration = Calibration(
-        values,
-        tuple(api for api, _ in order),
-        None if matrix is None else matrix / np.outer(factors, factors),
-        MappingProxyType(dict(provenance)),
-        base,
-        tools,
-        dict(chain.tool_axes) if tools and chain.angle_scale is not None else {},
-    )
-    return calibration, before_errors(chain, values, base, tools, calibration.tool_axes)
+    axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
+    parameters = tuple(api for api, _ in order)
+    calibration = Calibration(values, parameters, covariance, MappingProxyType(dict(provenance)), base, tools, axes)
+    return calibration, before_errors(chain, values, base, tools, axes)
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------
@@ -464,27 +431,31 @@ def _urdf(name: str, folder: PathLike) -> Urdf:
     return read_urdf(named_file(folder, name, "urdf", "the arm file"))
 
 
+def _drawing(path: PathLike) -> tuple[Any, Urdf | None]:
+    """The tables of an arm file, and its URDF file, None: it names none."""
+    file = validated_arm(read_toml(path))
+    return file, None if file.urdf is None else _urdf(file.urdf, Path(path).parent)
+
+
 def urdf_masses(path: PathLike) -> tuple[float, ...] | None:
     """[kg] of the links, from the URDF file that an arm file names; None without one, or where it gives no mass."""
-    if not isinstance(name := (tables := read_toml(path)).get("urdf"), str):
-        return None
-    masses = _urdf(name, Path(path).parent).masses(tables["base_link"], tables["tip_link"])
+    file, urdf = _drawing(path)
+    masses = () if urdf is None else urdf.masses(file.base_link, file.tip_link)
     return masses if any(masses) else None
 
 
 def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
     """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
-    if not isinstance(name := (tables := read_toml(path)).get("urdf"), str):
-        return urdf_text(chain, str(tables.get("name", "arm")))
-    urdf = _urdf(name, Path(path).parent)
-    return with_origins(urdf, tables["base_link"], tables["tip_link"], [joint.origin for joint in chain.joints])
+    file, urdf = _drawing(path)
+    if urdf is None:
+        return urdf_text(chain, file.name)
+    return with_origins(urdf, file.base_link, file.tip_link, [joint.origin for joint in chain.joints])
 
 
 def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
     """Rows and convention of the `[[dh]]` table of an arm file; None where it has none."""
-    if (tables := validated_arm(read_toml(path)).dh) is None:
-        return None
-    return [_row(table) for table in tables], next((table.convention for table in tables if table.convention), STANDARD)
+    file = validated_arm(read_toml(path))
+    return None if file.dh is None else (list(map(_row, file.dh)), _convention(file))
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
@@ -496,7 +467,8 @@ def dump_arm(arm: Arm) -> str:
     """
     chain, calibration, tables = arm.chain, arm.calibration, Plain(name=arm.name)
     limits, sliding = np.stack(arm.column_limits), np.array(arm.joint_types) == PRISMATIC
-    if chain.planar:
+    kind = "planar" if chain.planar else "spatial"
+    if kind == "planar":
         if not np.all(np.isfinite(limits)) and np.any(np.abs([arm.lower, arm.upper]) != np.pi):
             tied = "limits of coupled joints, none of which is the controller's"
             raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
@@ -506,49 +478,63 @@ def dump_arm(arm: Arm) -> str:
         raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
     else:
         drawing = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
-        tables |= {"kind": "spatial", "urdf": drawing, "base_link": BASE_LINK, "tip_link": TIP}
+        tables |= {"kind": kind, "urdf": drawing, "base_link": BASE_LINK, "tip_link": TIP}
         tables |= {"base": pose_table(chain.base)} if BASE in chain.settled else {}
         tables |= {"tool": tool_tables(chain.tools, chain.tool_axes)} if TOOL in chain.settled else {}
-        if chain.angle_scale is not None and arm.sigma is not None:
-            tables["measurement"] = {"sigma_deg": _degrees(arm.sigma / chain.angle_scale)}
+    if arm.sigma is not None:
+        angle = (
+            {}
+            if chain.angle_scale is None
+            else {"sigma_deg": _in_file(arm.sigma / chain.angle_scale, math.degrees(1.0))}
+        )
+        tables["measurement"] = angle | {"sigma_mm": float(arm.sigma)}
     tables |= {"instrument": chain.instrument.table()} if chain.instrument.kind else {}
     for unit, joints, factor in (("deg", ~sliding, math.degrees(1.0)), ("mm", sliding, 1.0)):
         if joints.any() and np.all(np.isfinite(limits[:, joints])):  # else those of the drawing
-            tables[f"joint_limits_{unit}"] = dict(
-                zip(("lower", "upper"), _in_file(limits[:, joints], factor), strict=True)
-            )
-    if (counting := arm.counting) is not None:
-        signs = {"sign": list(counting.sign), "coupled_to": list(counting.coupled_to)}
-        tables["joints"] = signs | {"zero_deg": _degrees(counting.zero)}
+            lower, upper = _in_file(limits[:, joints], factor)
+            tables[f"joint_limits_{unit}"] = {"lower": lower, "upper": upper}
     tables |= {} if arm.gear_ratios is None else {"gear_ratio": _in_file(arm.gear_ratios)}
-    if arm.sigma is not None:
-        tables.setdefault("measurement", {})["sigma_mm"] = float(arm.sigma)
-    if arm.machining != Machining():
-        tables["machining"] = _in_table(("translation_mm", "rotation_deg"), arm.machining)
-    if arm.gravity is not None:
-        tables["gravity"] = _in_table(GravityTable.model_fields, arm.gravity)
+    for key, keys, value in (
+        ("joints", JointsTable.model_fields, arm.counting),
+        ("machining", MachiningTable.model_fields, arm.machining if arm.machining != Machining() else None),
+        ("gravity", GravityTable.model_fields, arm.gravity),
+    ):
+        tables |= {} if value is None else {key: _in_table(keys, value)}
     for constraint in (each for each in arm.constraints if not isinstance(each, ColumnLimits)):
-        sphere = isinstance(constraint, KeepOutCircle) and not chain.planar
-        kind = "keep_out_sphere" if sphere else constraint.kind
-        entries = _in_table(CONSTRAINTS[kind][arm.dimension].replace("?", "").split(), constraint)
+        sphere = isinstance(constraint, KeepOutCircle) and kind == "spatial"
+        which = "keep_out_sphere" if sphere else constraint.kind
+        entries = _in_table(CONSTRAINTS[which][kind].replace("?", "").split(), constraint)
         if "facing" not in entries:
             entries.pop("acceptance_deg", None)
-        tables.setdefault("constraints", []).append({"kind": kind, **entries})
-    tables |= {} if arm.cell is None else {"cell": _cell_tables(arm.cell, arm.dimension)}
+        tables.setdefault("constraints", []).append({"kind": which, **entries})
+    if (cell := arm.cell) is not None:  # bodies as they are covered, without what they look like
+        bodies = list[Plain]()
+        for body in cell.bodies:
+            named: Plain = {"name": body.name} | ({"joint": body.joint} if body.joint else {})
+            for start, end, (radius,) in (np.split(capsule, [3, 6]) for capsule in body.capsules):
+                ends = {"start_mm": _in_file(start[: arm.dimension]), "end_mm": _in_file(end[: arm.dimension])}
+                bodies.append({"kind": "capsule", **named, **ends, "radius_mm": float(radius)})
+            for middle, turn, half in (np.split(box, [3, 12]) for box in body.boxes):
+                place = pose_table(pose(middle, turn.reshape(3, 3)))
+                place = {key: place[key] for key in POSE[kind].replace("?", "").split()}
+                bodies.append({"kind": "box", **named, "size_mm": _in_file(2.0 * half[: arm.dimension]), **place})
+        said: Plain = {} if cell.floor is None else {"floor_z_mm": float(cell.floor)}
+        said["clearance_mm"] = float(cell.clearance)
+        said |= {"apart": sorted(map(sorted, cell.apart))} if cell.apart else {}
+        tables["cell"] = said | ({"bodies": bodies} if bodies else {})
     # where base and measured points are if they are somewhere without being known
     somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
-    named = TOOL not in chain.settled and (
-        list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
-    )
-    if somewhere or named:
+    named_points = list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
+    named_points = named_points and TOOL not in chain.settled
+    if somewhere or named_points:
         calibration = calibration or Calibration({})
         stands = standing_in(chain, calibration.values)
         calibration = replace(calibration, base=stands.base) if somewhere else calibration
-        if named:
+        if named_points:
             calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes)
     effects = _built(arm.effects, chain)
     if effects:
-        tables["effects"] = _effect_tables(effects, _names(chain.every_parameter, effects))
+        tables["effects"] = _effect_tables(effects, _names(chain.every_parameter, effects, of_api=True))
     if calibration is not None:
         tables["calibration"] = _calibration_table(arm, effects, calibration)
     return _toml(tables)
@@ -566,7 +552,7 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
     labels = {effect.label for _, effect in before}
     wanted = _built(specs, arm.chain)
     new = [(spec, effect) for spec, effect in wanted if effect.label not in labels]
-    tables = _effect_tables(new, _names(arm.chain.every_parameter, [*before, *wanted]))
+    tables = _effect_tables(new, _names(arm.chain.every_parameter, [*before, *wanted], of_api=True))
     return _with_tables(text, "effects", tables) if tables else text
 
 
@@ -593,7 +579,7 @@ def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm, Effects]:
 
 
 def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
-    """Entries of `[[effects]]`;  names : of all parameters"""
+    """Entries of `[[effects]]`;  names : of all parameters, by the API's"""
     tables = []
     for spec, effect in effects:
         table: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
@@ -604,9 +590,11 @@ def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
             else:  # a setting
                 table[short] = int(value) if value == int(value) else float(value)
         if (curve := spec.curve) is not None:
-            table |= dict(zip(CURVE_KEYS, map(_degrees, (curve.start, curve.stop, curve.values)), strict=False))
-            of_api = {api: _named(_by_api(names), api, spec.key, points=True) for api in curve.geometry}
-            geometry = {file: _in_file(curve.geometry[api], factor) for api, (file, factor) in of_api.items()}
+            degree = math.degrees(1.0)
+            angles = (_in_file(angle, degree) for angle in (curve.start, curve.stop, curve.values))
+            table |= zip(CURVE_KEYS, angles, strict=True)
+            fitted = _named(names, curve.geometry, spec.key, points=degree)
+            geometry = {name: _in_file(curve.geometry[api], factor) for api, (name, factor) in fitted.items()}
             table |= {"geometry": geometry} if geometry else {}
         tables.append(table)
     return tables
@@ -614,16 +602,15 @@ def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
 
 def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> Plain:
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
-    names = _by_api(_names(chain.parameters(), effects))
-    values = calibration.effects if chain.planar else calibration.values
-    in_file, order = {}, [_named(names, name, "calibration") for name in calibration.parameter_names]
-    for api, value in values.items():
-        file, factor = _named(names, api, "calibration")
-        in_file[file] = _in_file(value, factor)
+    names = _names(chain.parameters(), effects, of_api=True)
+    values = calibration.values if chain.frame_kinds else calibration.effects
+    order = [*_named(names, calibration.parameter_names, "calibration").values()]
+    named = _named(names, values, "calibration")
+    in_file = {name: _in_file(values[api], factor) for api, (name, factor) in named.items()}
     if chain.planar:
         held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
-        errors, offsets = _in_file(held.length_errors), _degrees(held.joint_offsets)
-        table: Plain = {"length_errors_mm": errors, "joint_offsets_deg": offsets}
+        offsets = _in_file(held.joint_offsets, math.degrees(1.0))
+        table: Plain = {"length_errors_mm": _in_file(held.length_errors), "joint_offsets_deg": offsets}
     else:
         table = {"values": {name: value for name, value in in_file.items() if GEOMETRY.fullmatch(name)}}
     if calibration.base is not None:
@@ -631,13 +618,13 @@ def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> 
     if calibration.tools:
         table["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
     if order:
-        table["parameters"] = [file for file, _ in order]
+        table["parameters"] = [name for name, _ in order]
     if calibration.covariance is not None:
         factors = [factor for _, factor in order]
         rows = zip(factors, calibration.covariance, strict=True)
         table["covariance"] = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
     if calibration.effects:
-        table["effects"] = {file: value for file, value in in_file.items() if not GEOMETRY.fullmatch(file)}
+        table["effects"] = {name: value for name, value in in_file.items() if not GEOMETRY.fullmatch(name)}
     if calibration.provenance:
         table["provenance"] = _plain(calibration.provenance)
     return table

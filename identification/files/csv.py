@@ -20,13 +20,8 @@ from identification.arrays import Array
 from identification.errors import InputError, close_names, suggestion
 from identification.files.io import PathLike, decode, read_bytes
 
-FINITE = "a finite number"
-SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes of .xlsx and .ods, and of .xls
 QUOTED = "cells without quotation marks, or in a pair of them"
-WITH_COMMA, WITH_POINT = r"^[+-]?\d+,\d+([eE][+-]?\d+)?$", r"^[+-]?\d*\.\d*([eE][+-]?\d+)?$"
-THOUSANDS = r"^[+-]?[1-9]\d{0,2},\d{3}$"
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
-NAMES = ("session", "marker", "surface", "cup", "kind")  # columns of texts
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
@@ -38,11 +33,9 @@ FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal id
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text, blank lines left out: a CSV file, its columns separated by commas, semicolons or tabs.
+    """A table of text, blank lines left out.
 
-    With semicolons or tabs a number may have a decimal comma; with commas if it is in quotation marks, as all are then.
-
-    frame : the columns, all of them strings; an empty cell is null
+    frame : the columns, all of them strings, numbers with decimal points; an empty cell is null
     lines : (m,) line number of every row in the file, from 1; empty: a table without lines
     sha256 : of the file's bytes; empty: no file
     fit : what a comment `# fit: library-prior` above the header says, as options of `armcal identify`; empty: nothing
@@ -53,7 +46,6 @@ class Table:
     frame: pl.DataFrame
     lines: NDArray[np.int64]
     sha256: str = ""
-    decimal_commas: bool = False
     fit: str = ""
     used: set[str] = field(default_factory=set)
 
@@ -89,7 +81,7 @@ class Table:
     def floats(
         self,
         column: str,
-        allowed: str = FINITE,
+        allowed: str = "a finite number",
         test: Callable[[Array], NDArray[np.bool_]] = np.isfinite,
         empty: float | None = None,
     ) -> Array:
@@ -101,10 +93,9 @@ class Table:
         """
         self.require([column])
         text = self.frame[column]
-        points = text.str.replace(",", ".", literal=True) if self.decimal_commas else text
-        numbers = points.cast(pl.Float64, strict=False)
+        numbers = text.cast(pl.Float64, strict=False)
         if numbers.null_count() > text.null_count():  # spaces around a number are fine, and rare
-            numbers = points.str.strip_chars().cast(pl.Float64, strict=False)
+            numbers = text.str.strip_chars().cast(pl.Float64, strict=False)
         values = numbers.fill_null(np.nan).to_numpy()
         good = np.isfinite(values) & test(values)
         if empty is not None:
@@ -146,14 +137,14 @@ class Table:
 def read_table(path: PathLike, *, vias: bool = False) -> Table:
     """Reads a Parquet file, or a text file of columns with one header line.
 
-    vias : with the way-points that a plan has between its postures, see `measured_rows`
+    vias : with the way-points that a plan has between its postures, where nobody measures
 
     Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
-    points or commas. Between commas numbers with decimal commas are in quotation marks.
+    points or commas.
 
     Raises `InputError` for a missing or empty file, no data rows, a header that is missing, repeats a name or does not
-    fit the rows (ragged rows), bytes that are not UTF-8, and quoted numbers whose commas may separate thousands.
+    fit the rows (ragged rows), and bytes that are not UTF-8.
     """
     content = read_bytes(path)
     sha256 = hashlib.sha256(content).hexdigest()
@@ -163,49 +154,78 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
         except (pl.exceptions.PolarsError, OSError):
             raise InputError(f"{path}: not a whole Parquet file, allowed: CSV or Parquet") from None
         return table_of_frame(frame, str(path), sha256, vias=vias)
-    if content.startswith(SPREADSHEETS):
+    if content.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):  # .xlsx and .ods, or .xls
         raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
-    content, above, fit = content.removeprefix(codecs.BOM_UTF8), 0, ""
+    content, line, fit = content.removeprefix(codecs.BOM_UTF8), 1, ""
     # a spreadsheet makes cells of a comment: it may come back in quotation marks and with separators at its end
     while content.lstrip(b'"').startswith(b"#"):
         comment, _, content = content.partition(b"\n")
-        above += 1
         if asked := re.match(r"#\s*fit\s*:\s*(.*)", decode(path, comment).strip('"\r,;\t ')):
             fit = " ".join(asked[1].split())
             if not FITS.fullmatch(fit):
                 allowed = "library-prior, or library-prior --missing NAMES"
-                raise InputError(f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
-    separator, header = _header(path, content, f"line {above + 1}")
+                raise InputError(f"{path}: line {line}: fit {fit!r}, allowed: {allowed}")
+        line += 1
+    first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
+    if "\r" in first:
+        raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
+    separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
     try:
-        frame = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator)
+        header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator, strict=True), [])]
+    except csv.Error as error:  # a quotation mark that never ends, a name of 131,072 characters
+        raise InputError(f"{path}: line {line}: {error}, allowed: the names of the columns, {QUOTED}") from None
+    number = next((cell for cell in header if re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", cell)), None)
+    if number is not None or not any(header):
+        state = "is blank" if number is None else f"has the number {number!r}"
+        raise InputError(f"{path}: line {line} {state}, allowed: the names of the columns")
+    for cell in filter(None, header):
+        if header.count(cell) > 1:
+            raise InputError(f"{path}: column {cell!r} is there {header.count(cell)} times, allowed: once")
+    try:
+        frame, wrong = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator), ""
     except pl.exceptions.PolarsError as error:
-        _raise_for_ragged_row(path, content, above, len(header), separator)
-        raise InputError(f"{path}: not a valid CSV file: {str(error).splitlines()[0]}, allowed: {QUOTED}") from None
+        frame, wrong = pl.DataFrame(), f"not a valid CSV file: {str(error).splitlines()[0]}, allowed: {QUOTED}"
     # short rows are filled up with nulls: a null in the last column asks for a closer look
-    if frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
-        _raise_for_ragged_row(path, content, above, len(header), separator)
+    if wrong or frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
+        _raise_for_ragged_row(path, content, line, len(header), separator)
+    if wrong:
+        raise InputError(f"{path}: {wrong}")
     frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]  # a name that no header can have
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
-    frame, lines = frame.filter(filled), np.flatnonzero(filled.to_numpy()) + above + 2
+    frame, lines = frame.filter(filled), np.flatnonzero(filled.to_numpy()) + line + 1
     if frame.height == 0:
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
     for k in (k for k, name in enumerate(header) if not name):  # empty ones are what spreadsheets leave behind
         if frame[f"\n{k}"].null_count() < frame.height:
-            raise InputError(f"{path}: column {k + 1} has no name in line {above + 1}, allowed: a name")
+            raise InputError(f"{path}: column {k + 1} has no name in line {line}, allowed: a name")
         frame = frame.drop(f"\n{k}")
-    commas = separator != "," or (b'"' in content and _decimal_commas(path, frame))
-    table = Table(str(path), frame, lines, sha256, decimal_commas=commas, fit=fit)
-    return measured_rows(table, vias)
+    if separator != ",":
+        frame = frame.with_columns(pl.all().str.replace(r"^(\s*[-+]?\d*),(\d*([eE][-+]?\d+)?\s*)$", "$1.$2"))
+    return _measured(Table(str(path), frame, lines, sha256, fit), vias)
 
 
-def measured_rows(table: Table, vias: bool = False) -> Table:
-    """The rows to measure of a table whose column `kind` says of the others that they are way-points (`via`).
+def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: bool = False) -> Table:
+    """A data frame of polars or pandas, or a mapping of names to columns, as a table; numbers keep all their digits.
 
-    vias : with the way-points
-
-    Nobody measures there: whoever reads a plan, or measurements that were written beside one, wants the other rows.
-    Raises `InputError` where all are way-points, and beside way-points for a row that is neither.
+    vias : as of `read_table`. Raises `InputError` for what is no such frame, no rows, and columns of different lengths.
     """
+    if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
+        raise InputError(f"{name}: {type(frame).__name__}, allowed: a data frame of polars or pandas")
+    series = []
+    for column in list(frame.columns if hasattr(frame, "columns") else frame.keys()):
+        cells = frame[column].to_list() if hasattr(frame[column], "to_list") else np.asarray(frame[column]).tolist()
+        # numbers by `repr`, which loses no digit
+        texts = [None if text in ("None", "nan", "<NA>") else text for text in map(str, cells)]
+        series.append(pl.Series(str(column), texts, dtype=pl.String))
+    if len({len(each) for each in series}) > 1:
+        raise InputError(f"{name}: found columns of different lengths, allowed: one length")
+    if not series or not len(series[0]):
+        raise InputError(f"{name}: there are no rows, allowed: at least 1 row")
+    return _measured(Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), sha256), vias)
+
+
+def _measured(table: Table, vias: bool) -> Table:
+    """The rows to measure of a table whose column `kind` says of the others that they are way-points."""
     if "kind" not in table:
         return table
     kinds = table.frame["kind"].str.strip_chars().fill_null("")
@@ -221,84 +241,21 @@ def measured_rows(table: Table, vias: bool = False) -> Table:
     return replace(table, frame=table.frame.filter(rows), lines=table.lines[rows] if len(table.lines) else table.lines)
 
 
-def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: bool = False) -> Table:
-    """A data frame of polars or pandas, or a mapping of names to columns, as a table; numbers keep all their digits.
+def _raise_for_ragged_row(path: PathLike, content: bytes, header: int, columns: int, separator: str) -> None:
+    """Raises `InputError` for a row of another length, or with quotation marks that do not enclose a whole cell.
 
-    vias : with its way-points, see `measured_rows`
-    Raises `InputError` for what is no such frame, no rows, and columns of different lengths.
+    header : its line
     """
-    if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
-        raise InputError(f"{name}: {type(frame).__name__}, allowed: a data frame of polars or pandas")
-    series = []
-    for column in list(frame.columns if hasattr(frame, "columns") else frame.keys()):
-        cells = frame[column].to_list() if hasattr(frame[column], "to_list") else np.asarray(frame[column]).tolist()
-        # numbers by `repr`, which loses no digit
-        texts = [None if cell is None or cell != cell or str(cell) == "<NA>" else str(cell) for cell in cells]
-        series.append(pl.Series(str(column), texts, dtype=pl.String))
-    if len({len(each) for each in series}) > 1:
-        raise InputError(f"{name}: found columns of different lengths, allowed: one length")
-    if not series or not len(series[0]):
-        raise InputError(f"{name}: there are no rows, allowed: at least 1 row")
-    table = Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), sha256)
-    return measured_rows(table, vias)
-
-
-def _header(path: PathLike, content: bytes, line: str) -> tuple[str, list[str]]:
-    """The separator of the columns, and their names."""
-    first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
-    if "\r" in first:
-        raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
-    separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
-    try:
-        header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator, strict=True))]
-    except csv.Error as error:  # a quotation mark that never ends, a name of 131,072 characters
-        raise InputError(f"{path}: {line}: {error}, allowed: the names of the columns, {QUOTED}") from None
-    except StopIteration:
-        header = []
-    if not any(header):
-        raise InputError(f"{path}: {line} is blank, allowed: the names of the columns")
-    cells = pl.Series(header, dtype=pl.String)
-    for cell in cells.filter(cells.cast(pl.Float64, strict=False).is_not_null()):
-        raise InputError(f"{path}: {line} has the number {cell!r}, allowed: the names of the columns")
-    for cell in filter(None, header):
-        if header.count(cell) > 1:
-            raise InputError(f"{path}: column {cell!r} is there {header.count(cell)} times, allowed: once")
-    return separator, header
-
-
-def _raise_for_ragged_row(path: PathLike, content: bytes, above: int, columns: int, separator: str) -> None:
-    """Raises `InputError` for a row of another length, or with quotation marks that do not enclose a whole cell."""
     reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator, strict=True)
-    row, line = -1, above  # the header
+    row, line = -1, header - 1
     try:
         for cells in (cells for cells in reader if any(cell.strip() for cell in cells)):
-            row, line = row + 1, above + reader.line_num
-            if len(cells) == columns:
-                continue
-            hint = ""
-            others = [s for s in SEPARATORS if s != separator and sum(c.count(s) for c in cells) >= columns - 1 > 0]
-            if others:
-                hint = f"; the header is separated by {SEPARATORS[separator]}, this row by {SEPARATORS[others[0]]}"
-            elif separator == "," and len(cells) > columns and all(re.fullmatch(r"\s*[+-]?\d+\s*", c) for c in cells):
-                hint = "; with decimal commas separate the columns by semicolons"
-            allowed = f"{columns}, as in the header{hint}"
-            raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
+            row, line = row + 1, header - 1 + reader.line_num
+            if len(cells) != columns:
+                allowed = f"{columns} separated by {SEPARATORS[separator]}, as in the header"
+                raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
     except csv.Error as error:
         raise InputError(f"{path}: row {row + 1} (from line {line + 1}): {error}, allowed: {QUOTED}") from None
-
-
-def _decimal_commas(path: PathLike, frame: pl.DataFrame) -> bool:
-    """Whether numbers in quotation marks have decimal commas: none has a point, and not each three digits behind the
-    comma, which may be thousands (`InputError`)."""
-    texts = (frame[name].drop_nulls() for name in frame.columns if KNOWN.fullmatch(name) and name not in NAMES)
-    cells = pl.concat([pl.Series("", [], dtype=pl.String), *(text.alias("") for text in texts)]).str.strip_chars()
-    commas = cells.filter(cells.str.contains(WITH_COMMA))
-    if commas.is_empty() or cells.str.contains(WITH_POINT).any():
-        return False
-    if commas.str.contains(THOUSANDS).all():
-        allowed = "decimal points, or semicolons between the columns"
-        raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
-    return True
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ import os
 import re
 import secrets
 import shutil
-import stat
 import sys
 import tomllib
 from collections.abc import Callable, Mapping
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 AnyPath = TypeVar("AnyPath", bound=PathLike)
 Content: TypeAlias = Union[str, bytes, "Figure", Callable[[], "Figure"]]  # of a file; a picture, or what draws it
-DESCRIPTORS = "/proc/self/fd"
 PARTS = 100  # of a dotted key; the library keeps every prefix of one, so that its memory grows with their square
 # Each part is looked at once from each of the `PARTS` before it; from inside a word or a text no search begins.
 _PART = r"""(?:[A-Za-z0-9_-]++|"(?:\\.|[^"\\\n])*+"|'[^'\n]*+')"""
@@ -34,11 +32,8 @@ EXISTS = "the file exists, allowed: a new file name, or --force to replace it"
 def read_bytes(path: PathLike) -> bytes:
     """The whole file. Raises `InputError` for a missing file, a directory, an unreadable or an empty file."""
     try:
-        mode = os.stat(path).st_mode
-        if stat.S_ISBLK(mode) or stat.S_ISCHR(mode):  # /dev/zero never ends
-            with open(path, "rb") as stream:
-                if not stream.isatty():
-                    raise InputError(f"{path}: is a device, allowed: a file")
+        if Path(path).is_block_device() or Path(path).is_char_device():  # /dev/zero never ends
+            raise InputError(f"{path}: is a device, allowed: a file")
         content = Path(path).read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, allowed: the name of an existing file") from None
@@ -108,18 +103,25 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
     Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable.
     """
     targets = {_checked_target(path, force): _in_bytes(path, content) for path, content in contents.items()}
-    backup = len(targets) > 1
     try:
         with ExitStack() as temporary, ExitStack() as undo:
-            staged = {}
-            for target, content in targets.items():
-                staged[target] = _beside(target, temporary)
-                _write_new(staged[target], content, mode_of=target)
+
+            def beside(target: Path) -> Path:
+                path = target.with_name(f".{secrets.token_hex(8)}.tmp")
+                temporary.callback(path.unlink, missing_ok=True)
+                return path
+
+            staged = {target: beside(target) for target in targets}
             for target, new in staged.items():
-                kept = backup and target.exists()
-                before = Path(shutil.copy2(target, _beside(target, temporary))) if kept else None
-                _place(new, target, fresh=not force)
-                undo.callback(target.unlink) if before is None else undo.callback(os.replace, before, target)
+                _write_new(new, targets[target], mode_of=target)
+            for target, new in staged.items():
+                if target.exists() and not force:  # another command has written it meanwhile
+                    raise FileExistsError
+                if not target.exists():
+                    undo.callback(target.unlink, missing_ok=True)
+                elif len(targets) > 1:
+                    undo.callback(os.replace, shutil.copy2(target, beside(target)), target)
+                os.replace(new, target)
             undo.pop_all()
     except FileExistsError:
         raise InputError(f"{target}: {EXISTS}") from None
@@ -143,13 +145,10 @@ def _picture_format(path: PathLike) -> str:
 
 
 def _in_bytes(path: PathLike, content: Content) -> bytes:
-    if isinstance(content, str):
-        return content.encode()
-    if isinstance(content, bytes):
-        return content
+    if isinstance(content, str | bytes):
+        return content.encode() if isinstance(content, str) else content
     picture, buffer = _picture_format(path), io.BytesIO()
-    figure = content() if callable(content) else content
-    figure.savefig(buffer, format=picture, dpi=150)
+    (content() if callable(content) else content).savefig(buffer, format=picture, dpi=150)
     return buffer.getvalue()
 
 
@@ -167,10 +166,7 @@ def _checked_target(path: PathLike, force: bool) -> Path:
         (target.is_dir(), "is a directory, allowed: a file name"),
         # the pipe behind /dev/stdout has no path
         (os.path.exists(path) and not os.path.isfile(path), "is not a regular file, allowed: a new file name"),
-        (
-            not os.access(target.parent, os.W_OK),
-            "the folder cannot be written to, allowed: a writable one",
-        ),
+        (not os.access(target.parent, os.W_OK), "the folder cannot be written to, allowed: a writable one"),
         (target.exists() and not force, EXISTS),
     ):
         if wrong:
@@ -178,40 +174,18 @@ def _checked_target(path: PathLike, force: bool) -> Path:
     return target
 
 
-def _beside(target: Path, stack: ExitStack) -> Path:
-    """An unused name in the same folder, removed again when the stack is closed."""
-    path = target.with_name(f".{secrets.token_hex(8)}.tmp")
-    stack.callback(path.unlink, missing_ok=True)
-    return path
-
-
-def _place(new: Path, target: Path, *, fresh: bool) -> None:
-    """Move a complete file to its final name; a `fresh` one only if no other command has created it meanwhile."""
-    if fresh:
-        try:
-            return os.link(new, target)
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without links
-            pass
-    return os.replace(new, target)
-
-
 def _write_new(path: Path, content: bytes, mode_of: Path) -> None:
-    descriptor = _unnamed(path.parent)
-    with open(path, "xb") if descriptor is None else open(descriptor, "wb") as stream:
+    """A complete file of a new name; by way of a file without one, of which a killed process leaves nothing, where the
+    system has such files."""
+    descriptors, unnamed = "/proc/self/fd", None
+    if hasattr(os, "O_TMPFILE") and os.path.isdir(descriptors):
+        with suppress(OSError):
+            unnamed = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
+    with open(path, "xb") if unnamed is None else open(unnamed, "wb") as stream:
         stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())  # so that a crash leaves the old file or the new one, not an empty one
-        if descriptor is not None:
-            os.link(f"{DESCRIPTORS}/{descriptor}", path, src_dir_fd=descriptor)  # else Python links the link
+        if unnamed is not None:
+            os.link(f"{descriptors}/{unnamed}", path, src_dir_fd=unnamed)  # else Python links the link
     if mode_of.exists():
         path.chmod(mode_of.stat().st_mode & 0o777)
-
-
-def _unnamed(folder: Path) -> int | None:
-    """A new unnamed file, of which a killed process leaves nothing; None where the system has no such files."""
-    with suppress(OSError):
-        if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
-            return os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
-    return None

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import LARGEST_ANGLE, LARGEST_LENGTH, LARGEST_MASS, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
-from identification.arrays import Array, ByValue, frame_of_columns, readonly
+from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
+from identification.arrays import Array, ByValue, as_frame, readonly
 from identification.conditions import directions_from_order, gaps_of
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
@@ -34,19 +34,18 @@ JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that
 LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
 # units that a column may have, the one to write first -> factor to [mm] or [rad]; and the largest value then
 UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
-MOST = {LENGTH: LARGEST_LENGTH, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST_LENGTH}
+MOST = {LENGTH: LARGEST, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST}
 # optional columns of one number: field of `Measurements`, what is allowed, and a test
 OPTIONAL = {
     "temperature_C": ("temperature", "a number >= -273.15 [deg C]", lambda v: v >= -273.15),
     "payload_kg": (
         "payload",
-        f"a number >= 0 [kg], up to {LARGEST_MASS:g}",
-        lambda v: (v >= 0.0) & (v <= LARGEST_MASS),
+        f"a number >= 0 [kg], up to {LARGEST:g}",
+        lambda v: (v >= 0.0) & (v <= LARGEST),
     ),
     "posture": ("repeats", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < 2.0**53)),
 }
 QUATERNION = ("qw", "qx", "qy", "qz")
-DECIMAL = re.compile(r"\s*[-+]?[\d.,]+([eE][-+]?\d+)?\s*")
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------
@@ -58,7 +57,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     """
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
-    instrument, in_space, poses = chain.instrument, not chain.planar, chain.angle_scale is not None
+    instrument, in_space, poses = chain.instrument, bool(chain.frame_kinds), chain.angle_scale is not None
     postures = read_postures(table, types)
     n = postures.shape[1]
     names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
@@ -67,14 +66,10 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     session, marker = places, table.texts("marker") if in_space and "marker" in table else None
     if instrument.own_targets:
         session, marker = names.get("session"), places
-    if instrument.contact:
-        positions = np.full((len(table), instrument.dimension), instrument.touched)
-    elif instrument.reads_positions:
-        positions = _read_points(table, chain.axes)
-    else:
-        bounds = {True: LENGTH_RANGE, False: None}
-        read = [read_column(table, name, kind, bounds[positive]) for name, kind, positive in instrument.coordinates]
-        positions = np.column_stack(read)
+    coordinates = instrument.coordinates[: len(chain.axes)]
+    positions = np.full((len(table), len(coordinates) or instrument.dimension), instrument.touched)
+    for k, (name, quantity, positive) in enumerate(coordinates):
+        positions[:, k] = read_column(table, name, quantity, LENGTH_RANGE if positive else None)
     has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
     has_commands = any(re.match(r"commanded[1-9]", column) for column in table.columns)
     fields: dict[str, Any] = {
@@ -86,7 +81,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         "session": session,
         "marker": marker,
         "orientations": read_orientations(table) if poses else None,
-        "commanded": _read_joints(table, "commanded", n, types) if has_commands else None,
+        "commanded": read_postures(table, types or n, "commanded") if has_commands else None,
         "fit": table.fit,
         "provenance": MappingProxyType({"file": Path(table.path).name, "sha256": table.sha256}),
     }
@@ -123,12 +118,12 @@ def measurement_columns(
     instrument : that measured; None: one of positions or lengths
     Raises `InputError` for positions that a file cannot have.
     """
-    if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST_LENGTH:
-        raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST_LENGTH:g}")
+    if (far := np.abs(measurements.positions).max(initial=0.0)) > LARGEST:
+        raise InputError(f"measurements: found a position of {far:g} mm, allowed: up to {LARGEST:g}")
     names = ["distance_mm"] if measurements.dimension == 1 else ["x_mm", "y_mm", "z_mm"]
     session, marker, target = "session", "marker", measurements.marker
     if instrument is not None and not instrument.reads_positions:
-        names = [f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in instrument.coordinates]
+        names = [column_of(name, quantity) for name, quantity, _ in instrument.coordinates]
         if instrument.own_targets:
             marker = instrument.target or session
             if instrument.target and target is not None:
@@ -167,62 +162,59 @@ def measurement_columns(
 
 
 # -- reading columns ---------------------------------------------------------------------------------------------------
-def read_column(table: Table, name: str, kind: str, bounds: tuple[float, float] | None = None) -> Array:
-    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its kind.
+def column_of(name: str, quantity: str) -> str:
+    """`x_mm`: the column of a quantity in the unit in which it is written."""
+    return f"{name}_{next(iter(UNITS[quantity]))}"
+
+
+def read_column(table: Table, name: str, quantity: str, bounds: tuple[float, float] | None = None) -> Array:
+    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its quantity.
 
     bounds : smallest and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`
     """
-    columns = [f"{name}_{unit}" for unit in UNITS[kind]]
-    present = [column for column in columns if column in table] or columns[:1]
+    columns = {f"{name}_{unit}": (unit, factor) for unit, factor in UNITS[quantity].items()}
+    present = [column for column in columns if column in table] or [column_of(name, quantity)]
     if len(present) > 1:
         raise InputError(f"{table.path}: found both {' and '.join(columns)}, allowed: one of them")
-    unit = present[0].removeprefix(f"{name}_")
-    factor = UNITS[kind][unit]
-    low, high = bounds or (-MOST[kind], MOST[kind])
-    allowed = f"a finite {kind}, up to {high / factor:g}"
+    unit, factor = columns[present[0]]
+    low, high = bounds or (-MOST[quantity], MOST[quantity])
+    allowed = f"a finite {quantity}, up to {high / factor:g}"
     if bounds is not None:
         allowed = f"a number > 0 [{unit}], {low / factor:g} to {high / factor:g}"
     return table.floats(present[0], allowed, lambda v: (v * factor >= low) & (v * factor <= high)) * factor
 
 
-def _read_points(table: Table, axes: str) -> Array:
-    """(m, d) [mm] of columns `x_mm`, or `x_m` converted, ..."""
-    return np.column_stack([read_column(table, axis, LENGTH) for axis in axes])
-
-
-def _joint_columns(table: Table, types: JointTypes) -> dict[int, str]:
+def _joint_columns(table: Table, types: JointTypes, name: str = "q") -> dict[int, str]:
     """Joint, from 1 -> a column of its positions that a table has."""
     columns = {}
     for column in table.columns:
-        name = re.fullmatch(r"q([1-9]\d*)_(\w+)", column)
-        if name and name[2] in UNITS[_kind(types, int(name[1]))]:
-            columns[int(name[1])] = column
+        words = re.fullmatch(rf"{name}([1-9]\d*)_(\w+)", column)
+        if words and words[2] in UNITS[_quantity(types, int(words[1]))]:
+            columns[int(words[1])] = column
     return columns
 
 
-def _kind(types: JointTypes, joint: int) -> str:
+def _quantity(types: JointTypes, joint: int) -> str:
     """What the column of a joint, counted from 1, holds."""
     slides = isinstance(types, Sequence) and joint <= len(types) and types[joint - 1] == PRISMATIC
     return LENGTH if slides else ANGLE
 
 
-def read_postures(table: Table, types: JointTypes = None) -> Array:
-    """(m, n) joint positions [rad, mm] of the columns, which are as the controller counts (`JointKinds`); n as `types`
-    say, or what the table has. Raises `InputError` for anything else."""
-    columns = _joint_columns(table, types)
+def read_postures(table: Table, types: JointTypes = None, name: str = "q") -> Array:
+    """(m, n) joint positions [rad, mm] of columns `q1_deg..`, which are as the controller counts (`JointKinds`); n as
+    `types` say, or what the table has. Raises `InputError` for anything else.
+
+    name : `q`, or `commanded`
+    """
+    columns = _joint_columns(table, types, name)
     last = max(columns, default=1)
     n = min(last, MAX_LINKS) if types is None else types if isinstance(types, int) else len(types)
     if last > n:
-        allowed = " to ".join(f"q{j}_{next(iter(UNITS[_kind(types, j)]))}" for j in (1, n))
+        allowed = " to ".join(column_of(f"{name}{j}", _quantity(types, j)) for j in (1, n))
         whose = "" if types is None else f", but the arm has {n} links"
         raise InputError(f"{table.path}: found column {columns[last]}{whose}, allowed: {allowed}")
-    return _read_joints(table, "q", n, types)
-
-
-def _read_joints(table: Table, name: str, n: int, types: JointTypes) -> Array:
-    """(m, n) [rad, mm] of columns `name` 1 to n."""
-    columns = [read_column(table, f"{name}{joint}", _kind(types, joint)) for joint in range(1, n + 1)]
-    return in_joints(np.column_stack(columns), types)
+    read = [read_column(table, f"{name}{joint}", _quantity(types, joint)) for joint in range(1, n + 1)]
+    return in_joints(np.column_stack(read), types)
 
 
 def orientation_columns(table: Table) -> list[str]:
@@ -305,9 +297,10 @@ def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") 
     """
     columns: Columns = {}
     for j, column in enumerate(in_columns(postures, types).T, start=1):
-        unit = next(iter(UNITS[_kind(types, j)]))
+        quantity = _quantity(types, j)
         # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad;  + 0: no -0
-        columns[f"{name}{j}_{unit}"] = (np.round(np.degrees(column), 12) if unit == "deg" else column) + 0.0
+        shown = np.round(np.degrees(column), 12) if quantity == ANGLE else column
+        columns[column_of(f"{name}{j}", quantity)] = shown + 0.0
     return columns
 
 
@@ -330,8 +323,7 @@ class Plan(ByValue):
     fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
     via : (m,) rows that are way-points, where these were asked for; None: there are none
     cells : column of its file, but for `run` -> its texts, with decimal points
-    conditions : `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n), None where the file has none;
-        empty where they were not asked for
+    conditions : `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n), None where the file has none
     """
 
     postures: Array
@@ -388,14 +380,14 @@ class Plan(ByValue):
     @classmethod
     def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
         """The plan whose `displayed` postures (m, n) are these."""
-        units = [UNITS[_kind(joint_types, j)] for j in range(1, len(joint_types) + 1)]
+        units = [UNITS[_quantity(joint_types, j)] for j in range(1, len(joint_types) + 1)]
         scaled = displayed * [next(iter(each.values())) for each in units]
         return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """A row for each posture, as in a plan file; polars or pandas."""
+    def to_frame(self) -> Any:
+        """A row for each posture, as in a plan file."""
         columns: dict[str, Any] = {"run": range(1, len(self) + 1), **self.columns}
-        return frame_of_columns(columns if self.weights is None else columns | {"weight": self.weights}, kind)
+        return as_frame(columns if self.weights is None else columns | {"weight": self.weights})
 
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""
@@ -434,22 +426,20 @@ def load_plan(
     path: PathLike,
     joints: JointTypes = None,
     *,
-    conditions: bool = False,
     carried_out: bool = False,
     vias: bool = False,
 ) -> Plan:
-    """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with or without conditions of the rows.
+    """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.
 
     joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
-    conditions : read them too;  carried_out : the file is one of measurements, and has other columns
+    carried_out : the file is one of measurements, and has other columns
     vias : read the way-points of the moves too, which nobody measures
 
     Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
     table = read_table(path, vias=vias)
-    postures, weights = read_postures(table, joints), None
-    n, via = postures.shape[1], None
+    postures, weights, via, conditions = read_postures(table, joints), None, None, dict[str, Any]()
     if vias and "kind" in table:
         via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
     if not carried_out:
@@ -458,15 +448,12 @@ def load_plan(
             if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
                 wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
                 raise InputError(f"{table.path}: column weight: {wrong}")
+        n = postures.shape[1]
+        conditions = _conditions(table, n if joints is None else joints, ("payload_kg", "temperature_C"))
         further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
         table.warn_unused(further)
     cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
-    if table.decimal_commas:
-        for texts in cells.values():
-            texts[:] = [text.replace(",", ".") if DECIMAL.fullmatch(text) else text for text in texts]
-    wanted = ("payload_kg", "temperature_C")
-    rows = _conditions(table, n if joints is None else joints, wanted) if conditions else {}
-    return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=rows)
+    return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
 
 
 # -- targets and commands ----------------------------------------------------------------------------------------------
@@ -498,7 +485,7 @@ def load_targets(path: PathLike, links: int | Arm) -> Targets:
         columns = " and ".join(", ".join(f"{axis}_mm" for axis in axes).rsplit(", ", 1))
         allowed = f"{columns}, or q1_deg..q{count}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-    positions = _read_points(table, axes) if has_positions else None
+    positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
     postures = read_postures(table, types) if joints else None
     orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
     table.warn_unused(["run"])

@@ -21,7 +21,7 @@ from identification.arrays import Array
 from identification.errors import InputError, nearest, printable
 from identification.files.io import PathLike, decode, read_bytes
 from identification.kinematics.chain import Joint, KinematicChain
-from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw, rotation_about
+from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 
 METER = 1000.0  # [mm]
@@ -67,35 +67,29 @@ class Urdf:
                 masses.append(0.0)
             mass = of_links.get(self.link(element, "child"))
             if masses and mass is not None:
-                masses[-1] += self._number("mass", str(mass.get("value")))
+                masses[-1] += self._numbers(mass, "mass", "value", None, 1).item()
         return tuple(masses)
 
     def links_on(self, base: str, tip: str) -> dict[str, tuple[int, Array, bool]]:
         """Link -> number of the joint of a chain that it moves with, 0: none; its pose (4, 4) [mm] in the frame of that
         joint after it moved, of joint 0 in that of the base; whether a joint that is not of the chain lies between,
-        which then stands at zero, or in the middle of limits that leave zero out."""
+        which then stands at zero."""
         places, number, before = {base: (0, np.eye(4), False)}, 0, np.eye(4)
         for element in self.elements(base, tip):
             before = before @ self.origin(element)
             if element.get("type") != FIXED:
                 number, before = number + 1, np.eye(4)
             places[self.link(element, "child")] = number, before, False
-        link = base
-        while link in self.by_child:  # up to the root, which no joint of the chain moves
-            element, (_, place, loose) = self.by_child[link], places[link]
-            link = self.link(element, "parent")
-            if link in places:  # in a circle
-                break
-            places[link] = 0, place @ np.linalg.inv(self._at_rest(element)), loose or element.get("type") != FIXED
-        todo = list(places)
-        while todo:
-            parent = todo.pop()
+        for link in (reached := list(places)):  # which grows: down to the ends, and up from the base to the root
+            number, place, aside = places[link]
             for child, element in self.by_child.items():
-                if child not in places and self.link(element, "parent") == parent:
-                    joint, place, loose = places[parent]
-                    loose = loose or element.get("type") != FIXED
-                    places[child] = joint, place @ self._at_rest(element), loose
-                    todo.append(child)
+                parent, loose = self.link(element, "parent"), aside or element.get("type") != FIXED
+                if parent == link and child not in places:
+                    places[child] = number, place @ self.origin(element), loose
+                    reached.append(child)
+                elif child == link and parent not in places:
+                    places[parent] = number, place @ np.linalg.inv(self.origin(element)), loose
+                    reached.append(parent)
         return places
 
     def neighbours(self) -> frozenset[frozenset[str]]:
@@ -114,24 +108,10 @@ class Urdf:
                 pairs.add(frozenset((link, above)))
         return frozenset(pairs)
 
-    def _at_rest(self, element: ElementTree.Element) -> Array:
-        """(4, 4) [mm] of a joint that is not of the chain."""
-        kind, limit, at = MOVING.get(str(element.get("type"))), element.find("limit"), 0.0
-        if kind is not None and limit is not None and limit.get("lower") and limit.get("upper"):
-            where = f"joint {element.get('name')!r}: limit"
-            lower, upper = (self._number(where, str(limit.get(end))) for end in ("lower", "upper"))
-            at = 0.0 if lower <= 0.0 <= upper else 0.5 * (lower + upper)
-        if not at:
-            return self.origin(element)
-        axis = self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
-        axis = axis / max(float(np.linalg.norm(axis)), np.finfo(float).tiny)
-        motion = pose(rotation=rotation_about(axis, at)) if kind == REVOLUTE else pose(axis * at * METER)
-        return self.origin(element) @ motion
-
     def collisions(self, link: str) -> list[tuple[str, Mapping[str, Array], str, Array]]:
         """Of the `<collision>` elements of a link: the kind (`box`, `sphere`, `cylinder`, `capsule`, `mesh`), its
         sizes [mm] by their names (of a mesh its `scale`), the name of its file, its pose (4, 4) [mm] in the link."""
-        found: list[tuple[str, Mapping[str, Array], str, Array]] = []
+        solids: list[tuple[str, Mapping[str, Array], str, Array]] = []
         of_link = (each for each in self.robot.findall("link") if each.get("name") == link)
         for element in next(of_link).findall("collision"):
             where = f"link {link!r}: collision"
@@ -141,15 +121,14 @@ class Urdf:
                 raise InputError(f"{self.path}: {where} of {state}, allowed: one of {', '.join(SIZES)}")
             shape, sizes = shapes[0], {}
             for key, count in SIZES[shape.tag].items():
-                words = shape.get(key, "1 1 1" if key == "scale" else "").split()
-                sizes[key] = np.array([self._number(f"{where} {key}", word) for word in words]) * METER
-                if len(words) != count or not np.all(sizes[key] if key == "scale" else sizes[key] > 0.0):
-                    allowed = f"allowed: {count} number{'s' if count > 1 else ''} > 0"
-                    raise InputError(f"{self.path}: {where} {key} has {shape.get(key)!r}, {allowed}")
+                usual = (1.0, 1.0, 1.0) if key == "scale" else None
+                sizes[key] = self._numbers(shape, where, key, usual, count) * METER
+                if not np.all(sizes[key] if key == "scale" else sizes[key] > 0.0):
+                    raise InputError(f"{self.path}: {where} {key} has {shape.get(key)!r}, allowed: {count} numbers > 0")
             if shape.tag == "mesh" and not shape.get("filename"):
                 raise InputError(f"{self.path}: {where} of a mesh without filename, allowed: the name of a file")
-            found.append((shape.tag, sizes, shape.get("filename", ""), self.origin(element, where)))
-        return found
+            solids.append((shape.tag, sizes, shape.get("filename", ""), self.origin(element, where)))
+        return solids
 
     def elements(self, base: str, tip: str) -> list[ElementTree.Element]:
         """The joints from a base link to a tip link. Raises `InputError` where there is no such way."""
@@ -184,20 +163,22 @@ class Urdf:
 
     def _joint(self, element: ElementTree.Element, origin: Array, limited: Collection[str]) -> Joint:
         name, kind = str(element.get("name")), str(element.get("type"))
-        limit, axis = element.find("limit"), self._numbers(element, "axis", "xyz", (1.0, 0.0, 0.0))
-        ends = [None] if limit is None else [limit.get("lower"), limit.get("upper")]
+        axis = self._numbers(element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
+        limit = element.find("limit")
+        bounded = limit is not None and None not in (limit.get("lower"), limit.get("upper"))
         free = kind == "continuous" or MOVING.get(kind) in limited
         for wrong, sentence in (
             (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
             (element.find("mimic") is not None, " of the chain mimics another, allowed: joints of their own"),
             (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
-            (not free and None in ends, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
+            (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
         ):
             if wrong:
                 raise InputError(f"{self.path}: joint {name!r}{sentence}")
         if free:
             return Joint(name, origin, axis, MOVING[kind], -np.pi, np.pi)
-        lower, upper = (self._number(f"joint {name!r}: limit", str(end)) for end in ends)
+        where = f"joint {name!r}: limit"
+        lower, upper = (self._numbers(limit, where, end, None, 1).item() for end in ("lower", "upper"))
         if lower >= upper:
             raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
         unit = METER if kind == "prismatic" else 1.0
@@ -205,34 +186,29 @@ class Urdf:
 
     def origin(self, element: ElementTree.Element, where: str = "") -> Array:
         """(4, 4) [mm] of a joint, or of another element;  where : its name in messages"""
-        place = self._numbers(element, "origin", "xyz", (0.0, 0.0, 0.0), where) * METER
-        return pose(place, from_roll_pitch_yaw(*self.angles(element, where)))
+        here = f"{where or 'joint ' + repr(element.get('name')) + ':'} origin"
+        place = self._numbers(element.find("origin"), here, "xyz", (0.0, 0.0, 0.0)) * METER
+        return pose(place, from_roll_pitch_yaw(*self.angles(element, here)))
 
-    def angles(self, element: ElementTree.Element, where: str = "") -> Array:
+    def angles(self, element: ElementTree.Element, where: str = "origin") -> Array:
         """(3,) roll, pitch and yaw [rad] of a joint."""
-        return self._numbers(element, "origin", "rpy", (0.0, 0.0, 0.0), where)
+        return self._numbers(element.find("origin"), where, "rpy", (0.0, 0.0, 0.0))
 
     def _numbers(
-        self, element: ElementTree.Element, tag: str, key: str, default: Sequence[float], where: str = ""
+        self, element: ElementTree.Element | None, where: str, key: str, usual: Sequence[float] | None, count: int = 3
     ) -> Array:
-        """(3,) numbers of an attribute."""
-        part = element.find(tag)
-        text = None if part is None else part.get(key)
-        if text is None:
-            return np.asarray(default)
-        where = f"{where or 'joint ' + repr(element.get('name')) + ':'} {tag} {key}"
-        if len(words := text.split()) != 3:
-            raise InputError(f"{self.path}: {where} has {text!r}, allowed: three numbers")
-        return np.array([self._number(where, word) for word in words])
-
-    def _number(self, where: str, word: str) -> float:
+        """(count,) numbers of an attribute;  usual : where it is left out, None: it may not be"""
+        text = None if element is None else element.get(key)
+        if text is None and usual is not None:
+            return np.array(usual)
         try:
-            value = float(word)
+            values = np.array([float(word) for word in (text or "").split()])
         except ValueError:
-            value = np.nan
-        if not np.isfinite(value):
-            raise InputError(f"{self.path}: {where} has {word!r}, allowed: finite numbers")
-        return value
+            values = np.array([np.nan])
+        if len(values) != count or not np.all(np.isfinite(values)):
+            allowed = f"{count} number{'s' if count > 1 else ''}"
+            raise InputError(f"{self.path}: {where} {key} has {text!r}, allowed: {allowed}")
+        return values
 
     def link(self, joint: ElementTree.Element, tag: str) -> str:
         """The `parent` or `child` link of a joint."""

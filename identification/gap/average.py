@@ -161,7 +161,13 @@ def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:
     values, vectors = np.linalg.eigh(covariance[np.ix_(conditioned, conditioned)] / np.outer(scale, scale))
     seen = values > VISIBLE
     across = covariance[np.ix_(kept, conditioned)] / scale @ (vectors[:, seen] / np.sqrt(values[seen]))
-    return covariance[np.ix_(kept, kept)] - across @ across.T
+    beside = covariance[np.ix_(kept, kept)] - across @ across.T
+    # rounding of the difference is no variance: an arm file's covariance is positive semidefinite
+    sizes = np.sqrt(np.diag(beside).clip(min=0.0))
+    scale = np.where(sizes > 0.0, sizes, np.inf)
+    values, vectors = np.linalg.eigh(beside / np.outer(scale, scale))
+    root = sizes[:, None] * vectors * np.sqrt(values.clip(min=0.0))
+    return np.asarray(root @ root.T)
 
 
 # -- error curves ------------------------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ from identification.effects.formulas import RARE
 from identification.error_curve import local_splines
 from identification.gap.fit import At, Rows
 from identification.gap.likelihood import SIZES, Products, orthonormal
-from identification.information import VISIBLE, column_space, column_space_of
+from identification.information import RANK_TOLERANCE, VISIBLE, column_space, column_space_of
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.model import Model
 from identification.vectorized import Evaluate, vectorize
@@ -228,7 +228,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     given : conditions that the data have beyond `BY_ORDER`: `temperature`
     rows : the data, on which scanned settings may depend; None: settings that suit any data
     """
-    available = set(BY_ORDER | (given & {"temperature"})) | arm.offers
+    available = set(BY_ORDER | (given & {"temperature"})) | arm.chain.instrument.offers
     available -= FOLLOWING if rows is not None and not rows.conditions.follow else set()
     available |= set() if arm.gravity is None else {"gravity"}
     known, base = of_dimension(arm.dimension), Model(arm)
@@ -448,7 +448,7 @@ def outside_blocks(at: At) -> Iterator[Block]:
     for j in turning:
         if j + 1 in unseen:
             continue
-        weight, revolute = n**-0.5, not arm.chain.planar and arm.chain.joints[j].type == REVOLUTE
+        weight, revolute = n**-0.5, "joint_turns" in arm.chain.bends and arm.chain.joints[j].type == REVOLUTE
         share = 0.3 * weight / max(n - 1, 1)
         table.append((j + 1 not in curved, f"curve:{j + 1}", weight, turned(curve, j)))
         others = [(k != j, f"shared:{j + 1},{k + 1}", share, turned(shared, j, k)) for k in turning]
@@ -542,7 +542,7 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     gram -= inside.T @ inside
     left = target - u @ (u.T @ target)
     right = white @ left
-    every = [_root(gram[p, p], float(np.sum(squares[p])), b) for p, b in zip(parts, blocks, strict=True)]
+    every = [_root(gram[p, p], float(np.sum(squares[p])), len(rows), b) for p, b in zip(parts, blocks, strict=True)]
     shown = [k for k, root in enumerate(every) if root.shape[1]]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
     turn = sparse.block_diag([root.T for root in every], format="csr")  # (P, p)
@@ -555,15 +555,17 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     return Linearized(tuple(blocks), products, tuple(roots), -back @ inside, values, back @ back.T, tuple(columns))
 
 
-def _root(gram: Array, before: float, block: Block) -> Array:
+def _root(gram: Array, before: float, rows: int, block: Block) -> Array:
     """The (p, w) matrix that makes columns of unit size of a block's own p; w = 0 where it cannot be seen.
 
-    gram : (p, p) products of its columns, projected off the base model;  before : their squares before projection
+    gram : (p, p) products of its columns, projected off the base model;  before : their squares before projection, at
+        so many rows;  a torque about an axis that the load cannot turn is rounding, and no reason for a column
 
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
     of 0.3, as the joints are of one make; what is outside the library has its own columns scaled alone.
     """
-    if not np.trace(gram) > VISIBLE * before:
+    rounding = RANK_TOLERANCE * max((p.scale for p in block.effect.parameters), default=0.0) if block.effect else 0.0
+    if not np.trace(gram) > VISIBLE * before or before <= rounding**2 * rows:
         return np.zeros((len(gram), 0))
     if block.effect is None:
         values, vectors = np.linalg.eigh(gram / np.trace(gram))

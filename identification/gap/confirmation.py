@@ -171,29 +171,6 @@ class Gap(NamedTuple):
 
 
 # -- rows held out -----------------------------------------------------------------------------------------------------
-def split(
-    measurements: Measurements, share: float, generator: np.random.Generator
-) -> tuple[Measurements, Measurements]:
-    """Split into data and hold-out: random postures with about this share of the rows, each with all its repeats.
-
-    share : between 0 and 1
-
-    Raises `InputError` for any other share, and for rows of a single posture.
-    """
-    if not 0.0 < share < 1.0:
-        raise InputError(f"holdout: {share:g}, allowed: a share of the rows between 0 and 1")
-    numbers = measurements.posture_numbers
-    counts = np.bincount(numbers)
-    if len(counts) < 2:
-        raise InputError("holdout: all rows are of one posture, allowed: several postures, to hold some of them out")
-    order = generator.permutation(len(counts))
-    taken = int(np.clip(np.searchsorted(np.cumsum(counts[order]), share * len(numbers)) + 1, 1, len(counts) - 1))
-    held_out = np.isin(numbers, order[:taken])
-    if measurements.order is None:  # the parts must know when in the session they were measured
-        measurements = replace(measurements, order=np.arange(len(numbers), dtype=float))
-    return measurements.rows(~held_out), measurements.rows(held_out)
-
-
 def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
     """Kind of transfer that a hold-out tests, judged by the order of measurement.
 
@@ -304,7 +281,7 @@ def placed_residuals(
     both = []
     for one in (base, model):
         left, chain, axes = one.residuals(holdout, conditions)[:, POINT], one.model.arm.chain, None
-        if not chain.planar and chain.instrument.reads_positions:
+        if chain.frame_kinds and chain.instrument.reads_positions:
             sizes = widths(chain)
             first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = one.model.place_levers(holdout.postures, one.values, conditions)[0]

@@ -295,7 +295,7 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     """Where a spatial arm stands if its `[base]` is wrong, in a sentence; none where the file says nothing, and where
     the drawing explains the positions from no place."""
     chain = arm.chain
-    if chain.planar or BASE not in chain.settled or not chain.instrument.reads_positions:
+    if BASE not in chain.settled.intersection(chain.frame_kinds) or not chain.instrument.reads_positions:
         return []
     rows = some_of_one_point(measurements)
     try:
@@ -328,7 +328,7 @@ def constant_length(arm: Arm, measurements: Measurements, fit: Identification | 
 
     fit : without it, None: there is none
     """
-    settled = "distance" not in arm.offers or any(spec.name == LENGTH_OFFSET for spec in arm.effects)
+    settled = "distance" not in arm.chain.instrument.offers or any(spec.name == LENGTH_OFFSET for spec in arm.effects)
     if settled or fit is None or fit.dof <= doubts.SPARE or rms_distance(fit.residuals_after) < NOTHING:
         return []
     wider = replace(arm, calibration=None).with_effects(*arm.effects, EffectSpec(LENGTH_OFFSET))

@@ -1,3 +1,4 @@
+# ruff: noqa: F401 - the names of this package
 """Instruments: what is measured of an arm, one class each.
 
 `KINDS` maps the words of arm files to classes (identification/README.md, "How to add an instrument").
@@ -24,24 +25,3 @@ from identification.instruments.library import (
     distance_to_center,
 )
 from identification.instruments.search import Placement, Unplaced
-
-__all__ = [
-    "IN_PLANE",
-    "KINDS",
-    "TRACKER",
-    "Coordinate",
-    "Distance",
-    "Guide",
-    "Instrument",
-    "OwnValue",
-    "Placement",
-    "PlanarDistance",
-    "Plane",
-    "Socket",
-    "Sphere",
-    "Tracker",
-    "Unplaced",
-    "distance_to_center",
-    "kinds",
-    "register_instrument",
-]

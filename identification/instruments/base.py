@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments.search import Placement, Unplaced, random_starts, searched
-from identification.kinematics.frames import own_axes_angles
+from identification.kinematics.frames import to_angles
 from identification.kinematics.parameters import AXES, Parameter
 from identification.vectorized import Evaluate, vectorize
 
@@ -136,7 +136,7 @@ class Instrument:
     def between(self, first: Array, base: Array) -> tuple[dict[str, float], frozenset[str]]:
         """What brings a base (4, 4) to where it stands in a later session, `x y z wx wy wz` [mm, rad] (`session_base`):
         a shift along the axes of the instrument and rotations about its own; and those on which no reading depends."""
-        shift, turn = base[:3, 3] - first[:3, 3], own_axes_angles(first[:3, :3].T @ base[:3, :3])
+        shift, turn = base[:3, 3] - first[:3, 3], to_angles(first[:3, :3].T @ base[:3, :3])
         movement = dict(zip(["x", "y", "z", "wx", "wy", "wz"], [*shift.tolist(), *turn.tolist()], strict=True))
         return movement, frozenset(name.partition(".")[2].replace("r", "w") for name in self.hides)
 

@@ -23,7 +23,7 @@ from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
 from identification.instruments.search import Placement, Starts, Unplaced, followed, placed, random_starts, searched
-from identification.kinematics.frames import from_own_axes, pose, rotation_about
+from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
 
 RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
@@ -215,7 +215,7 @@ class Plane(Instrument):
             spun = pose(rotation=rotation_about([0.0, 0.0, 1.0], angle)) @ base
             movement = super().between(first, spun)[0]
             turn = np.array([movement[f"w{axis}"] for axis in AXES])
-            ends = [[first[2, :3] @ from_own_axes(*(turn + s * steps[k])) for s in (1, -1)] for k in {0, 1, 2} - {held}]
+            ends = [[first[2, :3] @ from_angles(turn + s * steps[k]) for s in (1, -1)] for k in {0, 1, 2} - {held}]
             tilt = float(np.linalg.svd([(up - down) / 2e-5 for up, down in ends], compute_uv=False)[-1])
             if tilt > best:
                 best, choice = tilt, (movement, frozenset({"x", "y", f"w{AXES[held]}"}))

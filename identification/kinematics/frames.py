@@ -62,18 +62,19 @@ def from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
-    """(3,) angles [rad] with `from_roll_pitch_yaw` of them the rotation (3, 3).
+    """(..., 3) angles [rad] with `from_roll_pitch_yaw` of them the rotations (..., 3, 3).
 
-    near : (3,) angles [rad]: of the equal ones the nearest to these; None: pitch within 90 deg, and a yaw of zero where
-        only the sum or difference of roll and yaw counts (gimbal lock)
+    near : (3,) angles [rad]: of the equal ones of one rotation the nearest to these; None: pitch within 90 deg, and a
+        yaw of zero where only the sum or difference of roll and yaw counts (gimbal lock)
     """
     lock = 1e-12  # cosine of the pitch below which roll and yaw turn about one axis
-    level = np.hypot(rotation[0, 0], rotation[1, 0])
-    pitch = float(np.arctan2(-rotation[2, 0], level))
-    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0])) if level >= lock else 0.0
+    matrix = np.moveaxis(rotation, (-2, -1), (0, 1))
+    level = np.hypot(matrix[0, 0], matrix[1, 0])
+    pitch = np.arctan2(-matrix[2, 0], level)
+    yaw = np.where(level >= lock, np.arctan2(matrix[1, 0], matrix[0, 0]), 0.0)
     sine, cosine = np.sin(yaw), np.cos(yaw)  # roll is what this yaw leaves: near the lock each of the two is uncertain
-    across = sine * rotation[0, 2] - cosine * rotation[1, 2], cosine * rotation[1, 1] - sine * rotation[0, 1]
-    rpy = np.array([np.arctan2(*across), pitch, yaw], dtype=float)
+    across = sine * matrix[0, 2] - cosine * matrix[1, 2], cosine * matrix[1, 1] - sine * matrix[0, 1]
+    rpy = np.stack([np.arctan2(*across), pitch, yaw], axis=-1)
     if near is None:
         return rpy
     near, turn = np.asarray(near, dtype=float), 2.0 * np.pi
@@ -94,19 +95,9 @@ def from_angles(angles: ArrayLike) -> Array:
     return np.asarray(x @ y @ z)
 
 
-def from_own_axes(x: float, y: float, z: float) -> Array:
-    """(3, 3) `from_angles` of one rotation."""
-    return from_angles((x, y, z))
-
-
-def own_axes_angles(rotation: Array) -> Array:
-    """(3,) angles [rad] with `from_own_axes` of them the rotation (3, 3)."""
-    return -roll_pitch_yaw(rotation.T)
-
-
 def to_angles(rotations: Array) -> Array:
-    """(m, 3) angles [rad] of which `from_angles` makes these rotations (m, 3, 3)."""
-    return np.array([own_axes_angles(rotation) for rotation in rotations])
+    """(..., 3) angles [rad] of which `from_angles` makes these rotations (..., 3, 3)."""
+    return -roll_pitch_yaw(np.swapaxes(rotations, -1, -2))
 
 
 def from_quaternions(quaternions: Array) -> Array:
@@ -119,13 +110,13 @@ def from_quaternions(quaternions: Array) -> Array:
 def displacement(values: Mapping[str, float], names: Sequence[str]) -> tuple[Array, Array]:
     """(3,) translation and (3, 3) rotation by six errors of these names (`error_names`), zero where missing."""
     errors = [values.get(name, 0.0) for name in names]
-    return np.array(errors[:3]), from_own_axes(*errors[3:])
+    return np.array(errors[:3]), from_angles(errors[3:])
 
 
 def displaced_by(frame: Array, other: Array, names: Sequence[str]) -> dict[str, float]:
     """The six errors of these names of a frame (4, 4) that make it another."""
     relative: Array = np.linalg.inv(frame) @ other
-    return dict(zip(names, [*relative[:3, 3].tolist(), *own_axes_angles(relative[:3, :3]).tolist()], strict=True))
+    return dict(zip(names, [*relative[:3, 3].tolist(), *to_angles(relative[:3, :3]).tolist()], strict=True))
 
 
 def point_table(place: Array) -> dict[str, float]:
@@ -135,7 +126,7 @@ def point_table(place: Array) -> dict[str, float]:
 
 def pose_table(matrix: Array) -> dict[str, float]:
     """(4, 4) [mm] as files and JSON have it."""
-    angles = zip(AXES, np.degrees(own_axes_angles(matrix[:3, :3])), strict=True)
+    angles = zip(AXES, np.degrees(to_angles(matrix[:3, :3])), strict=True)
     return point_table(matrix[:3, 3]) | {f"r{axis}_deg": float(f"{angle:.15g}") for axis, angle in angles}
 
 
@@ -146,15 +137,10 @@ def tool_tables(tools: Mapping[str, Array], axes: Mapping[str, Array]) -> dict[s
 
 def nearest_rotation(matrices: Array) -> Array:
     """(..., d, d) rotations, no mirrors, with the largest sums of products of entries with matrices (..., d, d): the
-    best for two clouds of points, of which the matrix is the product (Kabsch 1976)."""
+    best for two clouds of points, of which the matrix is the product (Kabsch 1976); of the mean of some their mean."""
     left, _, right = np.linalg.svd(matrices)
     left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
     return np.asarray(left @ right)
-
-
-def mean_rotation(rotations: Array) -> Array:
-    """(3, 3) rotation with the smallest sum of squared differences of matrix entries from rotations (m, 3, 3)."""
-    return nearest_rotation(rotations.mean(axis=0))
 
 
 def rotation_vector(rotation: ca.SX) -> ca.SX:

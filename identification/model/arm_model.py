@@ -172,11 +172,6 @@ class Model:
         """True if an effect depends on the postures measured before."""
         return "past" in self.needs
 
-    @property
-    def linear_in_links(self) -> bool:
-        """True if the tip is a complex linear function of l_j exp(i dtheta_j): nothing known, at most a base offset."""
-        return self.closed_form is not None and self.closed_form.exact
-
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
@@ -305,12 +300,13 @@ class Model:
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
         """Points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
-        return self.arm.chain.symbolic_points(q, self._geometry_values)
+        return self.arm.chain.symbolic_points(q, self.geometry)
 
     @cached_property
-    def _geometry_values(self) -> Array:
+    def geometry(self) -> dict[str, float]:
         """Best known values of `geometry_parameters`."""
-        return self.geometry_parameters.vector(self.best_known)
+        known = self.best_known
+        return {name: known[name] for name in self.geometry_parameters.names}
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
@@ -365,7 +361,7 @@ class Model:
 
         In the frame of the base, without effects: for constraints and pictures; `position` is what is measured.
         """
-        return self.arm.chain.points(self._postures(postures), self._geometry_values)
+        return self.arm.chain.points(self._postures(postures), self.geometry)
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
         """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""

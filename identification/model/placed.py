@@ -18,7 +18,7 @@ from identification.errors import InputError, nearest
 from identification.instruments import TRACKER, Unplaced
 from identification.kinematics.chain import BASE, DIMENSION, TOOL, KinematicChain
 from identification.kinematics.corrected import standing_in
-from identification.kinematics.frames import mean_rotation
+from identification.kinematics.frames import nearest_rotation
 from identification.measurements import Measurements
 from identification.model.arm_model import Model
 
@@ -97,8 +97,8 @@ def _standing_chain(chain: KinematicChain, measurements: Measurements, values: M
         if (rows := markers == number).any():
             tools[name] = place(Unplaced(frames[rows], readings[rows], chain.reach, base)).tool
             if measurements.orientations is not None:
-                tips = base[:3, :3] @ frames[rows, :3, :3]
-                axes[name] = mean_rotation(np.swapaxes(tips, -1, -2) @ measurements.orientations[rows])
+                tips = np.swapaxes(base[:3, :3] @ frames[rows, :3, :3], -1, -2)
+                axes[name] = nearest_rotation((tips @ measurements.orientations[rows]).mean(axis=0))
     return replace(chain, base=base, tools=tools, tool_axes=axes)
 
 

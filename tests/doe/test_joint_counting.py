@@ -124,7 +124,7 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     wanted = load_targets(tmp_path / "targets.csv", arm).postures
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
-    found = load_plan(tmp_path / "plan.csv", arm.joint_types, conditions=True).conditions["directions"]
+    found = load_plan(tmp_path / "plan.csv", arm.joint_types).conditions["directions"]
     np.testing.assert_array_equal(found, [[1.0, -1.0, 1.0]])
 
 

@@ -13,13 +13,13 @@ from identification.compensate import TOLERANCE, compensate
 from identification.documents.identification import compensation_document
 from identification.files.measurement import commands_text, load_targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
-from identification.kinematics.frames import from_own_axes, pose, rotation_about
+from identification.kinematics.frames import from_angles, pose, rotation_about
 
 QUARTER = np.pi / 2.0
 SIX = [(0.0, QUARTER, 350.0), (-400.0, 0.0, 0.0), (-350.0, 0.0, 0.0), (0.0, QUARTER, 110.0), (0.0, -QUARTER, 90.0)]
 SLIDE = DHRow(0.0, QUARTER, 0.0, type="prismatic", limits=(-300.0, 300.0))
-BASE, TOOL = pose((1500.0, -700.0, 300.0), from_own_axes(0.1, -0.4, 2.0)), np.array([30.0, 20.0, 60.0])
-TURN = from_own_axes(0.4, -0.2, 1.1)
+BASE, TOOL = pose((1500.0, -700.0, 300.0), from_angles((0.1, -0.4, 2.0))), np.array([30.0, 20.0, 60.0])
+TURN = from_angles((0.4, -0.2, 1.1))
 NAMES = ("translation_x:3", "rotation_y:4", "joint_offset:2", "joint_offset:5")
 VALUES = dict(zip(NAMES, (0.8, 0.002, 0.004, -0.003), strict=True))
 
@@ -109,7 +109,7 @@ def test_target_files(tmp_path: Path) -> None:
     given = arm(slide=False)
     (tmp_path / "targets.csv").write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n1500,-200,900,10,20,30\n")
     wanted = load_targets(tmp_path / "targets.csv", given)
-    np.testing.assert_allclose(wanted.orientations[0], from_own_axes(*np.radians([10.0, 20.0, 30.0])), atol=1e-14)
+    np.testing.assert_allclose(wanted.orientations[0], from_angles(np.radians([10.0, 20.0, 30.0])), atol=1e-14)
     found = compensate(given, wanted.positions, orientations=wanted.orientations)
     text = commands_text(found.commands, found.targets, found.errors, (), found.orientations, found.angles)
     assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg")

@@ -59,9 +59,6 @@ def test_other_names_are_of_effects() -> None:
 
 
 def test_numbers_are_kept() -> None:
-    columns = [f"direction{j}" for j in range(1, 7)]
-    assert close_names("dir2", columns) == ["direction2"]
-    assert close_names("dir7", columns) == []
     assert close_names("length_error:9", [f"length_error:{j}" for j in range(1, 7)]) == []
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
 from identification.files.bodies import mesh_file, name_beside
 from identification.files.io import PathLike
-from identification.files.measurement import UNITS
+from identification.files.measurement import column_of, posture_columns
 from identification.files.schema import json_schema, validated_arm
 from identification.files.urdf import Urdf, read_urdf
 from identification.instruments import KINDS, TRACKER
@@ -32,21 +33,20 @@ def planar_files(links: str) -> dict[str, str]:
 
     Raises `InputError` for anything else, and where the reader of arm files refuses the lengths, in its words.
     """
-    whole = links.strip().isascii() and links.strip().isdigit()
-    example = whole and links.strip().lstrip("0") in map(str, range(1, MAX_LINKS + 1))
+    example = re.fullmatch(r"0*([1-9]\d?)", links.strip(), re.ASCII)
     try:
-        lengths = [] if whole else [float(word) for word in links.split(",")]
+        lengths = [float(word) for word in links.split(",")]
     except ValueError:
         lengths = []
-    if example:
-        lengths = [float(round(600.0 * 0.8**j)) for j in range(int(links))]
-    elif lengths:
+    if example and int(example[1]) <= MAX_LINKS:
+        lengths = [float(round(600.0 * 0.8**j)) for j in range(int(example[1]))]
+    elif lengths and ("," in links or not links.strip().isdigit()):
         validated_arm({"links_mm": lengths}, "--links: ")
     else:
         allowed = f"allowed: how many, 1 to {MAX_LINKS}, or lengths [mm], one with a point, 13.0, or 612,572.3,115.7"
         raise InputError(f"--links: found {links!r}, {allowed}")
     title = f"a planar arm of {len(lengths)} links"
-    return _files([REVOLUTE] * len(lengths), "", spatial=False, title=title, lengths=lengths, example=example)
+    return _files([REVOLUTE] * len(lengths), "", spatial=False, title=title, lengths=lengths, example=bool(example))
 
 
 def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
@@ -133,8 +133,8 @@ def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: A
     n, instrument, arm_kind = len(types), KINDS[kind]() if kind else TRACKER, "spatial" if spatial else "planar"
     axes = instrument.coordinates[: 3 if spatial else 2]
     # its readings, or what is touched
-    measured = tuple(f"{name}_{next(iter(UNITS[quantity]))}" for name, quantity, _ in axes) or (instrument.target,)
-    columns = ["order", *(f"q{j}_{'deg' if t == REVOLUTE else 'mm'}" for j, t in enumerate(types, start=1)), *measured]
+    measured = tuple(column_of(name, quantity) for name, quantity, _ in axes) or (instrument.target,)
+    columns = ["order", *posture_columns(np.zeros((1, n)), types), *measured]
     rows = 3 if instrument.dimension == 1 else 1
     usual: dict[str, Any] = {"name": "arm", "example": False, "urdf": None, "massed": False, "masses": [10.0] * n}
     usual |= {"lower": [-170.0] * n, "upper": [170.0] * n, "runs": rows * max(5 * n, 20), "fresh": rows * 12}

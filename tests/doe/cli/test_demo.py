@@ -95,7 +95,7 @@ def test_the_demo_files_feed_the_other_commands_which_say_the_same(demo: tuple[F
 @pytest.mark.parametrize(
     ("words", "step", "directory"),
     [
-        ("--json", "diagnose", "armcal-demo-2"),
+        ("--json", "diagnose", "armcal-demo"),
         ("--out half", "diagnose", "half"),
         ("--spatial --out six", "solve", "six"),
     ],
@@ -103,8 +103,6 @@ def test_the_demo_files_feed_the_other_commands_which_say_the_same(demo: tuple[F
 def test_ctrl_c_says_which_files_are_left(
     folder: Folder, monkeypatch: pytest.MonkeyPatch, words: str, step: str, directory: str
 ) -> None:
-    """In a directory of its own, which no other demo takes."""
-
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 

@@ -61,15 +61,6 @@ def test_what_is_confirmed_is_written(sessions: Folder) -> None:
     assert again["rms_before_mm"] == pytest.approx(done.data["gap"]["held_out_after_mm"], rel=1e-9)
 
 
-def test_a_share_of_the_data_is_held_out_by_posture(sessions: Folder) -> None:
-    sessions.plan(60, 1, times=2)
-    sessions.simulated()
-    found = sessions.said(f"{DIAGNOSE} --holdout 0.3")
-    assert found["confirmation"]["rows"] == pytest.approx(36, abs=2)
-    assert found["confirmation"]["rows"] % 2 == 0  # both rows of a posture
-    assert found["confirmation"]["transfer"] == "other postures"
-
-
 def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -> None:
     said = sessions.said(f"{DIAGNOSE} --out extended.toml")
     kept = load_arm(sessions.path / "extended.toml").calibration

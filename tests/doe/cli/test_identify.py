@@ -156,7 +156,7 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
     frame = pl.read_csv(folder.path / "data.csv")
     frame[:6].with_columns(pl.col("q1_deg") + 360.0).write_csv(folder.path / "few.csv")
     old = frame["q1_deg"].to_numpy()
-    for words, kept in (("--only joint_offset:2", True), ("--prior calibrated.toml", True), ("", False)):
+    for words, kept in (("--only joint_offset:2", True), ("--prior-from calibrated.toml", True), ("", False)):
         folder.armcal(f"identify calibrated.toml few.csv {words} --out again.toml --force")
         found = origin(folder, "again.toml")
         assert (found["file"], found["rows"]) == ("few.csv", 6)
@@ -169,29 +169,25 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
             assert note.startswith("these are the measurements that the model was identified from:")
 
 
-def test_prior_is_the_library_or_a_file(folder: Folder) -> None:
-    """`--prior` alone means the library, wherever it stands; before a file an earlier calibration."""
+def test_a_prior_is_the_library_and_a_file(folder: Folder) -> None:
     folder.simulated()
     folder.said(f"{IDENTIFY} --sigma given --out calibrated.toml")
-    flag = folder.said("identify --prior arm.toml data.csv --missing backlash")
+    flag = folder.said("identify arm.toml data.csv --library-prior --missing backlash")
     assert flag["prior"]["effects"] == [f"backlash:{j}" for j in (1, 2, 3, 4)]
     assert flag["offered"]["better"] is False  # no effect is there, and four more can only harm
-    assert folder.said("identify --library-prior arm.toml data.csv --missing backlash") == flag
     folder.simulated("again.csv", seed=1)
     again = "arm.toml again.csv --sigma given"
-    last = f"identify {again} --prior calibrated.toml"
     named = f"identify {again} --prior-from calibrated.toml"
     found = folder.said(named)
-    assert found == folder.said(last) == folder.said(f"identify --prior=calibrated.toml {again}")
     assert found["prior_from"]["file"] == "calibrated.toml"
     assert len(found["prior_from"]["parameters"]) == 8
     assert found["prior_from"]["contradicted"] == []
     alone = folder.said(f"identify {again}")
     for with_prior, without in zip(found["parameters"], alone["parameters"], strict=True):
         assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same plan, twice
-    both = folder.said(f"{named} --prior --missing backlash".replace("--sigma given", ""))
+    both = folder.said(f"{named} --library-prior --missing backlash".replace("--sigma given", ""))
     assert (both["prior"]["parameters"], both["prior_from"]["anew"]) == (4, [])
-    assert "found no covariance" in folder.armcal(last.replace("calibrated", "arm")).err
+    assert "found no covariance" in folder.armcal(named.replace("calibrated", "arm")).err
 
 
 def test_rows_that_the_prior_comes_from_do_not_count_twice(folder: Folder) -> None:

@@ -13,7 +13,6 @@ from unittest.mock import Mock
 
 import pytest
 
-from doe.cli.demo import next_free
 from tests.doe.cli.conftest import Folder, without_progress
 from tests.doe.faults import COMMANDS, Command, Reference, content, prepare, start, verdict
 
@@ -58,15 +57,15 @@ def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> Non
     assert content(SERIAL, folder) == reference.files
 
 
-def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
-    names = [next_free(tmp_path / "demo").name for _ in range(3)]
-    assert names == ["demo", "demo-2", "demo-3"]
-
-
 @pytest.mark.parametrize(
-    ("error", "said"), [(MemoryError(), "not enough memory"), (ImportError("libx.so: no"), "library cannot be loaded")]
+    ("error", "said"),
+    [
+        (MemoryError(), "not enough memory"),
+        (ImportError("libx.so: no"), "library cannot be loaded"),
+        (FileNotFoundError("No usable temporary directory found"), "the system refuses: No usable temporary"),
+    ],
 )
-def test_no_memory_and_broken_libraries_are_one_line(
+def test_what_the_system_refuses_is_one_line(
     folder: Folder, monkeypatch: pytest.MonkeyPatch, error: BaseException, said: str
 ) -> None:
     monkeypatch.setattr("identification.files.arm.load_arm", Mock(side_effect=error))

@@ -22,7 +22,6 @@ from identification.document import Document, Part, Section, Sheet, as_text
 from identification.documents.diagnosis import diagnosis_document
 from identification.documents.identification import (
     entry_document,
-    gravity_document,
     identification_document,
     library_document,
 )
@@ -65,7 +64,6 @@ def documents() -> Iterator[tuple[str, Document]]:
     yield "commands", compensate(calibrated, fresh.positions).document()
     yield "library", library_document(entries())
     yield "effect", entry_document(entries()[0])
-    yield "gravity", gravity_document(["link_bending"])
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +73,7 @@ def every() -> dict[str, Document]:
 
 NAMES = (
     *("design", "advice", "weights", "inspection", "identification", "diagnosis", "diagnosis by JSON", "validation"),
-    *("commands", "library", "effect", "gravity"),
+    *("commands", "library", "effect"),
 )
 
 
@@ -112,7 +110,7 @@ def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: 
     assert max(map(len, terminal.splitlines())) <= 80
     (tmp_path / "data.csv").write_text("q1_deg\n")
     text = page(document, origin("armcal test", 3, [tmp_path / "data.csv"]))
-    assert len(document.verdict) > 0 or name in ("weights", "library", "gravity")
+    assert len(document.verdict) > 0 or name in ("weights", "library")
     for rendered, folded in ((terminal, False), (Words(notebook).words, True), (Words(text).words, True)):
         shown = flat(rendered)
         for sentence in (*document.warnings, *document.verdict, *(action.command for action in document.actions)):

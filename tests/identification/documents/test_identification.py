@@ -16,7 +16,6 @@ from identification.documents.identification import (
     corrected_section,
     identification_actions,
     identification_verdict,
-    in_short,
     is_better,
     validation_actions,
     validation_verdict,
@@ -27,43 +26,6 @@ from identification.measurements import Measurements
 from identification.validate import validate
 
 ARM = Arm([300.0, 200.0], calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
-
-
-def row(name: str, nominal: float | None, value: float, std: float, prior: float | None, unit: str) -> CorrectedValue:
-    return CorrectedValue(name, None, nominal, value, std, value - 2 * std, value + 2 * std, unit, "", prior)
-
-
-ROWS = (
-    row("zero of joint 2", 0.0, -0.08, 0.05, 0.5, "deg"),
-    row("zero of joint 5", 0.0, 0.04, 0.35, 0.5, "deg"),
-    row("zero of joint 6", 0.0, 0.0, 0.5, 0.5, "deg"),
-    row("joint 3 x", 610.0, 609.5, 0.04, 1.0, "mm"),
-    row("joint 3 y", -130.0, -129.8, 0.87, 1.0, "mm"),
-    row("joint 3 z", 0.0, 0.06, 0.97, 1.0, "mm"),
-    row("joint 4 yaw", 0.0, 1e-5, 2e-5, 1e-3, "deg"),  # of second order
-    row("base x", None, 2574.14, 0.05, None, "mm"),
-    row("base rz", None, 159.65, 0.3, None, "deg"),
-)
-
-
-def test_well_determined_values_are_shown_and_the_others_said() -> None:
-    text = as_text(in_short(ROWS, minimal=True), 80)
-    assert max(map(len, text.splitlines())) <= 80
-    table, _, rest = text.partition("Weakly determined")
-    assert "Well determined: 2 of 7 corrected values" in table
-    shown = [name for name in ("zero of joint 2", "joint 3 x", "joint 3 y", "zero of joint 5", "base") if name in table]
-    assert shown == ["zero of joint 2", "joint 3 x", "base"]
-    assert ["base", "x", "-", "2574.1400", "0.0500", "2574.0400", "2574.2400", "mm"] in map(
-        str.split, table.splitlines()
-    )
-    said = " ".join(rest.split())
-    for words in (
-        "zero of joint 5, 6; joint 3 y, z.",
-        "As drawn to three decimals: 1 more.",
-        "--parameters minimal gives a complete set",
-    ):
-        assert words in said
-    assert "minimal" not in as_text(in_short(ROWS, minimal=False))
 
 
 def test_corrected_values_have_three_significant_digits_of_the_standard_deviation() -> None:

@@ -13,7 +13,7 @@ from identification.estimation import Identification, estimate
 from identification.estimation.doubts import TOGETHER, flange_turns
 from identification.inspection.inspection import inspect
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
-from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -48,7 +48,7 @@ def kept(rows: int, wobble: float, about: tuple[float, float, float] | None = No
 
 def measured(postures: np.ndarray, chain: KinematicChain = CHAIN) -> Measurements:
     generator = np.random.default_rng(2)
-    stands = pose((2000.0, -500.0, 700.0), from_own_axes(0.1, -0.4, 2.0))
+    stands = pose((2000.0, -500.0, 700.0), from_angles((0.1, -0.4, 2.0)))
     model = Model(Arm(replace(chain, base=stands, tools={"1": POINT})))
     exact = model.position(postures, generator.normal(0.0, 0.3 / model.scales))
     return Measurements(postures, exact + generator.normal(0.0, 0.05, exact.shape))

@@ -72,15 +72,12 @@ def test_weights_are_replicated_rows(effects: tuple[EffectSpec, ...]) -> None:
     several = measurements.rows(rows)  # some last digits apart, since exact copies count once
     several = replace(several, positions=several.positions + 1e-12 * np.arange(len(rows))[:, None])
     repeated = estimate(model, several, sigma=SIGMA)
-    weighted = estimate(model, measurements, sigma=SIGMA, weights=counts)
     per_row = np.where(counts > 0, SIGMA / np.sqrt(np.maximum(counts, 1)), 1e6)
-    by_sigma = estimate(model, replace(measurements, sigma=per_row))
-    for other in (weighted, by_sigma):
-        np.testing.assert_allclose(other.parameters, repeated.parameters, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(np.diag(other.covariance), np.diag(repeated.covariance), rtol=1e-6)
-    # the scatter within repeats is none, so chi2 agrees; degrees of freedom count rows that were measured
-    assert weighted.chi2 == pytest.approx(repeated.chi2, rel=1e-8)  # the digits that set the copies apart
-    assert weighted.dof == 2 * np.count_nonzero(counts) - len(model.names)
+    weighted = estimate(model, replace(measurements, sigma=per_row))
+    np.testing.assert_allclose(weighted.parameters, repeated.parameters, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(np.diag(weighted.covariance), np.diag(repeated.covariance), rtol=1e-6)
+    # the scatter within repeats is none, so chi2 agrees
+    assert weighted.chi2 == pytest.approx(repeated.chi2, rel=1e-6)  # the digits that set the copies apart
 
 
 def test_which_sigma_holds() -> None:
@@ -150,7 +147,7 @@ def test_alias_is_named_and_the_rest_stays_honest() -> None:
     assert rows["length_error:1"]["value"] == pytest.approx(expected.parameters[0], abs=1e-9)
 
 
-@pytest.mark.parametrize("method", ["linear", "gauss_newton", "paper_steps"])
+@pytest.mark.parametrize("method", ["linear", "gauss_newton"])
 @pytest.mark.parametrize("wobble", [0.0, 1e-6])
 def test_a_joint_that_hardly_moves_gives_no_huge_numbers(method: str, wobble: float) -> None:
     postures = plan(20)
@@ -245,9 +242,6 @@ def test_bad_arguments() -> None:
     for sigma in (0.0, -1.0, np.nan, np.ones(3)):
         with pytest.raises(InputError, match="sigma_mm: "):
             estimate(model, measurements, sigma=sigma)
-    for weights in (np.ones(3), -np.ones(10), np.zeros(10)):
-        with pytest.raises(InputError, match="weights: "):
-            estimate(model, measurements, weights=weights)
     positions = measurements.positions.copy()
     positions[6, 1] = np.inf
     with pytest.raises(InputError, match=r"positions: row 7 has .*inf.*, allowed: finite"):

@@ -67,7 +67,7 @@ def bodies(arm: Arm) -> dict[str, Body]:
 # -- URDF --------------------------------------------------------------------------------------------------------------
 def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
     """Places by hand: the base stands at (0, 1, 0) of the table, turned by 90 degrees; the tip hangs at (0.4, 0, 0.1)
-    of the moving link, turned by 90 degrees, and the finger 30 mm along its y axis, the middle of its joint."""
+    of the moving link, turned by 90 degrees, and the finger there, too, its joint at zero."""
     arm = arm_of(tmp_path)
     found, said = said_of(arm)
     assert said == [f"{tmp_path / 'r.urdf'}: finger: drawn where joints that are not the arm's stand at zero"]
@@ -86,7 +86,7 @@ def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(table[0, 12:], [500.0, 1000.0, 100.0], atol=1e-9)
     np.testing.assert_allclose(found["bracket"].capsules, [[0, 0, 100, 0, 0, 100, 10]], atol=1e-9)
     np.testing.assert_allclose(found["tip"].capsules, [[400, 0, 50, 400, 0, 150, 20]], atol=1e-9)
-    np.testing.assert_allclose(found["finger"].capsules, [[370, 0, 100, 370, 0, 100, 10]], atol=1e-9)
+    np.testing.assert_allclose(found["finger"].capsules, [[400, 0, 100, 400, 0, 100, 10]], atol=1e-9)
 
 
 def test_links_are_where_pinocchio_puts_them(tmp_path: Path) -> None:

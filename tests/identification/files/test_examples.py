@@ -13,7 +13,6 @@ import pytest
 from doe.studies.monte_carlo import StudyFile
 from identification import load_plan
 from identification.files.arm import load_arm
-from identification.files.measurement import load_targets
 from identification.measurements import load_measurements
 
 ROOT = Path(__file__).parents[3]
@@ -25,10 +24,8 @@ EXAMPLES = dict(
 
 READ = {  # heading of the example -> what is read of it
     "Arm file": lambda path: (load_arm(path).links, len(load_arm(path).constraints), load_arm(path).effects[1].key),
-    "Truth file": lambda path: [spec.name for spec in load_arm(path).effects],
     "Plan file": lambda path: np.degrees(load_plan(path).postures[0]).tolist(),
     "Measurement file": lambda path: load_measurements(path).positions.shape,
-    "Target file": lambda path: load_targets(path, 4).positions.shape,  # type: ignore[union-attr]
     "Study file": lambda path: StudyFile.model_validate(tomllib.loads(path.read_text())).replications,
 }
 
@@ -37,10 +34,8 @@ READ = {  # heading of the example -> what is read of it
     ("heading", "expected"),
     [
         ("Arm file", (4, 3, "encoder_eccentricity:2")),
-        ("Truth file", ["gear_ratio", "serial_correlation"]),
         ("Plan file", pytest.approx([-90.0, -120.0])),
         ("Measurement file", (3, 2)),
-        ("Target file", (2, 2)),
         ("Study file", 10_000),
     ],
 )

@@ -63,54 +63,43 @@ def test_what_was_replaced_is_put_back_when_the_next_cannot_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: BaseException
 ) -> None:
     (tmp_path / "a").write_text("old")
-    place, seen = files._place, []
+    place, seen = os.replace, []
 
-    def third(new: Path, target: Path, *, fresh: bool) -> None:
+    def third(new: Path, target: Path) -> None:
         seen.append(target.name)
         if len(seen) == 3:
             raise stop
-        place(new, target, fresh=fresh)
+        place(new, target)
 
-    monkeypatch.setattr(files, "_place", third)
+    monkeypatch.setattr(files.os, "replace", third)
     with pytest.raises((InputError, KeyboardInterrupt)):
         files.write_together({tmp_path / name: "new" for name in "abc"}, force=True)
-    assert seen == ["a", "b", "c"]
+    assert seen == ["a", "b", "c", "a"]
     assert held(tmp_path) == {"a": "old"}
 
 
 def test_a_file_that_another_command_wrote_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    new = files._write_new
-
-    def late(path: Path, content: str | bytes, mode_of: Path) -> None:
-        new(path, content, mode_of)
-        (tmp_path / "b").write_text("theirs")
-
-    monkeypatch.setattr(files, "_write_new", late)
+    monkeypatch.setattr(files.os, "fsync", lambda _: (tmp_path / "b").write_text("theirs"))
     both = {tmp_path / "a": "1", tmp_path / "b": "2"}
     refused(files.write_together, both, names=("b: the file exists", "--force"))
     assert held(tmp_path) == {"b": "theirs"}
 
 
-@pytest.mark.parametrize("lacking", ["_unnamed", "link", "fsync"])
+@pytest.mark.parametrize("lacking", ["O_TMPFILE", "fsync"])
 def test_file_systems_that_lack_something(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lacking: str) -> None:
-    """Nameless files and links are done without; with a full disk the old file stays."""
+    """Nameless files are done without; with a full disk the old file stays."""
 
     def fails(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    if lacking == "fsync":
-        monkeypatch.setattr(files.os, "fsync", fails)
-    else:
-        monkeypatch.setattr(files, "_unnamed", lambda _: None)
-    if lacking == "link":
-        monkeypatch.setattr(files.os, "link", fails)
     path = tmp_path / "a"
     path.write_text("old")
     if lacking == "fsync":
+        monkeypatch.setattr(files.os, "fsync", fails)
         refused(files.write_together, {path: "new"}, True, names=("a: cannot be written", "No space left"))
     else:
-        path.unlink()
-        files.write_together({path: "new"})
+        monkeypatch.delattr(files.os, "O_TMPFILE", raising=False)
+        files.write_together({path: "new"}, force=True)
     assert held(tmp_path) == {"a": "old" if lacking == "fsync" else "new"}
 
 
@@ -195,14 +184,6 @@ EUROPE = {"a": [1.5, 0.0], "b": [-22.5, 4.0], "c": ["x,y", "z"]}
                 "\ufeffa;b;c\r\n\r\n1.5;-22,5;x,y\r\n0;4;z\r\n;;\r\n",
             )
         ),
-        # between commas texts may have commas and points; numbers all have one kind of decimal mark
-        (
-            b'x_mm,y_mm,c\n"1,5","-22,5","a.1, b"\n0,"4",z\n',
-            {"x_mm": [1.5, 0.0], "y_mm": [-22.5, 4.0], "c": ["a.1, b", "z"]},
-        ),
-        (b'x_mm,c\n1.5,"1,5"\n', {"x_mm": [1.5], "c": ["1,5"]}),
-        # no thousands are written like that
-        *((f'x_mm,y_mm\n"1,500","{sure}"\n'.encode(), {"x_mm": [1.5]}) for sure in ("0,500", "1234,500")),
     ],
 )
 def test_forms_of_a_csv_file(tmp_path: Path, content: bytes, expected: dict[str, list]) -> None:
@@ -218,11 +199,10 @@ def test_forms_of_a_csv_file(tmp_path: Path, content: bytes, expected: dict[str,
     [
         ("", ["empty"]),
         ("a,b\n", ["no rows", "at least 1 row"]),
-        ("a,b\n1,5,2,5\n3,0,4,5\n", ["found 4 cells, allowed: 2, as in the header; with decimal commas separate the"]),
-        ("a,b\n1;2\n3;4\n", ["the header is separated by commas, this row by semicolons"]),
-        ("a;b\n1,2\n3,4\n", ["the header is separated by semicolons, this row by commas"]),
-        ("a\tb\tc\n1;2;3\n", ["the header is separated by tabs, this row by semicolons"]),
-        ('x_mm,y_mm\n"1,500","-22,125"\n', ["found '1,500', a decimal comma or one of thousands", "or semicolons"]),
+        ("a,b\n1,5,2,5\n3,0,4,5\n", ["found 4 cells, allowed: 2 separated by commas, as in the header"]),
+        ("a,b\n1;2\n3;4\n", ["found 1 cells, allowed: 2 separated by commas"]),
+        ("a;b\n1,2\n3,4\n", ["found 1 cells, allowed: 2 separated by semicolons"]),
+        ("a\tb\tc\n1;2;3\n", ["found 1 cells, allowed: 3 separated by tabs"]),
         ("a,b\n\n,\n", ["no rows"]),
         ("a,b\n1,2\n3\n4,5\n", ["row 2 (line 3)", "found 1 cells", "allowed: 2"]),
         ("a,b\n1,2\n\n3,4,5\n", ["row 2 (line 4)", "found 3 cells", "allowed: 2"]),

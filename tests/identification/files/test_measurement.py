@@ -31,7 +31,7 @@ from identification.gap.library_prior import given_by
 from identification.inspection.readings import gap_notes
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
 from identification.kinematics.chain import DHRow, chain_of
-from identification.kinematics.frames import from_own_axes
+from identification.kinematics.frames import from_angles
 from identification.measurements import Measurements, load_measurements
 from identification.sessions import pooled_sessions
 
@@ -277,8 +277,7 @@ def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, dat
 
 def test_pandas_where_it_is_installed() -> None:
     pandas, data = pytest.importorskip("pandas"), Measurements([[0.1, 0.2]], [[1.0, 2.0]], order=[3.0])
-    frame = data.to_frame("pandas")
-    assert isinstance(frame, pandas.DataFrame)
+    frame = pandas.DataFrame(data.to_frame().to_dict(as_series=False))
     assert_same(Measurements.from_frame(frame), data)
 
 
@@ -336,7 +335,7 @@ def test_orientations(tmp_path: Path) -> None:
 
     for unit, values in (("deg", ANGLES), ("rad", np.radians(ANGLES))):
         found = read(f"rx_{unit},ry_{unit},rz_{unit}", *(",".join(map(repr, row)) for row in values.tolist()))
-        np.testing.assert_allclose(found, [from_own_axes(*row) for row in np.radians(ANGLES)], atol=1e-14)
+        np.testing.assert_allclose(found, [from_angles(row) for row in np.radians(ANGLES)], atol=1e-14)
         np.testing.assert_allclose(np.column_stack([*angle_columns(found).values()]), ANGLES, atol=1e-11)
     found = read("qw,qx,qy,qz", "0.707,0,0,0.707")
     np.testing.assert_allclose(found, [[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]], atol=1e-12)

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from identification.arm import Arm
 from identification.documents.diagnosis import holds_in_words
-from identification.errors import InputError
 from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_of
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import (
@@ -22,7 +21,6 @@ from identification.gap.confirmation import (
     point_names,
     predicted_from_others,
     set_up_of,
-    split,
     transfer_of,
 )
 from identification.gap.fit import Rows
@@ -156,18 +154,6 @@ def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None
         assert (answer, said.partition(";")[0]) == ("shrinks", f"The error shrinks on rows not fitted ({which})")
 
 
-def test_postures_are_held_out_with_their_repeats() -> None:
-    data, held = split(DATA, 0.3, np.random.default_rng(0))
-    assert (len(data), len(held)) == (70, 30)
-    own, other = (set(map(tuple, rows.postures)) for rows in (data, held))
-    assert len(own) == 35
-    assert not own & other
-    again = split(DATA, 0.3, np.random.default_rng(0))[1]
-    assert np.array_equal(again.postures, held.postures)
-    assert len(split(DATA, 1e-9, np.random.default_rng(0))[1]) == 2  # at least one posture
-    assert len(split(DATA, 0.9999, np.random.default_rng(0))[0]) == 2
-
-
 def simulated(seed: int, sigma: np.ndarray, given: bool = False, ripple: float = 0.0) -> Measurements:
     """Rows of two links in complex numbers, with noise of these sizes (m,) [mm] and a wave in joint 2 [rad]."""
     generator, m = np.random.default_rng(seed), len(sigma)
@@ -213,17 +199,6 @@ def test_what_is_left_is_what_was_expected(given: bool) -> None:
     _, after, expected = left_by_others(simulated(3, sigma, given), np.arange(400) % 8)
     assert expected == pytest.approx(2.0 * np.mean(sigma**2), rel=0.1)
     assert np.mean(np.sum(after**2, axis=1)) == pytest.approx(expected, rel=0.3 if given else 0.15)
-
-
-@pytest.mark.parametrize("share", [0.0, 1.0, -0.2, float("nan")])
-def test_a_share_is_between_none_and_all(share: float) -> None:
-    with pytest.raises(InputError, match="allowed: a share of the rows between 0 and 1"):
-        split(DATA, share, np.random.default_rng(0))
-
-
-def test_rows_of_one_posture_cannot_be_split() -> None:
-    with pytest.raises(InputError, match="of one posture"):
-        split(DATA.rows(NUMBER == 3), 0.5, np.random.default_rng(0))
 
 
 # -- another set-up: points moved in plain numpy -----------------------------------------------------------------------
@@ -314,7 +289,7 @@ def test_the_order_of_measurement_says_what_is_tested() -> None:
     first, second = DATA.rows(np.arange(60)), DATA.rows(np.arange(60, 100))
     assert transfer_of(first, second) == "a later time"
     assert transfer_of(second, first) == "an earlier time"
-    assert transfer_of(*split(DATA, 0.4, np.random.default_rng(0))) == "other postures"
+    assert transfer_of(DATA.rows(np.arange(0, 100, 2)), DATA.rows(np.arange(1, 100, 2))) == "other postures"
     assert transfer_of(first, first) == "another session"  # numbers start again
     assert transfer_of(first, replace(second, order=second.order + 100.0)) == "another session"  # a long pause
     assert transfer_of(first, replace(second, order=None)) == "other rows"

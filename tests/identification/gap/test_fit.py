@@ -144,12 +144,13 @@ def test_sigma_per_row_is_a_relative_weight() -> None:
     sigma = np.random.default_rng(3).uniform(0.05, 0.3, 40)
     rows = replace(data(Model(arm()), plan(40)), sigma=sigma)
     relative = sigma / np.exp(np.mean(np.log(sigma)))
-    other = estimate(Model(arm()), rows, sigma="estimated", weights=relative**-2.0)
+    other = estimate(Model(arm()), rows, sigma=relative)
+    scale = np.sqrt(other.chi2 / other.dof)
     found = fit(Model(arm()), Rows.of(rows))
-    np.testing.assert_allclose((found.values - other.parameters) / other.std, 0.0, atol=DEVIATIONS)
-    assert (found.sigma, found.freedom) == (pytest.approx(other.sigma, **SAME), other.dof)
+    np.testing.assert_allclose((found.values - other.parameters) / (scale * other.std), 0.0, atol=DEVIATIONS)
+    assert (found.sigma, found.freedom) == (pytest.approx(scale, **SAME), other.dof)
     deviations = np.sqrt(np.diag(found.covariance))
-    np.testing.assert_allclose(deviations, other.std, rtol=1e-7)
+    np.testing.assert_allclose(deviations, scale * other.std, rtol=1e-7)
 
 
 def test_a_fit_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

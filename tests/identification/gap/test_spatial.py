@@ -9,8 +9,9 @@ import pytest
 
 from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import measure, session
-from identification.arm import Arm
+from identification.arm import Arm, EffectSpec, Gravity
 from identification.gap.blocks import hypotheses, untested_joints
+from identification.gap.detectability import detectability
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import At, Rows
 from identification.measurements import Measurements, rms_distance
@@ -94,10 +95,10 @@ def test_found_again(effect: str, names: tuple[str, ...]) -> None:
 def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
     """No effect of the library: the axis of joint 3 leans by 0.3 mrad and goes round twice a turn, 0.25 mm at the tip
     against noise of 0.05 mm."""
-    cell, generator = CellSpec(60, space=True), np.random.default_rng(9)
+    cell, generator = CellSpec([60], space=True), np.random.default_rng(9)
     truth = replace(truth_of(cell, generator), sigma=0.05, effects=[("axis_wobble", 3, {"c": 3e-4})])
     run = session(truth, generator.uniform(truth.lower, truth.upper, (60, 6)), generator)
-    found = diagnose(arm_of(cell, truth, generator), measure(truth, run, generator))
+    found = diagnose(arm_of(truth), measure(truth, run, generator))
     assert (found.verdict, found.where) == ("unknown", "joint:3")
     assert found.shape == "tilt or shift across the axis"
 
@@ -107,12 +108,12 @@ def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
 def test_a_heavy_load_beside_the_reflector(said: bool) -> None:
     """15 kg hang 240 mm from the reflector: the load's place is named, beside the compliance through which it shows,
     and its three coordinates hold the truth; an arm file that says where has nothing to name but the compliance."""
-    cell, generator = CellSpec(100, 8.0, space=True), np.random.default_rng(8)
+    cell, generator = CellSpec([100], space=True), np.random.default_rng(8)
     truth = truth_of(cell, generator)
     away, compliance = np.array([180.0, -120.0, 100.0]), [("joint_compliance", None, {"c": np.full(6, 4e-6)})]
     truth = replace(truth, payload=15.0, sigma=0.05, load=truth.tools[0] + away, effects=compliance)
     run = session(truth, generator.uniform(truth.lower, truth.upper, (100, 6)), generator)
-    data, arm = measure(truth, run, generator), arm_of(cell, truth, generator)
+    data, arm = measure(truth, run, generator), arm_of(truth)
     assert arm.gravity is not None
     if said:
         arm = replace(arm, gravity=replace(arm.gravity, payload_at=truth.load))
@@ -141,6 +142,19 @@ def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     assert set(of_angles) == {1, 2, 3, 4, 5}
     assert any(b.key == "link_step:6" for b in found.members)  # what lies beyond the joint still grows
     assert found.skipped["backlash:6"] == "the joint slides, or hardly moves the measured point"
+
+
+def test_a_moment_that_is_rounding_is_no_effect() -> None:
+    """The last link's mass is on its joint, and the payload is nothing: its bearing carries no moment but rounding."""
+    gravity = Gravity(
+        np.array([0.0, 0.0, -9.81]), np.array([8.0, 6.0, 4.0, 2.0, 1.0, 0.3]), np.array([0.5] * 5 + [0.0])
+    )
+    arm, postures = replace(ARM, gravity=gravity), np.random.default_rng(4).uniform(-2.5, 2.5, (40, 6))
+    columns = Model(arm.with_effects(EffectSpec("bearing_compliance", 6))).jacobian(postures)[:, :, -1]
+    assert 0.0 <= np.abs(columns).max() < 1e-6  # mm for 1 rad/(N m)
+    found = detectability(arm, postures)
+    assert found.detectable["bearing_compliance:6"].value is None
+    assert found.detectable["bearing_compliance:5"].value is not None
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from identification.inspection.inspection import inspect
 from identification.inspection.readings import data_warnings, wrong_units
 from identification.instruments import PlanarDistance
 from identification.kinematics.chain import DHRow, chain_of
-from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -28,7 +28,7 @@ TOOLS = {"left": np.array([90.0, 20.0, 50.0]), "right": np.array([-80.0, 10.0, 4
 def measured(rows: int = 30) -> Measurements:
     """Both points in turn, of an arm that stands elsewhere."""
     generator = np.random.default_rng(3)
-    chain = replace(CHAIN, base=pose((2000.0, -500.0, 700.0), from_own_axes(0.1, -0.4, 2.0)), tools=TOOLS)
+    chain = replace(CHAIN, base=pose((2000.0, -500.0, 700.0), from_angles((0.1, -0.4, 2.0))), tools=TOOLS)
     postures = generator.uniform(-2.0, 2.0, (rows, 3))
     data = Measurements(postures, np.zeros((rows, 3)), marker=np.array(list(TOOLS))[np.arange(rows) % 2])
     model = Model(Arm(chain))

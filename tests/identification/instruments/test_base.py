@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from identification.instruments import TRACKER, Distance, Instrument, Plane, Sphere
-from identification.kinematics.frames import AXES, from_own_axes, pose
+from identification.kinematics.frames import AXES, from_angles, pose
 
 LENGTHS = [Distance(), Sphere(20.0), Plane()]
 POINTS = np.random.default_rng(0).uniform(-500.0, 500.0, (6, 3))
@@ -49,18 +49,18 @@ def test_turns_about_a_normal_are_hidden() -> None:
 def test_bases_of_later_planes(normal: list[float]) -> None:
     """The shift and the rotations lead to a base with the same normal and height, and the two that are left tilt the
     normal in both directions, wherever it points."""
-    first = pose([10.0, 20.0, 30.0], from_own_axes(0.2, -0.1, 0.7))
+    first = pose([10.0, 20.0, 30.0], from_angles((0.2, -0.1, 0.7)))
     across = np.linalg.svd(np.array([normal]))[2][1:]
     base = pose([1.0, 2.0, 300.0], np.array([across[0], np.cross(normal, across[0]), normal]))
     found, hidden = Plane().between(first, base)
     turn = [found[f"w{axis}"] for axis in AXES]
-    there = first[:3, :3] @ from_own_axes(*turn)
+    there = first[:3, :3] @ from_angles(turn)
     np.testing.assert_allclose(there[2], normal, atol=1e-12)
     assert 30.0 + found["z"] == pytest.approx(300.0)
     assert {"x", "y"} < hidden
     assert len(hidden) == 3
     free = [k for k, axis in enumerate(AXES) if f"w{axis}" not in hidden]
-    tilts = [first[2, :3] @ (from_own_axes(*(turn + 1e-6 * np.eye(3)[k])) - from_own_axes(*turn)) / 1e-6 for k in free]
+    tilts = [first[2, :3] @ (from_angles(turn + 1e-6 * np.eye(3)[k]) - from_angles(turn)) / 1e-6 for k in free]
     assert np.linalg.svd(tilts, compute_uv=False)[-1] > 0.5
 
 

@@ -19,14 +19,16 @@ BASE = (EffectSpec("base_offset"),)
 
 @pytest.mark.parametrize("effects", [(), BASE], ids=["base", "base_offset"])
 @pytest.mark.parametrize("m", [5, 20, 200])
-def test_equals_converged_paper_steps(effects: tuple[EffectSpec, ...], m: int) -> None:
+def test_equals_the_converged_iteration_of_the_paper(effects: tuple[EffectSpec, ...], m: int) -> None:
+    """Section III: the linearised solution of eq. 11, from zero errors, again and again."""
     model = Model(arm(*effects))
-    measurements = data(model, plan(m))
-    closed, steps = (estimate(model, measurements, method) for method in ("linear", "paper_steps"))
-    np.testing.assert_allclose(
-        closed.parameters * model.scales, steps.parameters * model.scales, rtol=0, atol=1e-9
-    )  # mm: identification/README.md, "Closed form" claims 3e-13
-    assert steps.iterations < 12
+    measurements, errors = data(model, plan(m)), np.zeros(len(model.names))
+    for _ in range(12):
+        left = measurements.positions - model.position(measurements.postures, errors)
+        jacobian = model.jacobian(measurements.postures, errors).reshape(-1, len(errors)) / model.scales
+        errors = errors + np.linalg.lstsq(jacobian, left.ravel())[0] / model.scales
+    closed = estimate(model, measurements, "linear").parameters
+    np.testing.assert_allclose((closed - errors) * model.scales, 0.0, rtol=0, atol=1e-9)  # mm
 
 
 @pytest.mark.parametrize("effects", [(), BASE], ids=["base", "base_offset"])
@@ -35,7 +37,7 @@ def test_equals_scipy_with_weights(effects: tuple[EffectSpec, ...], m: int) -> N
     model = Model(arm(*effects))
     measurements = data(model, plan(m))
     weights = np.random.default_rng(0).uniform(0.2, 5.0, m)
-    closed = estimate(model, measurements, weights=weights)
+    closed = estimate(model, measurements, sigma=weights**-0.5)
     other = scipy_fit(model, measurements, weights)
     # scipy stops at a relative change of the cost of 1e-15: about 1e-7 of a standard deviation (0.03 mm)
     np.testing.assert_allclose(closed.parameters * model.scales, other.x * model.scales, rtol=0, atol=1e-7)

@@ -14,7 +14,7 @@ from identification.effects import Chain, base, library
 from identification.effects.chain import position_and_state, widths
 from identification.error_curve import ErrorCurve
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
-from identification.kinematics.frames import from_own_axes, pose, turned
+from identification.kinematics.frames import from_angles, pose, turned
 from identification.kinematics.parameters import PRISMATIC
 from identification.model import Model
 
@@ -57,7 +57,7 @@ def arms() -> list[Arm]:
     values = 1e-3 * np.sin(np.arange(9.0))
     part = {"base.x": 0.3, "translation_x:2": 0.2, "rotation_x:3": 1e-3, "tool[2].y": -0.1, "base_drift.vx": 0.4}
     curves = [EffectSpec("joint_error_curve", j, curve=ErrorCurve(-0.5, 0.5, values, part)) for j in (2, 4)]
-    turned_base = replace(CHAIN, base=pose((500.0, 0.0, 80.0), from_own_axes(0.3, -0.2, 2.0)))
+    turned_base = replace(CHAIN, base=pose((500.0, 0.0, 80.0), from_angles((0.3, -0.2, 2.0))))
     return [
         Arm(CHAIN, gravity=GRAVITY, effects=SPECS),
         Arm(replace(CHAIN, angle_scale=300.0), gravity=GRAVITY, effects=SPECS),

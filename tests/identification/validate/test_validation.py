@@ -23,7 +23,7 @@ from identification.gap.library_prior import given_by, library_prior
 from identification.gap.result import Diagnosis
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import joint_range
-from identification.kinematics.frames import from_own_axes, pose
+from identification.kinematics.frames import from_angles, pose
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
@@ -235,7 +235,7 @@ def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
     by models that have no curve at all. Products of two small errors are left: 1e-3 rad x 1 mm."""
     rng = np.random.default_rng(6)
     chain = replace(chain_of(ROWS), tools={"1": np.array([40.0, 30.0, 20.0])})
-    chain = replace(chain, base=pose((900.0, -400.0, 200.0), from_own_axes(0.4, -0.3, 1.1)))
+    chain = replace(chain, base=pose((900.0, -400.0, 200.0), from_angles((0.4, -0.3, 1.1))))
     names = [p.name for p in chain.parameters()]
     values = {name: (2e-3 if ":" in name and "transl" not in name else 0.5) * rng.normal() for name in names}
     values |= {"joint_offset:2": 0.9, "rotation_x:3": 0.02, "base.rx": 1e-3, "base.ry": 2e-3, "base.rz": -1e-3}
@@ -259,7 +259,7 @@ def test_another_set_up_keeps_the_geometry_of_curves_in_space() -> None:
     ]
     there = np.concatenate(places)
     np.testing.assert_allclose(Model(arm).position(q), there, atol=1e-9)
-    moved = there @ from_own_axes(-2.0, 0.7, 0.2).T + [300.0, 50.0, -700.0]
+    moved = there @ from_angles((-2.0, 0.7, 0.2)).T + [300.0, 50.0, -700.0]
     data = Measurements(q, moved, marker=np.full(80, "ball"))
     assert validate(arm, data).model.max < 5e-3
     bare = arm.with_effects(replace(effects[0], curve=replace(curve, geometry={})))
