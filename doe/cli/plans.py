@@ -478,7 +478,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs import parquet, tables
+    from doe.jobs import RowTable, parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -493,7 +493,8 @@ def compare_files(
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, criteria[0]), number)
     where = job.where(1)  # before the folder is made
-    with interruptible(job.out), tables(job.out, "rows.parquet", resume=job.resume, force=job.force) as (table,):
+    path = None if job.out is None else job.out / "rows.parquet"
+    with interruptible(job.out), RowTable(path, resume=job.resume, force=job.force) as table:
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None:
