@@ -65,8 +65,8 @@ def test_average_and_worst_are_what_they_say() -> None:
 def test_design_for_the_prior_beats_the_design_for_one_guess(kind: str) -> None:
     plain = DesignProblem.of(MODEL)
     problem = ensemble_problem(plain, DRAWS, kind)
-    design = solve(problem, 9, starts=10)
-    one_guess = solve(plain, 9, starts=10)
+    design = solve(problem, 9, starts=4)
+    one_guess = solve(plain, 9, starts=4)
     judge = np.sum if kind == "average" else np.min
     assert judge(each_log_det(design.plan.postures)) >= judge(each_log_det(one_guess.plan.postures))
     assert design.value <= design.bound.value + 1e-9
@@ -220,14 +220,14 @@ def test_i_is_the_error_of_simulated_arms_drawn_from_the_prior() -> None:
 
 @pytest.mark.parametrize("criterion", [None, D()])
 def test_sensitivity_is_below_the_bound_at_the_optimum(criterion: D | None) -> None:
-    """Optimal weights over all postures, and tr(G F) by its own formula on a grid of 1 or 1.6 degrees."""
+    """Optimal weights over all postures, and tr(G F) by its own formula on a grid of 2 or 3 degrees."""
     case = CASE if criterion is None else replace(CASE, criterion=criterion)
     runs = 12
     found = continuous_design(case, runs=runs)
     jacobians, known = case.scaled_jacobians(found.plan.postures), np.diag(case.precisions)
     information = np.einsum("k,kda,kdb->ab", found.plan.shares, jacobians, jacobians) + known / runs
     gradient = case.criterion.gradient(information)
-    fine = np.stack(np.meshgrid(*np.linspace(case.lower, case.upper, 217).T), axis=-1).reshape(-1, 2)
+    fine = np.stack(np.meshgrid(*np.linspace(case.lower, case.upper, 109).T), axis=-1).reshape(-1, 2)
     moved = case.scaled_jacobians(fine)
     sensitivity = np.einsum("kda,ab,kdb->k", moved, gradient, moved) + np.sum(gradient * known) / runs
     level = np.sum(gradient * information)
@@ -238,12 +238,6 @@ def test_sensitivity_is_below_the_bound_at_the_optimum(criterion: D | None) -> N
     exact = solve(case, runs, solver="exchange", starts=3)
     assert exact.value <= exact.bound.value
     assert exact.bound.value == pytest.approx(found.value, rel=1e-6)
-
-
-def test_choices_are_the_workspace() -> None:
-    listed = replace(PLAIN, choices=POSTURES)
-    assert workspace(listed) == pytest.approx(np.array(POSTURES))
-    assert robust_problem(listed).parameters > CASE.parameters
 
 
 def test_bad_input_is_said() -> None:
