@@ -106,20 +106,6 @@ def test_estimates_without_noise() -> None:
     np.testing.assert_allclose(there.tools["1"], tool, atol=1e-8)
 
 
-def test_intervals_hold() -> None:
-    """95 % of them hold the truth: 20 sets of some 18 correlated ones, as if 120 were independent, 0.95 +- 0.02."""
-    generator, kept = np.random.default_rng(3), minimal(Model(bar()))
-    q = generator.uniform(-2.0, 2.0, (80, 6))
-    exact = kept.position(q)
-    inside = []
-    for _ in range(20):
-        data = Measurements(q, exact + 0.01 * generator.standard_normal(exact.shape))
-        found = estimate(kept, data, sigma="given")
-        own = np.array([not name.startswith(("base", "tool")) for name in found.names])
-        inside.append(np.abs(found.parameters[own]) < 1.959964 * np.sqrt(np.diag(found.covariance)[own]))
-    assert 0.89 < np.mean(inside) < 0.99
-
-
 def fit(arm: Arm, q: Array, lengths: Array, session: Array | None = None) -> Identification:
     data = Measurements(q, lengths[:, None], session=session)
     return estimate(Model(with_sessions(arm, data)), data)
