@@ -67,7 +67,7 @@ def compensate(
     """
     check_calibrated(arm)
     nominal = None if postures is None else _checked("postures", postures, arm.links)
-    if orientations is not None and arm.chain.planar:
+    if orientations is not None and not arm.chain.frame_kinds:
         raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
     as_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)

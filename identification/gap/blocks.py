@@ -453,7 +453,7 @@ def outside_blocks(at: At) -> Iterator[Block]:
     for j in turning:
         if j + 1 in unseen:
             continue
-        weight, revolute = n**-0.5, not arm.chain.planar and arm.chain.joints[j].type == REVOLUTE
+        weight, revolute = n**-0.5, "joint_turns" in arm.chain.bends and arm.chain.joints[j].type == REVOLUTE
         share = 0.3 * weight / max(n - 1, 1)
         table.append((j + 1 not in curved, f"curve:{j + 1}", weight, turned(curve, j)))
         others = [(k != j, f"shared:{j + 1},{k + 1}", share, turned(shared, j, k)) for k in turning]

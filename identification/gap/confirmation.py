@@ -281,7 +281,7 @@ def placed_residuals(
     both = []
     for one in (base, model):
         left, chain, axes = one.residuals(holdout, conditions)[:, POINT], one.model.arm.chain, None
-        if not chain.planar and chain.instrument.reads_positions:
+        if chain.frame_kinds and chain.instrument.reads_positions:
             sizes = widths(chain)
             first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = one.model.place_levers(holdout.postures, one.values, conditions)[0]

@@ -26,6 +26,7 @@ from identification.arrays import Array, as_frame, readonly
 from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
+from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, quantile_95, uncertainty
@@ -478,6 +479,7 @@ class Diagnosis(Documented):
             "degrees_of_freedom": self.detectability.freedom,
             "trials": [trial._asdict() for trial in self.trials],
             "predicting": [spec.key for spec in self.predicting.specs],
+            **unit_key(self.arm),
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
 
