@@ -281,16 +281,19 @@ def continuous_design(
         apart = distinct(problem.comparable(postures), reach)
         return _best(postures[apart], values[apart], level, 10 * problem.parameters, 0.0)
 
-    thorough: Stage = (lambda *request: price(*request, generator), tolerance)
+    def climb_from_anywhere(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        return price(gradient, level, near, generator)
+
+    stages: list[Stage] = [(climb_from_anywhere, tolerance)]
     if not many:  # from the landmarks on to all postures at a gap of 1e-4
         landmarks = CandidateSet(problem, everything.starts, prior)
-        start, stages = landmarks.postures, [(landmarks.price, 1e-4), (price, tolerance), thorough]
-        start = well_spread(start, 6 * problem.parameters)
+        start = well_spread(landmarks.postures, 6 * problem.parameters)
+        stages = [(landmarks.price, 1e-4), (price, tolerance), *stages]
     elif also is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
         anywhere = random_postures(problem, 3 * problem.parameters, np.random.default_rng(0))
-        start, stages = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop), [thorough]
+        start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
     else:
-        start, stages = also, [thorough]
+        start = also
     design, gap = generate_columns(problem, prior, start, stages, tolerance, stop)
     best = everything.best(design.gradient, design.plan.postures, generator if stop() and not many else None)[1][0]
     largest, rigorous, goal = max(design.level + gap, float(best)), False, max(tolerance, proof)
