@@ -411,7 +411,7 @@ def drawn_touch(one: Any, other: Any, frames: Array, fine: float = 4.0) -> bool:
     """Whether surfaces of two bodies come within `fine` [mm] of each other in one of the frames (m, n + 2, 4, 4)."""
     from scipy.spatial import cKDTree  # takes longer to load than all else here
 
-    moved, still = (spread_over(body.triangles, fine) for body in (one, other))
+    moved, still = one.points(fine), other.points(fine)
     if not len(moved) or not len(still):
         return True  # nobody knows
     tree = cKDTree(still)
@@ -421,14 +421,3 @@ def drawn_touch(one: Any, other: Any, frames: Array, fine: float = 4.0) -> bool:
         if np.isfinite(tree.query(points[around], distance_upper_bound=1.2 * fine)[0]).any():
             return True
     return False
-
-
-def spread_over(triangles: Array, longest: float) -> Array:
-    """(N, 3) points of triangles (t, 3, 3), such that every point of the surface is within 0.58 `longest` of one."""
-    edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2).max(axis=1, initial=0.0)
-    parts, points = np.ceil(edges / longest).astype(int), [np.empty((0, 3))]
-    for count in np.unique(np.maximum(parts, 1)).tolist():
-        corners = [(i, j, count - i - j) for i in range(count + 1) for j in range(count + 1 - i)]
-        chosen = triangles[np.maximum(parts, 1) == count]
-        points.append((np.array(corners) / count @ chosen).reshape(-1, 3))
-    return np.concatenate(points)

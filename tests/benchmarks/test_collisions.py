@@ -1,7 +1,7 @@
 """Plans of five robots judged by pinocchio and coal on their collision meshes: `pytest -m benchmark -s` with this file.
 
-Needs pin and example-robot-data, for rays trimesh (`pip install pin coal example-robot-data trimesh rtree`). Each robot's
-plans of 30 postures are made by `armcal design` from its URDF, five seeds each (`SEEDS=2`: two); every posture, and every
+Needs pin and example-robot-data, for rays trimesh (`pip install pin coal example-robot-data trimesh rtree`). Plans
+of 30 postures are made by `armcal design` from each robot's URDF, five seeds each (`SEEDS=2`: two); every posture, and every
 straight joint move at 400 places, is looked at for collisions of links that no joint connects.
 """
 
