@@ -21,7 +21,7 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, InputError, JobError, Plan, nearest
 
 # of the last motion of each joint: room for it below a posture, and above
-SENSES = {"any": (0.0, 0.0), "positive": (1.0, 0.0), "negative": (0.0, 1.0), "alternate": (1.0, 1.0)}
+SENSES = {"any": (False, False), "positive": (True, False), "negative": (False, True), "alternate": (True, True)}
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves: many postures are on one
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
@@ -190,14 +190,14 @@ def one_turn(problem: DesignProblem, room: Room, generator: np.random.Generator)
     free. Straight moves are shorter then, and more of them are free."""
     lower, upper, whole = problem.lower, problem.upper, 2.0 * np.pi
     first, wound = lower.copy(), turns(problem.model) & (upper - lower > 1.01 * whole) & (problem.choices is None)
-    drawn = random_postures(problem, max(problem.fewest_runs, 100), generator)
+    drawn = random_postures(problem, max(problem.fewest_runs, 50), generator)
     for j in np.flatnonzero(wound):
         other = drawn.copy()
         other[:, j] += np.where(other[:, j] + whole <= upper[j], whole, -whole)
         inside = (other[:, j] >= lower[j]) & problem.feasible(other)
         one, same = (problem.objective(each[inside]) for each in (drawn, other))
         wound[j] = abs(one - same) < 1e-6
-        ends = np.linspace(lower[j], upper[j] - whole, 25)
+        ends = np.linspace(lower[j], upper[j] - whole, 13)
         at_ends = np.tile(drawn, (len(ends), 1))
         at_ends[:, j] = np.repeat(ends, len(drawn))
         freely = room.allows(at_ends).reshape(len(ends), -1).mean(axis=1)

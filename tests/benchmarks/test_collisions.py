@@ -1,8 +1,8 @@
 """Plans of five robots judged by pinocchio and coal on their collision meshes: `pytest -m benchmark -s` with this file.
 
 Needs pin and example-robot-data, for rays trimesh (`pip install pin coal example-robot-data trimesh rtree`). Plans
-of 30 postures are made by `armcal design` from each robot's URDF, five seeds each (`SEEDS=2`: two); every posture, and every
-straight joint move at 400 places, is looked at for collisions of links that no joint connects.
+of 30 postures are made by `armcal design` from each robot's URDF, five seeds each (`SEEDS=2`: two); every posture,
+and every straight joint move at 400 places, is looked at for collisions of links that no joint connects.
 """
 
 from __future__ import annotations
