@@ -210,6 +210,10 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     seen.page.add_style_tag(content="canvas { outline: none !important }")  # and is not looked at below
     first = picture(seen)
     assert len(np.unique((first * 255).astype(int).reshape(-1, 3), axis=0)) > 200  # shaded, not blank
+    script = "plans[0].cell.seen.map(one => [...one.toArray(), ...one.clone().project(plans[0].cell.camera).toArray()])"
+    at_first = np.array(seen.page.evaluate(script))
+    assert np.abs(at_first[:, 3:5]).max() < 1.0
+    assert [-400.0, 400.0, -190.0] in at_first[:, :3].round().tolist()  # a corner of the table
     keys.press("ArrowRight")
     assert where.inner_text() == "Run 2, place 2 of 14"
     second = picture(seen)
