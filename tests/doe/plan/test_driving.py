@@ -48,7 +48,7 @@ def test_moves_of_an_arm_keep_half_the_clearance(arm: Arm) -> None:
     found = route(postures, room, Space(arm.lower, arm.upper, np.ones(6)))
     assert found.unreached == []
     way = whole_way(postures, found)
-    shares = np.linspace(0.0, 1.0, 3000)[:, None]
+    shares = np.linspace(0.0, 1.0, 1000)[:, None]
     solid = [SIGHT not in pair for pair in clearance.pairs]
     for a, b in pairwise(way):
         apart = clearance.distance(a + shares * (b - a))[:, solid]
@@ -96,7 +96,7 @@ def ring() -> DesignProblem:
 def inside(problem: DesignProblem, way: Array) -> bool:
     """Whether every move of a way keeps half of its clearance, by a fine sample."""
     clearance = next(each for each in problem.constraints if isinstance(each, Clearance))
-    shares = np.linspace(0.0, 1.0, 1500)[:, None]
+    shares = np.linspace(0.0, 1.0, 500)[:, None]
     points = np.concatenate([a + shares * (b - a) for a, b in pairwise(way)])
     solid = [SIGHT not in pair for pair in clearance.pairs]
     return bool(np.all((clearance.distance(points) >= MOVING * clearance.asked - 2e-3)[:, solid]))
