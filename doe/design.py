@@ -244,7 +244,7 @@ def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:
     """Per link of a planar arm, else per parameter: `{"parameters": {name: [deviation, unit]}}`."""
     if deviations is None:
         return {"length_mm": None, "orientation_deg": None, "joint_offset_deg": None}
-    if not deviations.planar:
+    if not deviations.by_link:
         pairs = zip(deviations.parameters, deviations.values.tolist(), strict=True)
         return {"parameters": {p.name: [value * p.to_file, p.file_unit] for p, value in pairs}}
     return {

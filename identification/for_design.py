@@ -302,7 +302,7 @@ class ArmModel(Model):
     def theorem_joints(self) -> tuple[int, ...] | None:
         """Joints (from 0) on which det M depends where the planar theorem holds, that is for all lengths and joint
         offsets of a planar chain: all but the first, and the first too with a base offset; None: it does not hold."""
-        if not self.planar or not self.linear_in_links:
+        if self.closed_form is None or not self.closed_form.exact:
             return None
         offset = any(effect.name == "base_offset" for effect in self.effects)
         return tuple(range(0 if offset else 1, self.joints))

@@ -415,7 +415,7 @@ def relax_files(
     loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
-    held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
+    held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
     if runs is not None and not robust and not held:
         raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = design_problem(loaded, criterion, candidates=candidates if robust else None)
@@ -478,7 +478,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs import parquet, tables
+    from doe.jobs import RowTable, parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -493,7 +493,8 @@ def compare_files(
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, criteria[0]), number)
     where = job.where(1)  # before the folder is made
-    with interruptible(job.out), tables(job.out, "rows.parquet", resume=job.resume, force=job.force) as (table,):
+    path = None if job.out is None else job.out / "rows.parquet"
+    with interruptible(job.out), RowTable(path, resume=job.resume, force=job.force) as table:
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None:

@@ -56,7 +56,7 @@ class ExpectedDeviations:
             by_joint[(self.parameters[k].joint or 0) - 1] = self.values[k]
         return by_joint
 
-    planar = property(lambda self: self.parameters.planar)
+    by_link = property(lambda self: self.parameters.by_link)
     length = property(lambda self: self.of_joints(self.parameters.length_errors))
     joint_offset = property(lambda self: self.of_joints(self.parameters.joint_offsets))
 

@@ -30,7 +30,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     most = min(len(postures), 500)  # more stick figures only cover each other
     shown = postures[np.linspace(0, len(postures) - 1, most).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
-    if not arm.chain.planar:
+    if arm.chain.projection:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
         up, around = side(arm)
@@ -83,7 +83,7 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
     axes.plot(*np.zeros((arm.dimension, 1)), "ks", ms=6)
-    axes.set(aspect="equal" if arm.chain.planar else "auto")
+    axes.set(aspect="auto" if arm.chain.projection else "equal")
     axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in arm.chain.axes})
 
 
@@ -196,7 +196,6 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
         axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
         axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
         axis.margins(y=0.12)
-        axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
     axes[0].set_ylabel("largest d(q), dashed: p")
     return figure
 
