@@ -341,7 +341,7 @@ def identify_files(
                 held = replace(held, earlier=reuse.earlier(old, model, rows))
             except InputError as error:
                 raise InputError(f"{prior_from}: {error}") from None
-        return with_repeats_doubted(estimation.estimate_with_prior(model, rows, held, sigma=sigma), rows)
+        return with_repeats_doubted(estimation.estimate(model, rows, prior=held, sigma=sigma), rows)
 
     # the fit, and what is doubtful about it
     progress(0, None, f"fitting {len(measurements)} rows")

@@ -57,20 +57,16 @@ class CriterionOptions:
 def design_problem(
     arm: Arm,
     wanted: CriterionOptions,
-    seed: int = 0,
     *,
     keep: Path | None = None,
     candidates: Path | None = None,
     repeats: bool = False,
-    uncertain: str | None = None,
 ) -> DesignProblem:
     """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
-    import numpy as np
-
     from doe.criteria import NAMES, criterion
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
-    from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem, tip_jacobians
+    from doe.problem.uncertain import missing_effects, robust_problem, tip_jacobians
     from identification import Model, load_plan
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
@@ -92,8 +88,6 @@ def design_problem(
         restrictions["minimum_distance"] = 0.0
     problem = DesignProblem.of(model, **restrictions)
     if wanted.robust:
-        if uncertain is not None:
-            raise InputError("--uncertain: found with --robust, allowed: one of them")
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
         problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
@@ -110,9 +104,7 @@ def design_problem(
             test_jacobians=None if poses is None else tip_jacobians(problem, poses),
         )
         problem = replace(problem, criterion=chosen)
-    if uncertain is None:
-        return problem
-    return ensemble_problem(problem, prior_draws(model, 5, np.random.default_rng(seed)), uncertain)
+    return problem
 
 
 def written(contents: Mapping[Path | None, str | tuple[Any, ...]], force: bool, what: str = "") -> list[str]:
@@ -165,7 +157,6 @@ def design_files(
     keep: Path | None = None,
     candidates: Path | None = None,
     repeats: bool = False,
-    uncertain: str | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
     package_dir: tuple[Path, ...] = (),
@@ -187,7 +178,6 @@ def design_files(
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
-    uncertain : average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import tip_beside_random
@@ -208,8 +198,7 @@ def design_files(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
         )
     signs = () if loaded.counting is None else loaded.counting.sign
-    known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
-    problem = design_problem(loaded, criterion, seed, repeats=repeats, **known)
+    problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach, signs)
     if criterion.robust and solver in (None, "fedorov"):
         problem = with_choices(problem)
@@ -402,7 +391,7 @@ def relax_files(
     loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
-    held = not loaded.chain.planar and loaded.sigma is not None  # by the prior of the machining
+    held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
     if runs is not None and not robust and not held:
         raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = design_problem(loaded, criterion, candidates=candidates if robust else None)
@@ -465,7 +454,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs import parquet, tables
+    from doe.jobs import RowTable, parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.solvers.solving import check_runs
@@ -480,7 +469,8 @@ def compare_files(
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, criteria[0]), number)
     where = job.where(1)  # before the folder is made
-    with interruptible(job.out), tables(job.out, "rows.parquet", resume=job.resume, force=job.force) as (table,):
+    path = None if job.out is None else job.out / "rows.parquet"
+    with interruptible(job.out), RowTable(path, resume=job.resume, force=job.force) as table:
         rows = compare(comparison, table, where, seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None:

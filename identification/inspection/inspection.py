@@ -295,7 +295,7 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     """Where a spatial arm stands if its `[base]` is wrong, in a sentence; none where the file says nothing, and where
     the drawing explains the positions from no place."""
     chain = arm.chain
-    if chain.planar or BASE not in chain.settled or not chain.instrument.reads_positions:
+    if BASE not in chain.settled.intersection(chain.frame_kinds) or not chain.instrument.reads_positions:
         return []
     rows = some_of_one_point(measurements)
     try:

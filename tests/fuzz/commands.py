@@ -55,7 +55,6 @@ VALUES = {
     "seconds": "0.1 0.3",
     "starts": "1 2",
     "grid": "2 3 9",
-    "uncertain": "average worst best",
     "target_mm": "0.1 0.02 -1",
     "method": "linear gauss_newton none",
     "payloads": "0,5 0 5,-1",
@@ -99,7 +98,7 @@ NEEDS = {
 }
 OF_SPATIAL = {"identify.urdf", "identify.parameters"}  # options of one kind of arm alone
 OF_PLANAR = {"design.discriminating"}
-RARE = {"cluster": 100, "uncertain": 20, "missing": 20}
+RARE = {"cluster": 100, "missing": 20}
 RARE |= dict.fromkeys(("resume", "seed", "robust"), 12)
 PICTURES = ["out.png", "out.svg", "new.png", "out.pdf"]
 WRITTEN = ["out.csv", "out.toml", "out.urdf", "out.png", "out.html", "out.svg", "out"]

@@ -137,7 +137,6 @@ CASES: list[Case] = [
             ("1000000000", "--runs; 1000000000"),
             ("3", "runs; 3; 4"),
             ("8 --discriminating --criterion A", "criterion; A; discriminating; D"),
-            ("8 --discriminating --uncertain average", "criterion; average; D"),
             ("8 --test-poses plan.csv", "--test-poses; criterion D; criterion I"),
             ("8 --subset length_error:1", "--subset; criterion D; criterion Ds"),
             ("8 --criterion Ds", "subset; none; at least one"),
@@ -146,7 +145,6 @@ CASES: list[Case] = [
             ("8 --candidates far.csv", "far.csv; 0 of 1"),
             ("5 --missing backlash", "--missing; --robust"),
             ("5 --robust --missing gear", "'gear'"),
-            ("5 --robust --uncertain worst", "--uncertain; --robust"),
             ("5 --robust --discriminating", "--discriminating; --robust"),
             ("8 --picture p.gif", "p.gif; .png, .svg, .pdf"),
         )
