@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from identification import Array, InputError, log_determinants, nearest, readonly
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
-Factors = list[tuple[float, Array, Array]]  # number c, and symmetric (p, p) L and R
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
 
 
@@ -45,7 +44,8 @@ def criterion(
             chosen = list(subset) if subset else "none"
             raise InputError(f"criterion: Ds needs a subset of the parameters, found {chosen}, allowed: at least one")
         return Ds(tuple(subset))
-    return DStar.by_unit(units) if name == "Dstar" else {"D": D, "A": A, "E": E}[name]()
+    plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E()}
+    return DStar.by_unit(units) if name == "Dstar" else plain[name]
 
 
 class Criterion(ABC):
@@ -64,7 +64,20 @@ class Criterion(ABC):
 
     @abstractmethod
     def gradient(self, information: Array) -> Array:
-        """(p, p) G = dPhi/dM. Equivalence theorem: w is optimal iff max_q tr(G B(q)^T B(q)) = tr(G M)."""
+        """(..., p, p) G = dPhi/dM, an analytic function of the entries of M: see `curvature`.
+
+        Equivalence theorem: w is optimal iff max_q tr(G B(q)^T B(q)) = tr(G M).
+        """
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """(k, k) second derivative D^2 Phi(M)[X_a, X_b] for symmetric directions X (k, p, p); never positive.
+
+        Exact to rounding: the imaginary part of G(M + i h X) / h has no difference in it that could cancel.
+        """
+        step = 1e-60
+        changes = np.imag(self.gradient(information + 1j * step * directions)) / step
+        half = 0.5 * changes.reshape(len(directions), -1) @ directions.reshape(len(directions), -1).T
+        return np.asarray(half + half.T)
 
     def degree(self, parameters: int) -> float:
         """Of homogeneity, where the power is 0."""
@@ -95,18 +108,6 @@ class Criterion(ABC):
         """What many postures are compared by: another one where the criterion is slow to compute."""
         return self
 
-    def curvature_factors(self, information: Array) -> Factors | None:
-        """c, L and R of D^2 Phi(M)[X, Y] = -sum c tr(L X R Y); None: it is of another form."""
-        return None
-
-    def curvature(self, information: Array, directions: Array) -> Array:
-        """(k, k) second derivative D^2 Phi(M)[X_a, X_b] for symmetric directions X (k, p, p); never positive."""
-        k, total = len(directions), np.zeros((len(directions),) * 2)
-        for factor, left, right in self.curvature_factors(information) or ():
-            one, other = left @ directions, right @ directions
-            total -= factor * (one.reshape(k, -1) @ np.swapaxes(other, 1, 2).reshape(k, -1).T)
-        return np.asarray(0.5 * (total + total.T))
-
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """(s, c) Phi(A_s + B_sc^T B_sc), but for a number that depends on s only: enough to choose a posture.
 
@@ -121,8 +122,7 @@ class D(Criterion):
     """Phi(M) = log det M: the volume of the confidence ellipsoid (paper, Section V).
 
     Invariant to units and to linear changes of the parameters (doe/README.md, "Criteria"). The other criteria of this
-    kind are sums over their terms: G = sum_t s_t M_t^-1, each inverse in its place, and
-    D^2 Phi = -sum_t s_t tr(M_t^-1 X_t M_t^-1 Y_t).
+    kind are sums over their terms, G = sum_t s_t M_t^-1 with each inverse in its place.
     """
 
     name, power = "D", 0
@@ -143,24 +143,19 @@ class D(Criterion):
         return np.where(regular, sum(sign * np.where(regular, log_det, 0.0) for sign, log_det in each), -np.inf)
 
     def gradient(self, information: Array) -> Array:
-        return np.asarray(sum(sign * inverse for sign, inverse, _ in self.curvature_factors(information)))
-
-    def curvature_factors(self, information: Array) -> Factors:
-        factors: Factors = []
+        total = np.zeros_like(information)
         for sign, rows in self.terms(information.shape[-1]):
-            inverse, place = np.zeros_like(information), np.ix_(rows, rows)
-            inverse[place] = np.linalg.inv(information[place])
-            factors.append((sign, inverse, inverse))
-        return factors
+            total[..., rows[:, None], rows] += sign * np.linalg.inv(information[..., rows[:, None], rows])
+        return total
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """Less Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
-        s, c, d, columns = jacobians.shape
-        total = np.zeros((s, c))
+        total = np.zeros(jacobians.shape[:2])
         for sign, rows in self.terms(information.shape[-1]):
-            p = len(rows)
             root = np.linalg.inv(np.linalg.cholesky(ridged(information[..., rows[:, None], rows])))
-            parts = jacobians if p == columns else jacobians[..., rows]
+            parts = jacobians if len(rows) == jacobians.shape[-1] else jacobians[..., rows]
+            parts = parts[:, :, parts.any(axis=(0, 1, 3))]  # coordinates of other arms add nothing
+            s, c, d, p = parts.shape
             whitened = (parts.reshape(s, c * d, p) @ np.swapaxes(root, -1, -2)).reshape(s, c, d, p)
             small = np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2)
             if d == 2:  # the planar case, without a factorisation
@@ -228,9 +223,6 @@ class Average(D):
     def terms(self, parameters: int) -> list[Term]:
         return [(1.0, rows) for rows in np.split(np.arange(parameters), self.count)]
 
-    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        return np.sum(_gains(information, jacobians, self.count), axis=0)
-
 
 @dataclass(frozen=True)
 class Worst(Criterion):
@@ -257,12 +249,13 @@ class Worst(Criterion):
         return parameters / self.count
 
     def value(self, information: Array) -> Array:
-        return self._minimum(D().value(_blocks(information, self.count)))
+        return self._minimum(D().value(self._blocks(information)))
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """A singular M_k counts as nearly so."""
-        before = D().value(ridged(_blocks(information, self.count)))
-        return self._minimum(before[..., None] + _gains(information, jacobians, self.count))
+        each, parts = self._blocks(information), np.split(jacobians, self.count, axis=-1)
+        gains = [D().values_after_adding(m, b) for m, b in zip(each, parts, strict=True)]
+        return self._minimum(D().value(ridged(each))[..., None] + gains)
 
     def _minimum(self, each: Array) -> Array:
         """(...) of (K, ...)."""
@@ -275,51 +268,36 @@ class Worst(Criterion):
         return np.where(np.isfinite(lowest), safe - np.log(total) / self.sharpness, -np.inf)
 
     def _weights(self, information: Array) -> Array:
-        """(K,) s_k."""
-        each = D().value(_blocks(information, self.count))
-        raised = np.exp(-min(self.sharpness, 200.0) * (each - each.min()))
-        return np.asarray(raised / raised.sum())
+        """(K, ...) s_k."""
+        turns, sizes = np.linalg.slogdet(self._blocks(information))
+        each = sizes + np.log(turns)  # of a complex matrix too, see `curvature`
+        raised = np.exp(-min(self.sharpness, 200.0) * (each - np.real(each).min(axis=0)))
+        return np.asarray(raised / raised.sum(axis=0))
 
     def gradient(self, information: Array) -> Array:
-        size, total = len(information) // self.count, np.zeros_like(information)
-        each = np.linalg.inv(_blocks(information, self.count))
-        for k, weight in enumerate(self._weights(information)):
-            total[k * size : (k + 1) * size, k * size : (k + 1) * size] = weight * each[k]
+        weights, each = self._weights(information), np.linalg.inv(self._blocks(information))
+        total, size = np.zeros_like(information), each.shape[-1]
+        for k in range(self.count):
+            rows = slice(k * size, (k + 1) * size)
+            total[..., rows, rows] = weights[k, ..., None, None] * each[k]
         return total
-
-    def curvature(self, information: Array, directions: Array) -> Array:
-        """sum_k s_k phi_k'' - t (sum_k s_k phi_k' phi_k'^T - (sum_k s_k phi_k') (sum_k s_k phi_k')^T)."""
-        weights = self._weights(information)
-        parts, moves = _blocks(information, self.count), _blocks(directions, self.count)
-        slopes = np.array([np.tensordot(x, D().gradient(m), axes=2) for x, m in zip(moves, parts, strict=True)])
-        bends = sum(s * D().curvature(m, x) for s, m, x in zip(weights, parts, moves, strict=True))
-        mean = weights @ slopes
-        return np.asarray(bends - self.sharpness * ((slopes.T * weights) @ slopes - np.outer(mean, mean)))
 
     def upper_bound(self, information: Array, largest: float) -> float:
         """Tangent of sum_k s_k log det M_k, which no design's smallest log det exceeds: its value + largest - p / K."""
-        mean = self._weights(information) @ D().value(_blocks(information, self.count))
+        mean = self._weights(information) @ D().value(self._blocks(information))
         return float(mean + largest - len(information) / self.count)
 
-
-def _gains(information: Array, jacobians: Array, count: int) -> Array:
-    """(K, s, c) log det(A_k + B_k^T B_k) - log det A_k of plans (s, p, p) and candidates (s, c, K d, p)."""
-    d, p = jacobians.shape[-2] // count, jacobians.shape[-1] // count
-    each = [jacobians[..., k * d : (k + 1) * d, k * p : (k + 1) * p] for k in range(count)]
-    return np.stack([D().values_after_adding(m, b) for m, b in zip(_blocks(information, count), each, strict=True)])
-
-
-def _blocks(information: Array, count: int) -> Array:
-    """(K, ..., p/K, p/K) the diagonal blocks."""
-    size = information.shape[-1] // count
-    return np.stack([information[..., k : k + size, k : k + size] for k in range(0, count * size, size)])
+    def _blocks(self, information: Array) -> Array:
+        """(K, ..., p/K, p/K) those on the diagonal."""
+        rows = np.split(np.arange(information.shape[-1]), self.count)
+        return np.stack([information[..., each[:, None], each] for each in rows])
 
 
 # -- variances ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class InverseTrace(Criterion):
-    """Phi(M) = -tr(W M^-1), with G = M^-1 W M^-1 and D^2 Phi = -2 tr(M^-1 W M^-1 X M^-1 Y): the criteria of this kind
-    differ in the weight matrix W (p, p), positive semidefinite."""
+    """Phi(M) = -tr(W M^-1), with G = M^-1 W M^-1: the criteria of this kind differ in the weight matrix W (p, p),
+    positive semidefinite."""
 
     power = -1
 
@@ -335,10 +313,7 @@ class InverseTrace(Criterion):
 
     def gradient(self, information: Array) -> Array:
         inverse = np.linalg.inv(information)
-        return inverse @ self.weight(len(information)) @ inverse
-
-    def curvature_factors(self, information: Array) -> Factors:
-        return [(2.0, self.gradient(information), np.asarray(np.linalg.inv(information), dtype=np.float64))]
+        return np.asarray(inverse @ self.weight(information.shape[-1]) @ inverse)
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """tr(W A^-1) - tr(W (A + B^T B)^-1), by Woodbury's identity: d x d inverses only."""
@@ -395,67 +370,45 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
 # -- eigenvalues -------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class PowerMean(Criterion):
-    """Kiefer's Phi_k(M) = (mean of lambda^-k)^(-1/k): k -> 0 is D, k = 1 is A, k -> infinity is E. Smooth, concave.
-    G = V diag(g) V^T, g_i = lambda_i^(-k-1) Phi^(k+1) / p.
+    """Kiefer's Phi_k(M) = (mean of lambda^-k)^(-1/k), concave and smooth; k = 1 orders as A, k -> infinity is E.
 
-    exponent : k > 0
+    With N = M^-1 / c for any c: Phi = (tr N^k / p)^(-1/k) / c and G = (tr N^k / p)^(-1/k - 1) N^(k+1) / p; here c is
+    tr M^-1, against overflow.
+
+    exponent : k, whole, >= 1
     """
 
-    exponent: float = 1.0
+    exponent: int = 1
     name, power = "power_mean", 1
 
     def value(self, information: Array) -> Array:
-        variances, none = _variances(information)
-        ratio = variances / variances[..., -1:]
-        mean = np.mean(ratio**self.exponent, axis=-1) ** (-1.0 / self.exponent) / variances[..., -1]
-        return np.where(none, -np.inf, mean)
+        inverse = inverses(information)
+        none = np.isinf(inverse[..., 0, 0])
+        return np.where(none, -np.inf, self._of(np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse)))
+
+    def _of(self, inverse: Array) -> Array:
+        scale = np.trace(inverse, axis1=-2, axis2=-1)
+        return np.asarray(self._mean(inverse / scale[..., None, None]) ** (-1.0 / self.exponent) / scale)
+
+    def _mean(self, scaled: Array) -> Array:
+        """(...) tr N^k / p."""
+        power = np.linalg.matrix_power(scaled, self.exponent)
+        return np.asarray(np.trace(power, axis1=-2, axis2=-1) / power.shape[-1])
 
     def gradient(self, information: Array) -> Array:
-        values, vectors = np.linalg.eigh(information)
-        return (vectors * self._slopes(values)) @ vectors.T
-
-    def curvature(self, information: Array, directions: Array) -> Array:
-        """Second derivative of a symmetric function of eigenvalues (Lewis and Sendov).
-
-        With X~ = V^T X V:  sum_ij h_ij X~_ii Y~_jj + sum_(i != j) (g_i - g_j) / (lambda_i - lambda_j) X~_ij Y~_ij.
-        """
-        values, vectors = np.linalg.eigh(information)
-        slopes, mean, k = self._slopes(values), float(self.value(information)), self.exponent
-        turned = vectors.T @ directions @ vectors
-        slope_changes = -(k + 1.0) * slopes / values
-        gap = values[:, None] - values
-        near = np.abs(gap) <= 1e-7 * np.abs(values[:, None] + values)  # the quotient's limit, to 1e-7 of itself
-        quotient = np.where(
-            near, (slope_changes[:, None] + slope_changes) / 2.0, (slopes[:, None] - slopes) / np.where(near, 1.0, gap)
-        )
-        np.fill_diagonal(quotient, 0.0)
-        diagonal = np.diagonal(turned, axis1=-2, axis2=-1)
-        full = np.diag(slope_changes) + (k + 1.0) * np.outer(slopes, slopes) / mean
-        flat = turned.reshape(len(directions), -1)
-        return diagonal @ full @ diagonal.T + (flat * quotient.ravel()) @ flat.T
+        inverse = np.linalg.inv(information)
+        scaled = inverse / np.real(np.trace(inverse, axis1=-2, axis2=-1))[..., None, None]
+        factor = self._mean(scaled) ** (-1.0 / self.exponent - 1.0) / scaled.shape[-1]
+        return np.asarray(factor[..., None, None] * np.linalg.matrix_power(scaled, self.exponent + 1))
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """Inverses by Woodbury's identity, M^-k by squaring if k is a power of two."""
-        doublings = float(np.log2(self.exponent))
-        if not 1.0 <= doublings < np.inf or not doublings.is_integer():
-            return super().values_after_adding(information, jacobians)
+        """Of inverses by Woodbury's identity."""
         before, seen, inner = _woodbury(information, jacobians)
-        inverse = before[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen)
-        scale = np.trace(inverse, axis1=-2, axis2=-1)
-        power = inverse / scale[..., None, None]  # against overflow
-        for _ in range(int(doublings) - 1):
-            power = power @ power
-        mean = np.sum(power**2, axis=(-2, -1)) / power.shape[-1]
-        return mean ** (-1.0 / self.exponent) / scale
-
-    def _slopes(self, values: Array) -> Array:
-        ratio = values / values[0]
-        mean = np.mean(ratio**-self.exponent)
-        return ratio ** (-self.exponent - 1.0) * mean ** (-1.0 / self.exponent - 1.0) / len(values)
+        return self._of(before[:, None] - np.swapaxes(seen, -1, -2) @ np.linalg.solve(inner, seen))
 
 
 @dataclass(frozen=True)
-class E(PowerMean):
+class E(Criterion):
     """Phi(M) = smallest eigenvalue of the scaled M: 1 over the largest variance of any unit combination of parameters.
 
     Not invariant to units (lengths in mm, angles times link length). Not differentiable where the eigenvalue is
@@ -463,24 +416,25 @@ class E(PowerMean):
     the power mean of k = 32, within p^(1/k) of it, 7 % for p = 8, and compare postures by that of k = 8.
     """
 
-    exponent: float = np.inf
-    name = "E"
+    name, power = "E", 1
 
     @property
     def smooth(self) -> Criterion:
-        return PowerMean(exponent=32.0)
+        return PowerMean(32)
 
     @property
     def surrogate(self) -> Criterion:
-        return PowerMean(exponent=8.0)
+        return PowerMean(8)
 
     def value(self, information: Array) -> Array:
-        variances, none = _variances(information)
-        return np.where(none, -np.inf, 1.0 / variances[..., -1])
+        inverse = inverses(information)
+        none = np.isinf(inverse[..., 0, 0])
+        finite = np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse)
+        return np.where(none, -np.inf, 1.0 / np.linalg.eigvalsh(finite)[..., -1])
 
     def gradient(self, information: Array) -> Array:
-        vector = np.linalg.eigh(information)[1][:, 0]
-        return np.outer(vector, vector)
+        vector = np.linalg.eigh(information)[1][..., 0]
+        return np.asarray(vector[..., :, None] * vector[..., None, :])
 
 
 # -- matrices ----------------------------------------------------------------------------------------------------------
@@ -519,10 +473,3 @@ def inverses(information: Array) -> Array:
     lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
     return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])
-
-
-def _variances(information: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """(..., p) eigenvalues of M^-1, smallest first, ones where M is singular; and (...) where it is."""
-    inverse = inverses(information)
-    none = np.isinf(inverse[..., 0, 0])
-    return np.asarray(np.linalg.eigvalsh(np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse))), none

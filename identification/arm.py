@@ -19,7 +19,7 @@ from identification.arrays import Array, ByValue, readonly
 from identification.bodies import Cell
 from identification.document import html_lines, html_table
 from identification.error_curve import ErrorCurve
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
@@ -124,7 +124,7 @@ class Calibration(ByValue):
         """
         errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
         counted = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
-        _require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")
+        require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")
         values = chain_parameters(np.ones(len(errors))).mapping(np.r_[errors, offsets]) | dict(effects)
         return cls(values, parameter_names, covariance, provenance)
 
@@ -180,20 +180,20 @@ class Arm(ByValue):
         chain: Any = self.chain
         links = None if isinstance(chain, KinematicChain) else readonly(chain, -1)
         n = len(chain) if links is None else links.size
-        _require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
         if links is not None:
             positive = bool(np.all(np.isfinite(links) & (links > 0)))
-            _require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
+            require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
             chain = planar_chain(links)
         lower, upper = _joint_limits(self.lower, self.upper, chain)
         if self.sigma is not None:
-            _require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
+            require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
         ratios = None if self.gear_ratios is None else readonly(self.gear_ratios, -1)
         if ratios is not None:
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
-            _require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
+            require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
         hanging = self.gravity is not None and self.gravity.payload_at is not None
-        _require(not (chain.planar and hanging), "payload_at: found for a planar arm, allowed: in space")
+        require(not (chain.planar and hanging), "payload_at: found for a planar arm, allowed: in space")
         for field_name, value in (("chain", chain), ("lower", lower), ("upper", upper), ("gear_ratios", ratios)):
             object.__setattr__(self, field_name, value)
         if self.counting is not None:
@@ -233,11 +233,6 @@ class Arm(ByValue):
         return limits[0], limits[1]
 
     @property
-    def offers(self) -> frozenset[str]:
-        """What its instrument has that effects may need (`Instrument.offers`)."""
-        return self.chain.instrument.offers
-
-    @property
     def reach(self) -> float:
         """Length of the stretched nominal arm [mm]."""
         return self.chain.reach
@@ -248,20 +243,11 @@ class Arm(ByValue):
 
     def _repr_html_(self) -> str:
         """A line about the arm and a table of its joints, for notebooks."""
-        sigma = "not given" if self.sigma is None else f"{self.sigma:g} mm"
         effects = ", ".join(spec.key for spec in self.effects) or "none"
-        summary = (
-            f"{self.name}: {self.dimension} coordinates, reach {self.reach:.6g} mm, sigma {sigma}, effects {effects}"
-        )
-        summary += "" if self.calibration is None else ", calibrated"
-        if self.cell is not None:
-            floor = "" if self.cell.floor is None else f", floor at z = {self.cell.floor:g} mm"
-            summary += f", bodies {self.cell.clearance:g} mm apart{floor}"
-        rows, turn = [], 180.0 / np.pi
-        for j, (kind, length, *limits) in enumerate(
-            zip(self.joint_types, self.lengths, self.lower, self.upper, strict=True), start=1
-        ):
-            low, high = (f"{x * turn:.6g} deg" if kind == REVOLUTE else f"{x:g} mm" for x in limits)
+        summary = f"{self.name}: reach {self.reach:.6g} mm, effects {effects}"
+        rows, columns = [], (self.joint_types, self.lengths, self.lower, self.upper)
+        for j, (kind, length, *limits) in enumerate(zip(*columns, strict=True), start=1):
+            low, high = (f"{np.degrees(x):.6g} deg" if kind == REVOLUTE else f"{x:g} mm" for x in limits)
             rows.append((str(j), kind, f"{length:.6g}", low, high))
         return html_lines([summary]) + html_table(("joint", "type", "length [mm]", "lower", "upper"), rows)
 
@@ -274,8 +260,8 @@ def _joint_limits(
     lower = readonly([joint.lower for joint in chain.joints] if lower_limits is None else lower_limits, -1)
     upper = readonly([joint.upper for joint in chain.joints] if upper_limits is None else upper_limits, -1)
     for name, limits in (("lower", lower), ("upper", upper)):
-        _require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
-        _require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
+        require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
+        require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
     for j in np.flatnonzero(lower >= upper):
         unit, factor = ("deg", 180.0 / np.pi) if turning[j] else ("mm", 1.0)
         order = f"joint {j + 1} has lower {lower[j] * factor:g} >= upper {upper[j] * factor:g}"
@@ -287,8 +273,3 @@ def _joint_limits(
         message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
         warnings.warn(message, UserWarning, stacklevel=4)
     return lower, upper
-
-
-def _require(condition: bool, message: str) -> None:
-    if not condition:
-        raise InputError(message)

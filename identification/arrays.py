@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.errors import InputError
-
 Array = NDArray[np.float64]
 SHOWN = 5  # rows named in a sentence
 
@@ -86,23 +84,9 @@ def rows_in_words(chosen: NDArray[np.bool_]) -> str:
     return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{rest}"
 
 
-def frame_of_columns(columns: Mapping[str, Any], kind: str = "polars") -> Any:
-    """A frame of columns of one length;  kind : `polars` or `pandas`. Raises `InputError` for another, or no pandas."""
-    lists = {name: values.tolist() if hasattr(values, "tolist") else list(values) for name, values in columns.items()}
-    if kind == "polars":
-        import polars as pl  # takes longer to load than numpy: nothing else needs it to design or to fit
+def as_frame(table: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Any:
+    """A polars frame of columns by name, or of rows with the same keys; what is None is null."""
+    import polars as pl  # takes longer to load than numpy: nothing else needs it to design or to fit
 
-        return pl.DataFrame(lists, strict=False)
-    try:
-        if kind == "pandas":
-            import pandas as pd  # an optional one
-
-            return pd.DataFrame(lists)
-    except ImportError:
-        raise InputError("frame: pandas is not installed, allowed: kind='polars', or pip install pandas") from None
-    raise InputError(f"frame: unknown kind {kind!r}, allowed: polars or pandas")
-
-
-def frame_of_rows(rows: Sequence[Mapping[str, Any]], kind: str = "polars") -> Any:
-    """A frame of rows that have the same keys; what is None is null."""
-    return frame_of_columns({name: [row[name] for row in rows] for name in (rows[0] if rows else ())}, kind)
+    columns = dict(table) if isinstance(table, Mapping) else list(table)
+    return pl.DataFrame(columns, strict=False, infer_schema_length=None)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, frame_of_columns, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.document import Document, Documented
 from identification.documents.identification import compensation_document
 from identification.errors import InputError
@@ -288,12 +288,12 @@ class Compensation(Documented):
             "commands": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
         }
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`; polars or pandas."""
+    def to_frame(self) -> Any:
+        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`."""
         columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
         columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
         left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
-        return frame_of_columns(columns | left, kind)
+        return as_frame(columns | left)
 
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""

@@ -24,24 +24,6 @@ from scipy.optimize import minimize
 
 from identification.arrays import Array
 
-MOST_CAPSULES, MOST_BOXES = 8, 32  # of a body
-CELLS = 24  # of a grid, along the side of a cube as large as the box around a body
-FARTHEST = 6  # cells from the surface, of points around it
-CLOSE, OUTSIDE = 0.2, 1.8  # cells from the surface: of points close to it, which has two sides, and of an outer cell
-POINTS = 1500  # of the surface, as many close to it, and a half of these around it
-SCALE = 10.0  # [mm] s
-STICKING_OUT = 200  # points of the surface that are added, each time
-FINEST = 0.4  # of a cell: faces that stick out are cut to it
-WEIGHTS = 3.0, 30.0, 300.0  # of the first fits, in this order
-LAST_WEIGHTS = 300.0, 3000.0, 10000.0
-STEPS, FEWER = 30, 25  # of L-BFGS for each of them, and while capsules are added
-CUTS = 0.2, 0.5, 0.8  # of what a capsule covers along an axis
-TIGHT, TIGHT_ENOUGH = 0.3, 3.0  # of a cell, and [mm]: if no point around is farther inside, no capsule more is tried
-FINISHED = 2  # covers, of which the best one is taken
-MANY = 20_000  # faces that are looked at for the last fits; in the end radii grow to contain all
-ROUNDING = 1e-6  # [mm] by which radii are larger than need be
-SAVED, FINE_CELLS = 1e-2, 64  # of a body covered by boxes: what a cut must save of it; cells along its longest side
-THINNEST = 1e-3  # [mm] half of the thickness of a box
 Index = NDArray[np.intp]
 Grid = NDArray[np.bool_]
 
@@ -71,28 +53,33 @@ def _cut(faces: Array, longest: float) -> Array:
     return np.concatenate(done)
 
 
+def _dots(one: Array, other: Array) -> Array:
+    """(m,) of vectors (m, 3)."""
+    return np.asarray(np.einsum("ij,ij->i", one, other))
+
+
 # -- capsules ----------------------------------------------------------------------------------------------------------
 def from_capsules(capsules: Array, points: Array) -> tuple[Array, Array]:
     """(m, k) signed distances of points (m, 3) from capsules (k, 7), and where on each axis, 0 to 1, they are from."""
     start, along, radius = capsules[:, :3], capsules[:, 3:6] - capsules[:, :3], capsules[:, 6]
-    squared = np.maximum(np.sum(along**2, axis=1), 1e-9)
-    offset = points @ along.T - np.sum(start * along, axis=1)
+    squared = np.maximum(_dots(along, along), 1e-9)
+    offset = points @ along.T - _dots(start, along)
     at = np.clip(offset / squared, 0.0, 1.0)
-    to_start = np.sum(points**2, axis=1)[:, None] - 2.0 * points @ start.T + np.sum(start**2, axis=1)
+    to_start = _dots(points, points)[:, None] - 2.0 * points @ start.T + _dots(start, start)
     return np.sqrt(np.maximum(to_start + at * (at * squared - 2.0 * offset), 0.0)) - radius, at
 
 
-def _objective(flat: Array, count: int, surface: Array, around: Array, weight: float) -> tuple[float, Array]:
-    """As above, and its gradient; of several covers, of so many capsules each, the sum."""
+def objective(flat: Array, surface: Array, around: Array, weight: float) -> tuple[float, Array]:
+    """As above, and its gradient."""
     capsules = flat.reshape(-1, 7)
     value, gradient = 0.0, np.zeros_like(capsules)
     for points, sign, factor in ((surface, 1.0, weight / len(surface)), (around, -1.0, 1.0 / max(len(around), 1))):
         from_each, at = from_capsules(capsules, points)
-        nearest = from_each.reshape(len(points), -1, count).argmin(axis=2) + np.arange(0, len(capsules), count)
-        d = np.take_along_axis(from_each, nearest, axis=1)
-        rows, covers = np.nonzero(sign * d > 0.0)
-        d, own = d[rows, covers], nearest[rows, covers]
-        slope = 2.0 * d if sign > 0.0 else -1.5 * np.sqrt(-SCALE * d)
+        own = from_each.argmin(axis=1)
+        d = from_each[np.arange(len(points)), own]
+        rows = np.flatnonzero(sign * d > 0.0)
+        d, own = d[rows], own[rows]
+        slope = 2.0 * d if sign > 0.0 else -1.5 * np.sqrt(-10.0 * d)
         value += factor * float(slope @ d) / (2.0 if sign > 0.0 else 1.5)
         ends, at = capsules[own], at[rows, own][:, None]
         away = points[rows] - ends[:, :3] - at * (ends[:, 3:6] - ends[:, :3])
@@ -103,23 +90,62 @@ def _objective(flat: Array, count: int, surface: Array, around: Array, weight: f
     return value, gradient.ravel()
 
 
-def _fitted(capsules: Array, surface: Array, around: Array, weight: float, steps: int = STEPS) -> Array:
-    """Capsules (.., k, 7) after some steps."""
-    data, options = (capsules.shape[-2], surface, around, weight), {"maxiter": steps}
-    found = minimize(_objective, capsules.ravel(), data, jac=True, method="L-BFGS-B", options=options)
-    better = found.x.reshape(capsules.shape)
-    better[..., 6] = np.abs(better[..., 6])
-    return better
+def capsules_around(triangles: Array, most: int = 8) -> Array:
+    """(k, 7) ends and radii of at most `most` capsules that contain triangles (t, 3, 3)."""
+    size = np.ptp(triangles, axis=(0, 1))
+    longest = max(float(size.max()), 1.0)
+    cell = max(float(np.prod(np.maximum(size, longest / 20))) ** (1 / 3), longest / 6) / 16  # 24 along a cube as large
+    surface, around, inside = _points(triangles, cell)
+    parts, found = [inside], list[tuple[float, Array]]()
+    while True:
+        capsules = np.array([_like(part) for part in parts])
+        for weight in (3.0, 100.0):
+            value, capsules = fitted(capsules, surface, around, weight)
+        found.append((value, capsules))
+        tight = -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
+        if tight or len(parts) >= most:
+            break
+        parts = parted(parts, min(2 * len(parts), most))
+    capsules = min(found, key=lambda each: each[0])[1]
+    for weight in (1000.0, 10000.0):
+        faces, _, lacking = _sticking_out(capsules, _spread(triangles, 5000), 0.5 * cell)
+        surface = np.concatenate([surface, faces[np.argsort(-lacking)[:100]].reshape(-1, 3)])
+        capsules = fitted(capsules, surface, around, weight)[1]
+    _, best, lacking = _sticking_out(capsules, triangles, 0.5 * cell)
+    np.maximum.at(grown := np.zeros(len(capsules)), best, lacking)
+    capsules[:, 6] += grown + 1e-6
+    return capsules
 
 
-def _like(points: Array) -> tuple[Array, Array]:
-    """(7,) a capsule about as long and wide as points (m, 3) that fill a body, and (3, 3) their principal axes."""
+def fitted(capsules: Array, surface: Array, around: Array, weight: float) -> tuple[float, Array]:
+    """The objective, and capsules (k, 7) after some steps."""
+    data, options = (surface, around, weight), {"maxiter": 30}
+    fit = minimize(objective, capsules.ravel(), data, jac=True, method="L-BFGS-B", options=options)
+    better = fit.x.reshape(-1, 7)
+    better[:, 6] = np.abs(better[:, 6])
+    return float(fit.fun), better
+
+
+def _like(points: Array) -> Array:
+    """(7,) a capsule about as long and wide as points (m, 3) that fill a body."""
     middle = points.mean(axis=0)
     squares, axes = np.linalg.eigh((points - middle).T @ (points - middle) / len(points))
     narrow, wide, long = np.sqrt(np.maximum(squares, 1e-9))
     radius = 2.0 * np.sqrt(narrow * wide)
     half = max(np.sqrt(3.0) * long - 0.7 * radius, 0.1 * radius) * axes[:, 2]
-    return np.r_[middle - half, middle + half, radius], axes.T
+    return np.r_[middle - half, middle + half, radius]
+
+
+def parted(parts: list[Array], count: int) -> list[Array]:
+    """So many parts: those that vary most are cut in two across where they do."""
+    parts = list(parts)
+    while len(parts) < count:
+        spread = [len(part) * np.var(part, axis=0).sum() * (len(part) > 8) for part in parts]
+        part = parts.pop(int(np.argmax(spread)))
+        middle = part.mean(axis=0)
+        along = (part - middle) @ np.linalg.eigh((part - middle).T @ (part - middle))[1][:, 2]
+        parts += [part[along < 0.0], part[along >= 0.0]] if 0 < np.sum(along < 0.0) < len(part) else [part, part]
+    return parts
 
 
 def _spread(points: Array, most: int) -> Array:
@@ -127,15 +153,15 @@ def _spread(points: Array, most: int) -> Array:
     return points[np.linspace(0, len(points) - 1, min(len(points), most)).astype(int)]
 
 
-def _points(triangles: Array, cell: float) -> tuple[Array, Array, Array]:
+def _points(triangles: Array, cell: float, most: int = 800) -> tuple[Array, Array, Array]:
     """Points of the surface, points around it, and centers of the cells of a grid that the body fills.
 
     A cell is filled where the surface is in it, or on both sides along at least two of the three axes: the inside of an
     open surface, and of a bore.
     """
-    faces = _cut(triangles, 0.5 * cell)
-    low = faces.min(axis=(0, 1)) - (FARTHEST + 1) * cell
-    shape = (np.ceil(np.ptp(faces, axis=(0, 1)) / cell) + 2 * FARTHEST + 3).astype(int)
+    faces, farthest = _cut(triangles, 0.5 * cell), 6
+    low = faces.min(axis=(0, 1)) - (farthest + 1) * cell
+    shape = (np.ceil(np.ptp(faces, axis=(0, 1)) / cell) + 2 * farthest + 3).astype(int)
     filled = np.zeros(shape, dtype=bool)
 
     def at(points: Array) -> tuple[Index, ...]:
@@ -143,7 +169,7 @@ def _points(triangles: Array, cell: float) -> tuple[Array, Array, Array]:
 
     filled[at(faces.reshape(-1, 3))] = True
     one_of_each_cell = np.unique(np.ravel_multi_index(at(faces[:, 0]), tuple(shape)), return_index=True)[1]
-    chosen = _spread(faces[one_of_each_cell], POINTS)
+    chosen = _spread(faces[one_of_each_cell], most)
     sides = [
         np.logical_or.accumulate(filled, axis) & np.flip(np.logical_or.accumulate(np.flip(filled, axis), axis), axis)
         for axis in range(3)
@@ -151,14 +177,13 @@ def _points(triangles: Array, cell: float) -> tuple[Array, Array, Array]:
     filled |= np.sum(sides, axis=0) >= 2
     normal = np.cross(chosen[:, 1] - chosen[:, 0], chosen[:, 2] - chosen[:, 0])
     normal *= cell / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
-    surface, middles, around = chosen[:, 0], chosen.mean(axis=1), []
-    for side in (normal, -normal):
-        outer = ~filled[at(middles + OUTSIDE * side)]
-        around.append((middles + CLOSE * side)[outer])
+    middles, around = chosen.mean(axis=1), []
+    for side in (normal, -normal):  # points close to the surface, on the side where it is not filled
+        around.append((middles + 0.2 * side)[~filled[at(middles + 1.8 * side)]])
     away = distance_transform_edt(~filled)
-    far = np.argwhere((away >= OUTSIDE) & (away <= FARTHEST))
-    around.append(_spread(low + (far + 0.5) * cell, POINTS // 2))
-    return surface, np.concatenate(around), low + (np.argwhere(filled) + 0.5) * cell
+    far = np.argwhere((away >= 1.8) & (away <= farthest))
+    around.append(_spread(low + (far + 0.5) * cell, most // 2))
+    return chosen[:, 0], np.concatenate(around), low + (np.argwhere(filled) + 0.5) * cell
 
 
 def _sticking_out(capsules: Array, faces: Array, finest: float) -> tuple[Array, Index, Array]:
@@ -176,75 +201,15 @@ def _sticking_out(capsules: Array, faces: Array, finest: float) -> tuple[Array, 
     return faces, best, least
 
 
-def capsules_around(triangles: Array, most: int = MOST_CAPSULES) -> Array:
-    """(k, 7) ends and radii of at most `most` capsules that contain triangles (t, 3, 3)."""
-    size = np.ptp(triangles, axis=(0, 1))
-    longest = max(float(size.max()), 1.0)
-    cell = max(float(np.prod(np.maximum(size, longest / 20))) ** (1 / 3), longest / 6) / CELLS
-    surface, around, inside = _points(triangles, cell)
-    capsules = _like(inside)[0][None]
-    for weight in WEIGHTS:
-        capsules = _fitted(capsules, surface, around, weight)
-    fits = [capsules]
-    while len(capsules) < most and -from_capsules(capsules, around)[0].min() > max(TIGHT * cell, TIGHT_ENOUGH):
-        if (more := _with_one_more(capsules, surface, around, inside)) is None:
-            break
-        capsules = more
-        capsules = _fitted(capsules, surface, around, WEIGHTS[-1], FEWER)
-        fits.append(capsules)
-    value = {len(each): _objective(each.ravel(), len(each), surface, around, WEIGHTS[-1])[0] for each in fits}
-    closed = [
-        _closed(each, surface, around, triangles, FINEST * cell)
-        for each in sorted(fits, key=lambda each: value[len(each)])[:FINISHED]
-    ]
-    return min(closed, key=lambda each: _objective(each.ravel(), len(each), surface, around, 1.0)[0])
-
-
-def _closed(capsules: Array, surface: Array, around: Array, triangles: Array, finest: float) -> Array:
-    """The capsules fitted until hardly a face sticks out, and then so much larger that none does."""
-    for weight in LAST_WEIGHTS:
-        faces, _, lacking = _sticking_out(capsules, _spread(triangles, MANY), finest)
-        surface = np.concatenate([surface, faces[np.argsort(-lacking)[:STICKING_OUT]].reshape(-1, 3)])
-        capsules = _fitted(capsules, surface, around, weight)
-    _, best, lacking = _sticking_out(capsules, triangles, finest)
-    np.maximum.at(grown := np.zeros(len(capsules)), best, lacking)
-    capsules[:, 6] += grown + ROUNDING
-    return capsules
-
-
-def _with_one_more(capsules: Array, surface: Array, around: Array, inside: Array) -> Array | None:
-    """The capsules with two in the place of the one that is most wrong: what it covers is cut across its principal axes
-    where that seems best, by what two capsules of its own points come to. None: it covers too little."""
-    wrong, own = np.zeros(len(capsules)), []
-    for points, sign, factor in ((surface, 1.0, WEIGHTS[-1]), (around, -1.0, 1.0)):
-        from_each = from_capsules(capsules, points)[0]
-        nearest, squares = from_each.argmin(axis=1), np.maximum(sign * from_each.min(axis=1), 0.0) ** 2
-        wrong += factor / max(len(points), 1) * np.bincount(nearest, squares, len(capsules))
-        own.append(nearest)
-    worst = int(wrong.argmax())
-    surface, around = surface[own[0] == worst], around[own[1] == worst]
-    inside = inside[from_capsules(capsules, inside)[0].argmin(axis=1) == worst]
-    if len(inside) < 8 or not len(surface):
-        return None
-    along = inside @ _like(inside)[1].T
-    sides = (along[:, axis] < along[:, axis].min() + cut * np.ptp(along[:, axis]) for axis in range(3) for cut in CUTS)
-    halves = [np.stack([_like(inside[part])[0] for part in (s, ~s)]) for s in sides if 3 < s.sum() < len(s) - 3]
-    if not halves:
-        return None
-    tried = _fitted(np.stack(halves), surface, around, WEIGHTS[1], FEWER)
-    best = min(tried, key=lambda two: _objective(two.ravel(), 2, surface, around, WEIGHTS[1])[0])
-    return np.concatenate([np.delete(capsules, worst, axis=0), best])
-
-
 # -- boxes -------------------------------------------------------------------------------------------------------------
-def boxes_around(triangles: Array, place: Array | None = None, most: int = MOST_BOXES) -> Array:
+def boxes_around(triangles: Array, place: Array | None = None, most: int = 32) -> Array:
     """(k, 15) centers, rotation matrices and half sizes of at most `most` boxes, along the axes of the triangles, that
     contain the triangles (t, 3, 3) and what they enclose.
 
     place : (4, 4) pose of the frame of the triangles in that of the boxes; None: the same
     """
     low, size = triangles.min(axis=(0, 1)), np.ptp(triangles, axis=(0, 1))
-    cell = max(float(size.max()), 1.0) / FINE_CELLS
+    cell = max(float(size.max()), 1.0) / 64
     faces = _cut(triangles, 0.5 * cell)
     shape = np.maximum(np.ceil(size / cell - 1e-6), 1.0).astype(int)
     first, last = (
@@ -259,7 +224,7 @@ def boxes_around(triangles: Array, place: Array | None = None, most: int = MOST_
     while len(ranges) < most:
         k = max(range(len(cuts)), key=lambda k: cuts[k][0])
         saved, halves = cuts[k]
-        if saved < SAVED * sum(np.prod(b - a) for a, b in ranges):
+        if saved < 0.01 * sum(np.prod(b - a) for a, b in ranges):
             break
         ranges[k : k + 1], cuts[k : k + 1] = halves, [_best_cut(filled, half) for half in halves]
     turn, origin = (np.eye(3), np.zeros(3)) if place is None else (place[:3, :3], place[:3, 3])
@@ -272,7 +237,7 @@ def boxes_around(triangles: Array, place: Array | None = None, most: int = MOST_
         closed = [_goes_on(filled, cells, side) for side in (0, 1)]
         start = np.where(closed[0], start, np.maximum(start, ends[0][within].min(axis=0)))
         end = np.where(closed[1], end, np.minimum(end, ends[1][within].max(axis=0)))
-        middle, half = 0.5 * (start + end), np.maximum(0.5 * (end - start), THINNEST)
+        middle, half = 0.5 * (start + end), np.maximum(0.5 * (end - start), 1e-3)
         boxes.append(np.r_[turn @ middle + origin, turn.ravel(), half])
     return np.array(boxes)
 

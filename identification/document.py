@@ -13,7 +13,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
 
     from identification.errors import InputError
 
-LONG = 24  # characters, from which a cell is text that may be broken
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
@@ -59,13 +57,6 @@ class Pictures:
     """Figures and paragraphs on how they are read, made where a rendering shows them, which no terminal does."""
 
     draw: Callable[[], Sequence[Figure | str]]
-
-
-def later(function: str, *of: Any) -> Callable[[], Any]:
-    """What calls a function, `package.module.name`, which is loaded only then: matplotlib takes longer to load than a
-    small job."""
-    module, _, name = function.rpartition(".")
-    return lambda: getattr(import_module(module), name)(*of)
 
 
 @dataclass(frozen=True)
@@ -192,28 +183,19 @@ def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name:
 
 
 def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Headings and rows of ready text; of class `wide` where a phone shows the cells of a row below each other, each
-    beside its heading."""
+    """Headings and rows of ready text; without headings names and what is to be said of each."""
     lines = [list(row) for row in rows]
     if not headings:
         style = 'style="text-align: left"'
         pairs = ([escape(in_symbols(text)) for text in line] for line in lines)
         body = "".join(f'<tr><th scope="row" {style}>{name}</th><td {style}>{text}</td></tr>\n' for name, text in pairs)
         return f"<table>\n<tbody>\n{body}</tbody>\n</table>"
-    # that a row needs, of 38 that a phone shows: of words where a cell may be broken, as headings, names and texts may
-    characters = 0
-    for k, heading in enumerate(headings):
-        cells = [line[k] for line in lines]
-        firm = [len(cell) for cell in cells if k > 0 and len(cell) <= LONG]
-        characters += 2 + max([*firm, *(len(word) for text in (heading, *cells) for word in text.split())], default=0)
-    wide = ' class="wide"' if len(headings) > 2 and characters > 38 else ""
-    kinds = [' class="text"' if any(len(line[k]) > LONG for line in lines) else "" for k in range(len(headings))]
-    named = [(kind, escape(heading)) for kind, heading in zip(kinds, headings, strict=True)]
-    head = "".join(f'<th scope="col"{kind}>{heading}</th>' for kind, heading in named)
-    kinds = [f'{kind} data-heading="{heading}"' if wide else kind for kind, heading in named]
+    # texts, which may be broken, begin at the left
+    kinds = [' class="text"' if any(len(line[k]) > 24 for line in lines) else "" for k in range(len(headings))]
+    head = "".join(f'<th scope="col"{kind}>{escape(name)}</th>' for name, kind in zip(headings, kinds, strict=True))
     texts = ((f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds, strict=True)) for line in lines)
     body = "".join(f"<tr>{''.join(row)}</tr>\n" for row in texts)
-    return f"<table{wide}>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
+    return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
 
 
 def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:

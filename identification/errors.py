@@ -29,6 +29,12 @@ class JobError(ArmcalError):
     """The input was fine, the job itself could not be done (solver failed, parameters not identifiable)."""
 
 
+def require(condition: bool, message: str) -> None:
+    """Raises `InputError` where the condition does not hold."""
+    if not condition:
+        raise InputError(message)
+
+
 def printable(text: str) -> str:
     """`text` with control characters, line breaks, and what no output can encode written as in Python."""
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)

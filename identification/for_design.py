@@ -98,8 +98,16 @@ class ArmModel(Model):
 
     @cached_property
     def joint_frames(self) -> Callable[[Array], Array]:
-        """Of postures (m, n) the frames (m, n + 1, 4, 4) [mm] as best known: see `KinematicChain.joint_frames`."""
-        return self.arm.chain.joint_frames(self._geometry_values)
+        """Of postures (m, n) the frames (m, n + 1, 4, 4) [mm] as best known, in that of the base: of each
+        joint after it moved, and the tip's with the first measured point as its origin."""
+        placed = self.arm.chain.frames_at(self.geometry)
+
+        def at(postures: Array) -> Array:
+            frames = placed(postures)
+            frames[..., -2, :3, 3] = frames[..., -1, :3, 3]
+            return frames[..., 1:-1, :, :]
+
+        return at
 
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arrays import Array, ByValue, frame_of_columns
+from identification.arrays import Array, ByValue, as_frame
 from identification.conditions import REMEMBERED, Conditions, Past, directions_from_order, past_from_order, session_time
 from identification.errors import InputError
 from identification.kinematics.parameters import MAX_LINKS
@@ -177,14 +177,14 @@ class Measurements(ByValue):
 
         return cls(**measurement_fields(table_of_frame(frame), links) | {"provenance": MappingProxyType({})})
 
-    def to_frame(self, kind: str = "polars", joint_types: Sequence[str] | None = None) -> Any:
-        """A frame with the columns of a measurement file, which `from_frame` reads;  kind : `polars` or `pandas`.
+    def to_frame(self, joint_types: Sequence[str] | None = None) -> Any:
+        """A polars frame with the columns of a measurement file, which `from_frame` reads.
 
         joint_types : of each joint, None: all revolute
         """
         from identification.files.measurement import measurement_columns
 
-        return frame_of_columns(measurement_columns(self, joint_types), kind)
+        return as_frame(measurement_columns(self, joint_types))
 
     def _repr_html_(self) -> str:
         return str(self.to_frame()._repr_html_())

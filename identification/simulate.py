@@ -77,9 +77,9 @@ def simulate(
     if noisy := [(effect, spec) for effect, spec in zip(effects, truth.effects, strict=True) if effect.scatter]:
         levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(q, None, session.conditions)
         time = np.zeros(len(q)) if session.conditions.time is None else session.conditions.time
-        scene = Scene(exact[:, : truth.dimension], levers, time, noise)
+        scene = Scene(exact[:, : truth.dimension], levers, time, noise, generator)
         for effect, spec in noisy:  # in the order of the arm file
-            errors = effect.disturb(errors, scene, dict(spec.values), generator)
+            errors = effect.disturb(errors, scene, [spec.values.get(p.short, 0.0) for p in effect.parameters])
     if (scale := truth.chain.angle_scale) is None:
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)

@@ -18,7 +18,7 @@ from identification.documents.identification import (
     BY_CHANCE,
     DRAWN,
     FITTED,
-    reading_unit,
+    unit_key,
     validation_sections,
     validation_verdict,
 )
@@ -120,7 +120,7 @@ class Validation(Documented):
             "blocks": blocks,
             "refitted": [dict(row) for row in self.refitted],
             "notes": list(self.notes),
-            **({"reading_unit": reading_unit(self)} if reading_unit(self) != "mm" else {}),
+            **unit_key(self.arm),
         }
 
     def document(self) -> Document:

@@ -403,7 +403,7 @@ def identify_files(
 
 def fit_in_json(fit: Identification, rows: Measurements, arm: Arm, path: Path) -> dict[str, Any]:
     """What JSON says of a fit of rows by an arm (of the file `path`), what the drawing leaves of them included."""
-    from identification.documents.identification import reading_unit
+    from identification.documents.identification import unit_key
     from identification.estimation.doubts import left_out_rms
     from identification.measurements import rms_distance
     from identification.validate import drawing_residuals
@@ -414,9 +414,7 @@ def fit_in_json(fit: Identification, rows: Measurements, arm: Arm, path: Path) -
     if fit.geometry is not None and not fit.not_identifiable:
         table, places = dh_lines(fit.calibrated_arm(), fit.corrected_values, path)
         keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    if (unit := reading_unit(fit.model)) != "mm":
-        keys["reading_unit"] = unit
-    return fit.to_json() | keys
+    return fit.to_json() | keys | unit_key(fit.arm)
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -52,7 +51,7 @@ def interior_point_weights(
         falling = change < 0.0
         return float(np.min(-values[falling] / change[falling], initial=np.inf))
 
-    w = np.full(len(jacobians), 1.0 / len(jacobians))
+    each, w = prior.information(information_of_each(jacobians)), np.full(len(jacobians), 1.0 / len(jacobians))
     gradient, g = judged(w)
     nu = float(g.max()) + 0.1 * abs(float(w @ g))
     s = nu - g
@@ -64,7 +63,7 @@ def interior_point_weights(
             best, smallest, stalled = (w, gradient), gap, 0
         if gap <= tolerance * abs(float(w @ g)) or stalled > 5:  # steps without a smaller gap: rounding is reached
             break
-        curvature = minus_hessian(jacobians, w, criterion, prior)
+        curvature = -criterion.smooth.curvature(prior.mixture(jacobians, w), each)
         mu, residual = 0.1 * float(w @ s) / len(w), g + s - nu  # of the complementarity
         try:
             factor = cho_factor(curvature + np.diag(s / w), lower=True)
@@ -96,31 +95,6 @@ def multiplicative_weights(
         weights = weights * each ** POWERS[criterion.name]
         weights /= weights.sum()
     return np.where(weights > 1e-6 * weights.max(), weights, 0.0), gradient  # the others are left out
-
-
-def minus_hessian(jacobians: Array, weights: Array, criterion: Criterion, prior: PriorInformation) -> Array:
-    """(k, k) minus the Hessian of Phi with respect to the weights; with factors L and R sum c tr(L F_i R F_j),
-    F = (B^T B + K) / (1 + k), without any F.
-
-    tr(L B_i^T B_i R B_j^T B_j) is the scalar product of B_j L B_i^T and B_j R B_i^T: products of (k d, p) by (p, k d).
-    """
-    information = prior.mixture(jacobians, weights)
-    factors = criterion.curvature_factors(information)
-    if factors is None:
-        return -criterion.smooth.curvature(information, prior.information(information_of_each(jacobians)))
-    k, d, _ = jacobians.shape
-    total = np.zeros((k, k))
-    for factor, left, right in factors:
-        halves = [jacobians @ side for side in ([left] if right is left else [left, right])]
-        for one, other in combinations_with_replacement(range(d), 2):
-            products = [half[:, one] @ jacobians[:, other].T for half in halves]
-            pairs = products[0] * products[-1]
-            total += factor * (pairs if one == other else pairs + pairs.T)
-        if not prior.empty:
-            prior_part = left @ prior.total @ right
-            each = np.einsum("kda,ab,kdb->k", jacobians, 0.5 * (prior_part + prior_part.T), jacobians, optimize=True)
-            total += factor * (each[:, None] + each + np.sum(prior_part * prior.total))
-    return np.asarray(total / (1.0 + prior.runs) ** 2)
 
 
 def proper_weights(weights: Array) -> Array:

@@ -1,7 +1,7 @@
 """Plans that are (nearly) D-optimal AND can distinguish missing effects (doe/README.md, "Misidentification").
 
-Starting from the best plan (or one from theory that is as good), moved off the limits, runs are swapped for postures
-that lower the probability of a wrong name, at the cost of as much D-efficiency as is allowed. The order of measurement
+Starting from the best plan, some runs of which are replaced by random postures, runs are swapped for postures that
+lower the probability of a wrong name, at the cost of as much D-efficiency as is allowed. The order of measurement
 matters to backlash and drift only: the best of many shuffles is kept. The bound on that probability follows from the
 information matrix M alone: with b the base parameters, e those of all effects, v a combination of one effect's
 parameters, `LAMBDA` long on a random plan of as many runs, and B a basis of the rival's,
@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, groupby, islice, takewhile
+from itertools import combinations, groupby
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -29,12 +29,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from doe.criteria import information_matrix, log_determinants
-from doe.plan.spacing import ROUNDING, allowed_value, neighbor_counts, spread_free_joints
-from doe.problem.model import DesignModel, offered, turns
+from doe.plan.spacing import allowed_value
+from doe.problem.model import DesignModel, offered
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import information_of_each
 from doe.solvers import Solver, solve
-from doe.solvers.planar_theory import optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
 from identification import Array, InputError, Model, Progress, Status, design_model, silent, spectrum
 
@@ -43,7 +42,6 @@ if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
     from identification import Arm
 
-TURN = 2.0 * np.pi  # [rad]
 MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
 CLOUD = 512  # effort: postures
 LEAST_GAIN = 1e-3  # effort: of the criterion, below which the swaps end, ten of it for the pools
@@ -266,13 +264,12 @@ def discrimination_design(
     generator, state = np.random.default_rng(seed), Swaps(problem, library)
     chosen, status = np.array(best.plan.postures), best.status
     if status is not Status.interrupted:
-        allowed, status, bound = problem.parameters * float(-np.log1p(-loss)), Status.local_optimum, np.inf
+        allowed, status = problem.parameters * float(-np.log1p(-loss)), Status.local_optimum
         try:
-            for begin, part in initial_plans(state, best, allowed, generator, budget):
-                for postures in state.improved(begin, best.value - allowed, generator, part, progress):
-                    if (wrong := state.wrong(postures)) < bound:
-                        chosen, bound = postures, wrong
-                status = Status.time_limit if part.out_of_time else status
+            begin = state.begin(chosen, best.value - 0.75 * allowed, generator)
+            for postures in state.improved(begin, best.value - allowed, generator, budget, progress):
+                chosen = postures
+            status = Status.time_limit if budget.ended() else status
         except KeyboardInterrupt:
             status = Status.interrupted
     # the order of many that shows backlash and drift best beside the model's parameters: by log det of what the data
@@ -281,7 +278,7 @@ def discrimination_design(
     shuffles = [generator.permutation(runs) for _ in range(200)]  # effort
     scores, base, jacobian_of = list[float](), library.base, library.jacobian_by_order
     for order in shuffles:
-        if jacobian_of is None or (scores and ordering.out_of_time):
+        if jacobian_of is None or (scores and ordering.ended()):
             break
         jacobian = jacobian_of(chosen[order])
         information = information_matrix(jacobian)
@@ -302,106 +299,18 @@ def discrimination_design(
     return DiscriminationDesign(design, best, sees[0], sees[1], *(min(1.0, bound) for bound in bounds))
 
 
-# -- where swaps start -------------------------------------------------------------------------------------------------
-def initial_plans(
-    state: Swaps, best: Design, allowed: float, generator: Generator, budget: Budget
-) -> Iterator[tuple[Array, Budget]]:
-    """Plans from which swaps start, each with its part of the time: the best plan or one from theory, whichever
-    distinguishes effects best, off the limits.
-
-    Under joint limits a D-optimal plan stands in the corners, far from plans that distinguish effects: there is a
-    second beginning with as many random postures as three quarters of the loss allow.
-
-    Plans from theory, as many as there is time for, are taken off the grid, joints that play no part at random angles.
-    Joints that turn all the way round are moved by up to half a step of the grid they are on: on N equal steps of a
-    turn, k and N - k periods are the same, and with N = 50 a gear ripple of order 49 would be an eccentric encoder.
-    D-optimality asks for sums over all postures (doe/README.md, "Information matrix"), which hardly change.
-    """
-    problem, runs = state.problem, len(best.plan.postures)
-    free = [joint for joint in range(problem.joints) if joint not in problem.active_joints]
-    round_joints = np.flatnonzero(turning(problem))
-    origin, step = problem.lower[round_joints], TURN / runs
-
-    def start(least: float) -> Array:
-        """(m, n) of no less than this value."""
-        plans = [np.array(best.plan.postures)]
-        theory = optimal_plans(problem, runs, generator) if problem.choices is None else iter(())
-        for plan in takewhile(lambda _: not budget.out_of_time, islice(theory, 64)):  # effort: plans to choose from
-            moved = np.array(plan)
-            angles = moved[:, round_joints] + step * generator.uniform(-0.5, 0.5, (runs, len(round_joints)))
-            moved[:, round_joints] = origin + np.mod(angles - origin, TURN)
-            postures = problem.clip(moved)
-            postures[:, free] = generator.uniform(problem.lower[free], problem.upper[free], (runs, len(free)))
-            if allowed_value(problem, postures) >= least:
-                plans.append(postures)
-        chosen = min(plans, key=state.wrong)
-        moved = off_the_limits(problem, chosen, least, generator) if state.narrow else chosen
-        return spread_free_joints(problem, moved, generator) if has_repeats(problem, moved) else moved
-
-    yield start(best.value - allowed / 2.0), budget.part(0.5) if state.narrow else budget
-    if not state.narrow or budget.out_of_time:
-        return
-    plan = start(best.value - allowed / 8.0)
-    rows = generator.permutation(len(plan))
-    for row, drawn in zip(rows, pool_of(problem, len(plan), generator), strict=True):
-        trial = np.array(plan)
-        trial[row] = drawn
-        plan = trial if allowed_value(problem, trial) >= best.value - 0.75 * allowed else plan
-    yield plan, budget
-
-
-def turning(problem: DesignProblem) -> NDArray[np.bool_]:
-    """(n,) joints that turn all the way round."""
-    return turns(problem.model) & (problem.upper - problem.lower >= TURN * (1.0 - 1e-9))
-
-
-def off_the_limits(problem: DesignProblem, postures: Array, least: float, generator: Generator) -> Array:
-    """The postures with the other joints moved by as much as the value `least` allows, turned back at the limits.
-
-    On the few angles that D-optimality chooses under limits, ripples of many orders are one and the same column, and
-    some are that of an eccentric encoder. Part of the loss that is allowed is kept for this.
-    """
-    joints = np.flatnonzero(~turning(problem))
-    low, high = problem.lower[joints], problem.upper[joints]
-    # effort: steps by which joints move off their limits, ten tries of each
-    for size in np.repeat(np.radians([30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0]), 10):
-        step = size * problem.joint_units[joints]
-        angle = postures[:, joints] + generator.uniform(-step, step, (len(postures), len(joints)))
-        moved = np.array(postures)
-        moved[:, joints] = np.clip(high - np.abs(high - (low + np.abs(angle - low))), low, high)
-        if allowed_value(problem, moved) >= least:
-            return moved
-    return postures
-
-
+# -- swaps -------------------------------------------------------------------------------------------------------------
 def pool_of(problem: DesignProblem, count: int, generator: Generator) -> Array:
     """(count, n) random postures of the design space; all of a list that is shorter."""
     if problem.choices is None:
         return random_postures(problem, count, generator)
-    return generator.permutation(listed_candidates(problem, problem.choices))[:count]
+    return generator.permutation(np.unique(listed_candidates(problem, problem.choices), axis=0))[:count]
 
 
-def has_repeats(problem: DesignProblem, plan: Array, run: int | slice = slice(None)) -> bool:
-    """True if a run, or any of a plan (m, n), is within the minimum distance of another, or of one of those kept.
-
-    Unlike `allowed_value`, which leaves it to joints that play no part in the base model to set such postures apart:
-    here these joints are chosen too. Out of a list only one and the same posture of the plan is a repeat.
-    """
-    if problem.minimum_distance == 0.0:
-        return False
-    if problem.choices is not None:
-        _, place, counts = np.unique(plan, axis=0, return_inverse=True, return_counts=True)
-        return bool(np.any(counts[place.ravel()][run] > 1))
-    points = problem.comparable(np.vstack([plan, problem.kept]))
-    return bool(np.any(neighbor_counts(points, problem.minimum_distance / ROUNDING)[: len(plan)][run]))
-
-
-# -- swaps -------------------------------------------------------------------------------------------------------------
 class Swaps:
     """A design space with every effect in the model that postures alone can show, and the bound on wrong names there.
 
     problem : for the model that is to be identified;  extended : with the effects, whose parameters come last
-    narrow : there are limits to choose freely within
     """
 
     def __init__(self, problem: DesignProblem, library: EffectLibrary) -> None:
@@ -410,10 +319,23 @@ class Swaps:
         deviations = {name: size for name, size in problem.deviations.items() if name in shown}
         self.problem = problem
         self.extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
-        self.narrow = problem.choices is None and not np.all(turning(problem))
         cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
         reference = information_matrix(self.extended.scaled_jacobians(cloud)) / len(cloud)
         self.bound = MisidentificationBound(library.base, library.bases, library.weights, reference)
+
+    def begin(self, postures: Array, least: float, generator: Generator) -> Array:
+        """(m, n) the plan with as many random postures as a value of at least `least` allows.
+
+        A D-optimal plan stands in the corners of narrow limits or on regular steps, far from plans that distinguish
+        effects: on two angles of a joint ripples of many orders are one column, and on N equal steps of a turn k and
+        N - k periods are.
+        """
+        plan, problem = np.array(postures), self.problem
+        for row, drawn in zip(generator.permutation(len(plan)), pool_of(problem, len(plan), generator), strict=False):
+            trial = np.array(plan)
+            trial[row] = drawn
+            plan = trial if allowed_value(problem, trial) >= least else plan
+        return plan
 
     def wrong(self, postures: Array) -> float:
         """Bound on the mean probability of a wrong name that a plan leaves, see `MisidentificationBound.wrong`."""
@@ -482,8 +404,8 @@ class Swaps:
                     free[place] = False
                     trial = np.array(plan)
                     trial[run] = pool[place]
-                    # the plan keeps its least value and its distances; else the posture is not columns again
-                    if not has_repeats(problem, trial, run) and (kept := allowed_value(problem, trial)) >= least:
+                    # the plan keeps its least value and its distances; else the posture is not tried again
+                    if (kept := allowed_value(problem, trial)) >= least:
                         return run, place, kept
             return None
 
@@ -493,7 +415,7 @@ class Swaps:
             columns, free = self.extended.scaled_jacobians(pool), np.ones(len(pool), dtype=bool)
             if problem.choices is not None and problem.minimum_distance > 0.0:  # no place for what is in the plan
                 free = ~np.any(np.all(pool[:, None] == plan, axis=-1), axis=1)
-            while not budget.out_of_time and (swap := best_swap()) is not None:
+            while not budget.ended() and (swap := best_swap()) is not None:
                 run, place, kept = swap
                 plan, slack = np.array(plan), kept - least
                 plan[run], jacobians[run] = pool[place], columns[place]
@@ -501,5 +423,5 @@ class Swaps:
                 value = float(-np.log(self.bound.wrong(information)))
                 yield plan
                 progress(number, rounds, f"wrong names at most {float(np.exp(-value)):.3f}")
-            if budget.out_of_time or value < before + 10.0 * LEAST_GAIN:
+            if budget.ended() or value < before + 10.0 * LEAST_GAIN:
                 break

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
 from doe.plan.plan import shortest_path
@@ -25,13 +23,8 @@ from identification import Array, InputError, JobError, Plan, nearest
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (0.0, 0.0), "positive": (1.0, 0.0), "negative": (0.0, 1.0), "alternate": (1.0, 1.0)}
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
-SPARE = 0.02  # share that planned moves keep besides: they are found free again when they are read
-WALL = 10.0  # [mm] that the arm may pass a wall by while it moves
+WALL = 10.0  # [mm] that the arm may pass a wall by while it moves: many postures are on one
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
-CANDIDATES, ATTEMPTS = 200, 5  # for a posture in the place of one that cannot be reached; rounds of replacing
-SAMPLES, OFTEN = 300, 5  # random postures that tell which pairs collide most often, and how many are asked first
-FINE = 300  # postures of a move that is looked at to say what collides
-NEXT = 10  # postures to which one is tried to be moved from there
 
 
 @dataclass(frozen=True)
@@ -116,19 +109,20 @@ def drive(
 
     Raises `JobError` where postures are left that cannot be reached.
     """
-    known, generator = room_of(problem.constraints, SPARE), np.random.default_rng(seed)
+    known, generator = room_of(problem.constraints, 0.02), np.random.default_rng(seed)
     if known is None and approach == "any" and order is None:
         return Drive(plan)
     room, space = known or nothing(problem.joints), Space(problem.model.lower, problem.model.upper, problem.joint_units)
     order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
     before = space.length(plan.postures)
     shuffled = np.random.default_rng(seed).permutation(len(plan)) if order == "random" else np.arange(len(plan))
-    postures = plan.postures[shuffled]
+    turn = (lambda rows: rows) if known is None else one_turn(problem, known, generator)
+    postures = turn(plan.postures[shuffled])
     senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
     room = room._replace(margin=_until(stop, room.margin), allows=_until(stop, room.allows))
     try:
-        for _ in range(ATTEMPTS):
+        for _ in range(5):
             entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
             lost = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
             if not lost:
@@ -136,7 +130,7 @@ def drive(
                 lost = found.unreached
             if not lost:
                 break
-            postures = another(problem, postures, lost, room, space, generator)
+            postures = another(problem, postures, lost, room, space, turn, generator)
             replaced |= {*lost}
         else:
             runs = ", ".join(str(row + 1) for row in lost)
@@ -176,7 +170,7 @@ def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[i
         return None
     clearance = next(each for each in constraints if isinstance(each, Clearance))
     kept = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
-    found, shares = [], np.linspace(0.0, 1.0, FINE)[:, None]
+    found, shares = [], np.linspace(0.0, 1.0, 300)[:, None]
     for row in np.flatnonzero(~free(postures[:-1], postures[1:], room)).tolist():
         apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
         at, k = divmod(int(np.argmin(apart - kept)), len(kept))
@@ -190,27 +184,53 @@ def in_sentences(moves: Sequence[tuple[int, tuple[str, str], float]]) -> list[st
     return lines + [f"  to row {row}: {one} and {other} come to {gap:.0f} mm" for row, (one, other), gap in moves]
 
 
+def one_turn(problem: DesignProblem, room: Room, generator: np.random.Generator) -> Callable[[Array], Array]:
+    """What turns joints of postures (m, n) by whole turns, where limits leave room for more than one, and neither the
+    criterion nor a list of postures tells the difference: into one turn each, which ends where the arm is least often
+    free. Straight moves are shorter then, and more of them are free."""
+    lower, upper, whole = problem.lower, problem.upper, 2.0 * np.pi
+    first, wound = lower.copy(), turns(problem.model) & (upper - lower > 1.01 * whole) & (problem.choices is None)
+    drawn = random_postures(problem, max(problem.fewest_runs, 100), generator)
+    for j in np.flatnonzero(wound):
+        other = drawn.copy()
+        other[:, j] += np.where(other[:, j] + whole <= upper[j], whole, -whole)
+        inside = (other[:, j] >= lower[j]) & problem.feasible(other)
+        one, same = (problem.objective(each[inside]) for each in (drawn, other))
+        wound[j] = abs(one - same) < 1e-6
+        ends = np.linspace(lower[j], upper[j] - whole, 25)
+        at_ends = np.tile(drawn, (len(ends), 1))
+        at_ends[:, j] = np.repeat(ends, len(drawn))
+        freely = room.allows(at_ends).reshape(len(ends), -1).mean(axis=1)
+        middle = np.abs(ends - 0.5 * (lower[j] + upper[j] - whole)) / (upper[j] - lower[j])
+        first[j] = ends[np.argmin(freely + 1e-3 * middle)]
+    return lambda postures: np.where(wound, first + (postures - first) % whole, postures)
+
+
 def another(
     problem: DesignProblem,
     postures: Array,
     lost: Sequence[int],
     room: Room,
     space: Space,
+    turn: Callable[[Array], Array],
     generator: np.random.Generator,
+    candidates: int = 200,
+    nearest: int = 10,
 ) -> Array:
-    """(m, n) postures, in the place of lost rows the best of random ones that have a free move to one of the others."""
+    """(m, n) postures, in the place of lost rows the best of random ones that have a free move to one of the nearest
+    others."""
     postures, kept = postures.copy(), np.delete(np.arange(len(postures)), lost)
     for row in lost:
         if problem.choices is None:
-            drawn = random_postures(problem, CANDIDATES, generator)
+            drawn = turn(random_postures(problem, candidates, generator))
         else:
-            drawn = generator.permutation(problem.choices)[:CANDIDATES]
+            drawn = generator.permutation(problem.choices)[:candidates]
         others = np.delete(postures, row, axis=0)
         apart = space.travel(drawn[:, None], others).min(axis=1, initial=np.inf)
         drawn = drawn[(apart >= problem.minimum_distance) & room.allows(drawn)]
         values = [problem.objective(np.vstack([others, each])) for each in drawn]
         for each in drawn[np.argsort(values)[::-1]]:
-            near = postures[kept][np.argsort(space.travel(postures[kept], each))[:NEXT]]
+            near = postures[kept][np.argsort(space.travel(postures[kept], each))[:nearest]]
             if not len(near) or free(np.broadcast_to(each, near.shape), near, room).any():
                 postures[row], kept = each, np.append(kept, row)
                 break
@@ -219,11 +239,7 @@ def another(
 
 def nothing(joints: int) -> Room:
     """The room of an arm that nothing is in the way of."""
-
-    def none(postures: Array) -> Array:
-        return np.empty((len(postures), 0))
-
-    return Room(none, np.empty((0, joints)), lambda postures: np.ones(len(postures), dtype=bool), lambda _: none)
+    return Room(lambda q: np.empty((len(q), 0)), np.empty((0, joints)), lambda q: np.ones(len(q), dtype=bool))
 
 
 def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | None:
@@ -240,31 +256,15 @@ def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | Non
     solid, model = [k for k, pair in enumerate(clearance.pairs) if SIGHT not in pair], clearance.model
     kept, wall = (MOVING + spare) * clearance.asked[solid] - ROUNDING, (1.0 - spare) * WALL
 
-    def beside(postures: Array, beyond: float) -> Array:
-        return np.hstack([np.empty((len(postures), 0)), *(each.margin(postures) + beyond for each in walls)])
-
-    def margin(postures: Array) -> Array:
-        return np.concatenate([clearance.distance(postures)[:, solid] - kept, beside(postures, wall)], axis=1)
-
-    def allows(postures: Array) -> NDArray[np.bool_]:
-        apart, inside = clearance.distance(postures)[:, solid] - kept, beside(postures, 0.0)
-        return np.asarray(np.all(apart >= 0.0, axis=1) & np.all(inside >= 0.0, axis=1))
-
-    @cache
-    def alone(k: int) -> Callable[[Array], Array]:
-        if k >= len(solid):
-            return lambda postures: beside(postures, wall)[:, [k - len(solid)]]
-        pair = clearance.of_pair(solid[k])
-        return lambda postures: pair.distance(postures) - kept[k]
+    def margins(postures: Array, beyond: float) -> Array:
+        beside = [each.margin(postures) + beyond for each in walls]
+        return np.concatenate([clearance.distance(postures)[:, solid] - kept, *beside], axis=1)
 
     # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
     longest = np.where(turns(model), model.reach, 1.0)
-    count = beside(np.zeros((1, len(longest))), 0.0).shape[1]
+    count = margins(np.zeros((1, len(longest))), 0.0).shape[1] - len(solid)
     levers = np.concatenate([clearance.levers()[solid], np.broadcast_to(longest, (count, len(longest)))])
-    drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, len(longest)))
-    below = np.mean(margin(drawn) < 0.0, axis=0)
-    often = [k for k in np.argsort(-below, kind="stable").tolist()[:OFTEN] if below[k] > 0.0]
-    return Room(margin, levers, allows, alone, often)
+    return Room(lambda q: margins(q, wall), levers, lambda q: np.all(margins(q, 0.0) >= 0.0, axis=1))
 
 
 def check_approach(approach: str) -> None:

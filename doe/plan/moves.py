@@ -10,18 +10,17 @@ stretch keeps (r + r' - sum_j L_kj |q_j - q'_j|) / 2 all along it; where that is
 IEEE Trans. Robotics 21 (2005) 338-353). The stretches of all moves are evaluated at once, level by level. What becomes
 too short to go on counts as not free: nothing here is sampled and hoped for.
 
-*The order* is the shortest open path (`doe.plan.plan`). Most moves are never looked at: those of the shortest path are,
-the ones that collide count more, and again, until none does, or those that do are worth a way round.
-
-*A way round* is found by a random tree from each end of a move, which grow a few postures at a time, until one of them
-can be reached from both (J. J. Kuffner, S. M. LaValle, "RRT-Connect", ICRA 2000); what lies on the way becomes
-way-points, pulled straight as far as they can be. From then on the move counts as long as that is, so that no order of
-straight moves is shorter than what is found.
+*A road map.* The postures, and random ones to go by, are nodes; moves between those that are near each other are edges,
+as long as nothing is found in their way at a few places (L. Kavraki, P. Svestka, J.-C. Latombe, M. Overmars,
+"Probabilistic roadmaps for path planning in high-dimensional configuration spaces", IEEE Trans. Robotics and Automation
+12 (1996) 566-580). The route is the shortest open path through all postures (`doe.plan.plan`) along the map. Only its
+moves are proven; those that collide leave the map, and the route is sought again (R. Bohlin, L. Kavraki, "Path planning
+using lazy PRM", ICRA 2000). At last nodes are added where it bends, nearer to straight, and it is pulled tight.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -31,15 +30,8 @@ from numpy.typing import NDArray
 from doe.plan.plan import shortest_path
 from identification import Array
 
-COARSE = 4  # levels at which all margins are looked at together: up to 16 stretches of a move
-NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
-CLOUD, FEW, GROWTHS = 60, 12, 10  # postures of a cloud, those tried at once, and clouds before a move is given up
-ALONE = 3  # growths after which an end from which nothing was reached is given up
-NEAR = 0.2  # of the joints' ranges: how far about a straight move the first cloud lies; each next one twice as far
-APPROACH, TRIES = float(np.radians(3.0)), 40  # more than any backlash; how many others are tried, 0.2 to 3 times as far
-NEIGHBOURS = 5  # of a posture with a move that collides, to which moves are looked at in advance
-DETOUR = 2.0  # times the travel of a straight move that collides, till the way round is known: few are asked for
-PULLS = 3  # times that the way-points of a detour are pulled straight
+Numbers = NDArray[np.intp]
+APPROACH = float(np.radians(3.0))  # more than any backlash
 
 
 class Room(NamedTuple):
@@ -48,14 +40,11 @@ class Room(NamedTuple):
     margin : of postures (m, n) the margins (m, k) [mm], which are to be >= 0
     levers : (k, n) [mm/rad, 1] how much at most each margin changes by a unit of each joint
     allows : whether postures (m, n) may be way-points
-    alone : number of a margin -> what gives it alone, (m, 1);  often : those that are below zero most often
     """
 
     margin: Callable[[Array], Array]
     levers: Array
     allows: Callable[[Array], NDArray[np.bool_]]
-    alone: Callable[[int], Callable[[Array], Array]]
-    often: Sequence[int] = ()
 
 
 class Space(NamedTuple):
@@ -74,139 +63,84 @@ class Space(NamedTuple):
         return float(self.travel(way[:-1], way[1:]).sum())
 
 
-class Stretches(NamedTuple):
-    """Parts of moves: numbers (s,) of the moves, ends (s, n), and margins (s, k) at both ends."""
+def free(
+    starts: Array, ends: Array, room: Room, levels: int | None = None, narrowest: float = 0.5
+) -> NDArray[np.bool_]:
+    """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free.
 
-    move: NDArray[np.intp]
-    first: Array
-    last: Array
-    before: Array
-    after: Array
-
-    def of(self, rows: NDArray[np.bool_]) -> Stretches:
-        """Some of them."""
-        return Stretches(self.move[rows], self.first[rows], self.last[rows], self.before[rows], self.after[rows])
-
-
-def free(starts: Array, ends: Array, room: Room) -> NDArray[np.bool_]:
-    """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free."""
-    starts, ends = np.asarray(starts), np.asarray(ends)
-    before, after = np.split(room.margin(np.concatenate([starts, ends])), 2)
+    levels : after so many halvings all count as free that nothing was found in the way of; None: until proven
+    narrowest : [mm] of the way of a body, below which a stretch is not halved again
+    """
+    ends_once, number = np.unique(np.concatenate([starts, ends]), axis=0, return_inverse=True)
+    first, last = np.asarray(starts), np.asarray(ends)
+    before, after = np.split(room.margin(ends_once)[number.reshape(-1)], 2)
     proven = np.all((before >= 0.0) & (after >= 0.0), axis=1)
-    left = Stretches(np.arange(len(starts)), starts, ends, before, after)
-
-    def by_pair(k: int, levels: int | None = None) -> None:
-        here = np.s_[:, k : k + 1]
-        pair = left._replace(before=left.before[here], after=left.after[here])
-        halved(pair.of(proven[left.move]), proven, room.alone(k), room.levers[k : k + 1], levels)
-
-    for k in room.often:  # most moves that collide are found by few pairs, and one takes less time than all
-        by_pair(k, COARSE)
-    left = halved(left.of(proven), proven, room.margin, room.levers, COARSE)
-    for k in range(len(room.levers)):  # few are near each other for long
-        by_pair(k)
+    move, level = np.arange(len(first)), 0
+    while len(move) and level != levels:
+        ways = np.abs(last - first) @ room.levers.T
+        near = before + after < ways
+        proven[move[np.any(near & (ways < narrowest), axis=1)]] = False
+        left = np.any(near, axis=1) & proven[move]
+        move, first, last, before, after = (each[left] for each in (move, first, last, before, after))
+        middle, level = 0.5 * (first + last), level + 1
+        between = room.margin(middle)
+        proven[move[np.any(between < 0.0, axis=1)]] = False
+        first, last = np.concatenate([first, middle]), np.concatenate([middle, last])
+        before, after = np.concatenate([before, between]), np.concatenate([between, after])
+        move = np.tile(move, 2)
     return proven
 
 
-def halved(
-    left: Stretches,
-    proven: NDArray[np.bool_],
-    margin: Callable[[Array], Array],
-    levers: Array,
-    levels: int | None = None,
-) -> Stretches:
-    """The stretches of which nothing is proven yet after so many levels, None: after all; moves that collide, or whose
-    stretches become too short, are no longer `proven`."""
-    level = 0
-    while True:
-        ways = np.abs(left.last - left.first) @ levers.T
-        near = left.before + left.after < ways
-        proven[left.move[np.any(near & (ways < NARROWEST), axis=1)]] = False
-        left = left.of(np.any(near, axis=1) & proven[left.move])
-        if not len(left.move) or level == levels:
-            return left
-        middle = 0.5 * (left.first + left.last)
-        between, level = margin(middle), level + 1
-        proven[left.move[np.any(between < 0.0, axis=1)]] = False
-        left = Stretches(
-            np.tile(left.move, 2),
-            np.concatenate([left.first, middle]),
-            np.concatenate([middle, left.last]),
-            np.concatenate([left.before, between]),
-            np.concatenate([between, left.after]),
-        )
+class Roadmap:
+    """Postures, and moves between them that nothing is known to be in the way of.
 
+    nodes : (M, n);  length : (M, M) [rad] of the moves, inf where there is none
+    proven : (M, M) whether they are proven to be free;  tried : whether anybody has looked
+    """
 
-def detour(start: Array, end: Array, room: Room, space: Space, generator: np.random.Generator) -> Array | None:
-    """(v, n) way-points of free moves from one posture to another, None where none are found."""
-    nodes, parents = [start[None], end[None]], [[-1], [-1]]
-    for growth in range(GROWTHS):
-        spread = min(NEAR * 2.0**growth, 2.0) * (space.upper - space.lower)
-        cloud = start + generator.random((CLOUD, 1)) * (end - start)
-        cloud = np.clip(cloud + spread * generator.uniform(-0.5, 0.5, cloud.shape), space.lower, space.upper)
-        cloud = cloud[room.allows(cloud)]
-        cloud = cloud[np.argsort(space.travel(start, cloud) + space.travel(cloud, end))]
-        for few in np.split(cloud, range(FEW, len(cloud), FEW)):
-            nearest = [np.argmin(space.travel(tree[:, None], few), axis=0) for tree in nodes]
-            reached = [free(tree[near], few, room) for tree, near in zip(nodes, nearest, strict=True)]
-            ways = []
-            for joint in np.flatnonzero(reached[0] & reached[1]):
-                halves = [traced(t, p, n[joint]) for t, p, n in zip(nodes, parents, nearest, strict=True)]
-                ways.append(np.array([*halves[0][::-1], few[joint], *halves[1]]))
-            if ways:
-                return pulled(min(ways, key=space.length), room, space)[1:-1]
-            for k in (0, 1):
-                nodes[k] = np.concatenate([nodes[k], few[reached[k]]])
-                parents[k] += nearest[k][reached[k]].tolist()
-        if growth >= ALONE and min(map(len, nodes)) == 1:  # nothing near or far is reached from there
-            return None
-    return None
+    def __init__(self, room: Room, space: Space) -> None:
+        self.room, self.space = room, space
+        self.nodes, self.length = np.empty((0, len(space.units))), np.empty((0, 0))
+        self.proven, self.tried = np.empty((0, 0), dtype=bool), np.empty((0, 0), dtype=bool)
 
+    def add(self, nodes: Array) -> Numbers:
+        """Numbers of new nodes (k, n), without a move to them."""
+        old, new = len(self.nodes), (0, len(nodes))
+        self.nodes = np.concatenate([self.nodes, nodes])
+        self.length = np.pad(self.length, new, constant_values=np.inf)
+        self.proven, self.tried = np.pad(self.proven, new), np.pad(self.tried, new)
+        return np.arange(old, len(self.nodes))
 
-def traced(nodes: Array, parents: Sequence[int], node: int) -> list[Array]:
-    """Postures from a node of a tree to its root."""
-    way = []
-    while node >= 0:
-        way.append(nodes[node])
-        node = parents[node]
-    return way
+    def connect(self, *pairs: tuple[Numbers, Numbers], levels: int = 3) -> None:
+        """Moves between nodes (e,) and others, but for those that are seen to collide."""
+        low, high = np.sort(np.concatenate([np.stack(each) for each in pairs], axis=1), axis=0)
+        new = (low < high) & ~self.tried[low, high]
+        low, high = np.unique(np.stack([low[new], high[new]]), axis=1)
+        self.tried[low, high] = True
+        good = free(self.nodes[low], self.nodes[high], self.room, levels)
+        self._set(low[good], high[good], self.space.travel(self.nodes[low[good]], self.nodes[high[good]]) + 1e-9)
 
+    def near(self, new: Numbers, count: int = 12) -> tuple[Numbers, Numbers]:
+        """(k * count) nodes, and those that are nearest to each."""
+        apart = self.space.travel(self.nodes[new][:, None], self.nodes)
+        nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : count + 1]
+        return np.repeat(new, nearest.shape[1]), nearest.ravel()
 
-def pulled(way: Array, room: Room, space: Space) -> Array:
-    """(v, n) the free way (w, n), v <= w, without way-points that are not needed, the others pulled straight."""
-    for _ in range(PULLS):
-        for k in range(len(way) - 2, 0, -1):
-            before, here, after = way[k - 1 : k + 2]
-            come, go = space.travel(before, here), space.travel(here, after)
-            if come + go <= (1.0 + 1e-9) * space.travel(before, after):  # no way is shorter
-                continue
-            straight = before + come / (come + go) * (after - before)
-            moved = here + np.array([1.0, 0.8, 0.4, 0.2])[:, None] * (straight - here)
-            good = (
-                room.allows(moved)
-                & free(np.tile(before, (4, 1)), moved, room)
-                & free(moved, np.tile(after, (4, 1)), room)
-            )
-            if good[0]:
-                way = np.delete(way, k, axis=0)
-            elif good.any():
-                way[k] = moved[np.argmax(good)]
-    return way
+    def prove(self, one: Numbers, other: Numbers) -> None:
+        """Proves moves between nodes, or forgets them."""
+        good = free(self.nodes[one], self.nodes[other], self.room)
+        self.proven[one[good], other[good]] = self.proven[other[good], one[good]] = True
+        self._set(one[~good], other[~good], np.inf)
 
+    def _set(self, one: Numbers, other: Numbers, length: Array | float) -> None:
+        self.length[one, other] = self.length[other, one] = length
 
-def approaches(postures: Array, senses: Array, room: Room, space: Space, generator: np.random.Generator) -> Array:
-    """(m, n) way-points from which each joint moves in its sense, (m, n) of +1 and -1, to postures (m, n); NaN of a
-    posture to which none leads."""
-    m, n = postures.shape
-    steps = np.concatenate([np.full((1, m, n), APPROACH), generator.uniform(0.2, 3.0, (TRIES, m, n)) * APPROACH])
-    starts = (postures - senses * space.units * steps).reshape(-1, n)
-    within = np.all((starts >= space.lower) & (starts <= space.upper), axis=1)
-    good = np.zeros(len(starts), dtype=bool)
-    good[within] = free(starts[within], np.tile(postures, (TRIES + 1, 1))[within], room)
-    first = np.argmax(good.reshape(-1, m), axis=0)
-    found = starts.reshape(-1, m, n)[first, np.arange(m)]
-    found[~np.any(good.reshape(-1, m), axis=0)] = np.nan
-    return found
+    def from_nodes(self, starts: Numbers) -> tuple[Array, Numbers]:
+        """(s, M) [rad] lengths of the shortest ways from each of some nodes to every node, and the nodes before it."""
+        from scipy.sparse.csgraph import dijkstra
+
+        length, before = dijkstra(self.length, directed=False, indices=starts, return_predecessors=True)
+        return length, before
 
 
 class Route(NamedTuple):
@@ -216,7 +150,7 @@ class Route(NamedTuple):
     unreached : rows of the plan to which no free way was found from most of the others
     """
 
-    rows: NDArray[np.intp]
+    rows: Numbers
     vias: list[Array]
     unreached: list[int]
 
@@ -229,72 +163,98 @@ def route(
     entries: Array | None = None,
     keep_order: bool = False,
     seed: int = 0,
+    spread: int = 200,
+    rounds: int = 4,
 ) -> Route:
     """The shortest order of postures (m, n) with free moves, with way-points where there is no other.
 
     entries : (m, n) from which each is approached, as the last way-point; None: from anywhere
     keep_order : the postures stay in their order
+    spread : random nodes that the map gets if straight moves are much longer than with nothing in the way, and again,
+        at most in so many rounds, as long as some posture is not reached
     """
-    m, n = postures.shape
-    generator, straight = np.random.default_rng(seed), np.empty((0, n))
-    aims = postures if entries is None else entries
-    ways, given_up = dict[tuple[int, int], Array | None](), set[tuple[int, int]]()
-    cost = np.empty((0, 0)) if keep_order else space.travel(postures[:, None], aims)
-    cost = np.maximum(cost, cost.T)
-    forbidden = cost.sum()  # worse than any order
-
-    def know(pair: tuple[int, int], way: Array | None) -> None:
-        ways[pair] = way
-        if entries is None:
-            ways[pair[::-1]] = None if way is None else way[::-1]
-        if not keep_order:
-            whole = np.array([postures[pair[0]], *(straight if way is None else way), aims[pair[1]]])
-            length = space.length(whole)
-            if way is None:
-                length = forbidden if pair in given_up else DETOUR * length + 0.1
-            cost[pair] = cost[pair[::-1]] = length
-
-    def look(pairs: list[tuple[int, int]]) -> None:
-        i, k = np.array(pairs, dtype=int).reshape(-1, 2).T
-        for pair, good in zip(pairs, free(postures[i], aims[k], room), strict=True):
-            know(pair, straight if good else None)
-
-    while True:
-        path = np.arange(m) if keep_order else shortest_path(cost)
-        if entries is not None and path[0] > path[-1]:  # which way round it is gone matters
-            path = path[::-1]
-        pairs = [(int(i), int(k)) for i, k in pairwise(path)]
-        if new := [pair for pair in pairs if pair not in ways]:
-            look(new)
-            # what collides once does so again and again: its neighbours, before the next path asks for them one by one
-            for i in () if keep_order else {row for pair in new if ways[pair] is None for row in pair}:
-                near = [(i, k) for k in np.argsort(cost[i], kind="stable").tolist() if k != i and (i, k) not in ways]
-                look(near[:NEIGHBOURS])
-            continue
-        if not (hard := [pair for pair in pairs if ways[pair] is None and pair not in given_up]):
+    m, generator, road = len(postures), np.random.default_rng(seed), Roadmap(room, space)
+    starts = road.add(postures)
+    aims = starts if entries is None else road.add(entries)
+    road.proven[starts, aims] = road.proven[aims, starts] = True
+    road.length[starts, aims] = road.length[aims, starts] = space.travel(postures, road.nodes[aims]) + 1e-9
+    road.connect((starts[:-1], aims[1:]) if keep_order else (np.repeat(starts, m), np.tile(aims, m)))
+    ideal = space.travel(postures[:, None], road.nodes[aims])
+    order, ways, missing = settled(road, starts, aims, keep_order)
+    around = np.arange(m) if keep_order else shortest_path(np.maximum(ideal, ideal.T))
+    shortest = 1.1 * ideal[around[:-1], around[1:]].sum()
+    for k in range(rounds):
+        if not len(missing) and sum(space.length(road.nodes[way]) for way in ways) <= shortest:
             break
-        for pair in hard:  # there is no order without them
-            way = detour(postures[pair[0]], aims[pair[1]], room, space, generator)
-            given_up |= {pair, pair[::-1]} if way is None else set()
-            know(pair, way)
-    breaks = [k + 1 for k, pair in enumerate(pairs) if ways[pair] is None]
-    apart = sorted({*path.tolist()} - {*max(np.split(path, breaks), key=len).tolist()})
-    if apart and keep_order:  # by way of other postures there may be one to some of them, and to all
-        other = route(postures, room, space, entries=entries, seed=seed)
-        if not (apart := other.unreached):
-            for pair in (pair for pair in pairs if ways[pair] is None):
-                whole = np.array([*along(other, postures, *pair), aims[pair[1]]])
-                ways[pair] = pulled(whole, room, space)[1:-1]
-    found = [straight, *(ways[pair] for pair in pairs)]
-    vias = [straight if way is None else way for way in found]
+        beyond = 0.3 * 3.0**k * space.units  # the postures
+        low, high = postures.min(axis=0) - beyond, postures.max(axis=0) + beyond
+        low, high = np.maximum(low, space.lower), np.minimum(high, space.upper)
+        drawn = generator.uniform(low, high, (spread, len(low)))
+        about = road.nodes[generator.choice(missing if len(missing) else aims, spread)]
+        drawn[::2] = (about + 0.3 * generator.random((spread, 1)) * (drawn - about))[::2]
+        new = road.add(drawn[room.allows(drawn)])
+        road.connect(road.near(new), road.near(starts), road.near(aims))
+        order, ways, missing = settled(road, starts, aims, keep_order)
+        shortest = np.inf
+    for share in (0.7, 0.7, 0.5, 0.5):  # of the way from a bend to the straight line
+        bends = [(way[k - 1], way[k], way[k + 1]) for way in ways for k in range(1, len(way) - 1)]
+        before, here, after = np.array(bends, dtype=np.intp).reshape(-1, 3).T
+        straight = 0.5 * (road.nodes[before] + road.nodes[after])
+        moved = road.nodes[here] + share * (straight - road.nodes[here])
+        good = room.allows(moved)
+        new, before, after, here = road.add(moved[good]), before[good], after[good], here[good]
+        road.connect((before, new), (new, after), (before, after), (new[:-1], new[1:]), (new, here))
+        order, ways, missing = settled(road, starts, aims, keep_order)
+    vias = [road.nodes[way[1:-1]] for way in ([0, 0], *ways)]
     if entries is not None:
-        vias = [np.vstack([way, entries[row]]) for way, row in zip(vias, path, strict=True)]
-    return Route(path, vias, apart)
+        vias = [np.vstack([via, entries[row]]) for via, row in zip(vias, order, strict=True)]
+    return Route(order, vias, sorted(missing.tolist()))
 
 
-def along(found: Route, postures: Array, start: int, end: int) -> Array:
-    """(v, n) from one posture to another along a route, back if need be."""
-    ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
-    whole, at = np.concatenate(ways), np.cumsum([len(way) for way in ways]) - 1
-    first, last = (int(at[np.flatnonzero(found.rows == row)[0]]) for row in (start, end))
-    return whole[first : last + 1] if first <= last else whole[last : first + 1][::-1]
+def settled(
+    road: Roadmap, starts: Numbers, aims: Numbers, keep_order: bool
+) -> tuple[Numbers, list[list[int]], Numbers]:
+    """The shortest route from nodes (m,) to nodes (m,) whose moves are all proven: its order, the nodes of each of the
+    m - 1 steps, and which of the m no way leads to from most of the others."""
+    m = len(starts)
+    while True:
+        length, before = road.from_nodes(starts)
+        cost = length[:, aims]
+        reached = np.isfinite(cost)
+        order = np.arange(m)
+        if not keep_order:
+            worst = 1.0 + 2.0 * cost[reached].sum()  # than any order
+            cost = np.where(reached, cost, worst)
+            order = shortest_path(np.maximum(cost, cost.T))
+            if starts is not aims and order[0] > order[-1]:  # which way round it is gone matters
+                order = order[::-1]
+        ways = []
+        for one, other in pairwise(order.tolist()):
+            way = [int(aims[other])]
+            while reached[one, other] and way[-1] != starts[one]:
+                way.append(int(before[one, way[-1]]))
+            ways.append(way[::-1] if reached[one, other] else [int(starts[one]), int(aims[other])])
+        pairs = np.array([pair for way in ways for pair in pairwise(way)], dtype=np.intp).reshape(-1, 2)
+        pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+        one, other = pairs[np.isfinite(road.length[tuple(pairs.T)]) & ~road.proven[tuple(pairs.T)]].T
+        if not len(one):
+            label = reached.argmax(axis=1)
+            return order, ways, np.flatnonzero(label != np.bincount(label).argmax())
+        road.prove(one, other)
+
+
+def approaches(
+    postures: Array, senses: Array, room: Room, space: Space, generator: np.random.Generator, tries: int = 40
+) -> Array:
+    """(m, n) way-points from which each joint moves in its sense, (m, n) of +1 and -1, to postures (m, n); NaN of a
+    posture to which none leads, of so many, 0.2 to 3 times as far as is usual."""
+    m, n = postures.shape
+    steps = np.concatenate([np.full((1, m, n), APPROACH), generator.uniform(0.2, 3.0, (tries, m, n)) * APPROACH])
+    starts = (postures - senses * space.units * steps).reshape(-1, n)
+    within = np.all((starts >= space.lower) & (starts <= space.upper), axis=1)
+    good = np.zeros(len(starts), dtype=bool)
+    good[within] = free(starts[within], np.tile(postures, (tries + 1, 1))[within], room)
+    first = np.argmax(good.reshape(-1, m), axis=0)
+    found = starts.reshape(-1, m, n)[first, np.arange(m)]
+    found[~np.any(good.reshape(-1, m), axis=0)] = np.nan
+    return found

@@ -1,14 +1,10 @@
-"""Of a plan: whole numbers of runs for weights, and the order of measurement.
+"""The order of measurement.
 
-*Whole numbers.* F. Pukelsheim, S. Rieder, "Efficient rounding of approximate designs", Biometrika 79 (1992): start from
-ceil((m - k/2) w_i) runs on each of the k support postures; while there are too few, add one where n_i / w_i is
-smallest, while too many, take one where (n_i - 1) / w_i is largest. No rounding has a better guaranteed efficiency.
-
-*Order.* It changes no information, but travel time and what drift can hide. The shortest joint travel is a travelling
-salesman's open path: an edge i-k costs the time that the slowest joint needs, max_j |q_ij - q_kj| / speed_j. It is
-solved as an integer program by HiGHS (in scipy): two edges at every posture (a dummy posture at no cost joins the
-ends), and a cut for every closed loop that appears (Dantzig, Fulkerson, Johnson 1954). Long plans get a locally best
-path instead: no two edges can be exchanged with gain.
+It changes no information, but travel time and what drift can hide. The shortest joint travel is a travelling salesman's
+open path: an edge i-k costs the time that the slowest joint needs, max_j |q_ij - q_kj| / speed_j. It is solved as an
+integer program by HiGHS (in scipy): two edges at every posture (a dummy posture at no cost joins the ends), and a cut
+for every closed loop that appears (Dantzig, Fulkerson, Johnson 1954). Long plans get a locally best path instead: no
+two edges can be exchanged with gain.
 """
 
 from __future__ import annotations
@@ -22,27 +18,6 @@ ORDERS = ("given", "random", "travel")
 Path = NDArray[np.intp]
 
 
-# -- from weights to whole numbers of runs -----------------------------------------------------------------------------
-def apportion(weights: Array, runs: int) -> NDArray[np.int64]:
-    """(k,) whole numbers that sum to `runs`, near runs * weights; at least one each where runs >= k.
-
-    weights : (k,) positive, summing to one. With fewer runs than postures only the heaviest `runs` get one.
-    """
-    shares = np.asarray(weights, dtype=float)
-    if not np.all(shares > 0.0) or abs(shares.sum() - 1.0) > 1e-6:  # more than rounding of a file
-        raise InputError(f"weights: sum {shares.sum():g}, smallest {shares.min():g}, allowed: positive, sum one")
-    if runs <= len(shares):
-        heaviest = np.argsort(-shares, kind="stable")[:runs]
-        return np.isin(np.arange(len(shares)), heaviest).astype(np.int64)
-    numbers = np.ceil((runs - len(shares) / 2.0) * shares).astype(np.int64)
-    while numbers.sum() < runs:
-        numbers[np.argmin(numbers / shares)] += 1
-    while numbers.sum() > runs:
-        numbers[np.argmax((numbers - 1) / shares)] -= 1
-    return numbers
-
-
-# -- order of measurement ----------------------------------------------------------------------------------------------
 def check_order(order: str | None) -> None:
     """Raises `InputError` with the nearest name for an unknown order."""
     if order is not None and order not in ORDERS:

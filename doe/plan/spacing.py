@@ -1,11 +1,11 @@
-"""Minimum distance between postures, spreading of joints that play no part, and the posture that adds most to a plan.
+"""Different postures: repeats are moved apart, joints that play no part are spread; and the posture that adds most.
 
-Distances are the largest difference of a joint, in `DesignProblem.joint_units`.
+Two postures of a plan, and of those measured already, differ by the minimum distance in some joint, in
+`DesignProblem.joint_units`; out of a list each is another one.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -18,12 +18,6 @@ from doe.problem.problem import DesignProblem
 from identification import Array
 
 ROUNDING = 1.0 + 1e-9
-CHUNK = 10_000_000  # pairs of rows to compare one by one
-
-
-def distance_to_keep(problem: DesignProblem, runs: int) -> float:
-    """[rad] by which a search keeps postures apart in its joints; 0 where spreading a free joint sets them apart."""
-    return problem.minimum_distance if 1.0 == replicates_allowed(problem) < runs else 0.0
 
 
 def free_joints(problem: DesignProblem) -> list[int]:
@@ -33,15 +27,15 @@ def free_joints(problem: DesignProblem) -> list[int]:
     return sorted(free, key=lambda joint: -ranges[joint])
 
 
-def replicates_allowed(problem: DesignProblem) -> float:
-    """How many postures that are alike in the searched joints a free joint can set apart; infinite: repeats are fine.
-
-    A list of postures says itself which are different.
-    """
-    if problem.choices is not None or problem.minimum_distance == 0.0:
-        return float("inf")
+def places_of_free_joint(problem: DesignProblem) -> int:
+    """How many postures that are alike in all other joints the widest free joint sets apart; 1 without one."""
     width = problem.comparable(problem.upper - problem.lower)[free_joints(problem)].max(initial=0.0)
-    return float(max(1.0, np.floor(width / problem.minimum_distance * ROUNDING)))
+    return max(1, int(width / max(problem.minimum_distance, 1e-9) * ROUNDING))
+
+
+def distance_to_keep(problem: DesignProblem) -> float:
+    """[rad] by which a search keeps postures apart in its joints; 0 where spreading a free joint sets them apart."""
+    return problem.minimum_distance if places_of_free_joint(problem) == 1 and problem.choices is None else 0.0
 
 
 def allowed_value(problem: DesignProblem, postures: Array) -> float:
@@ -50,60 +44,46 @@ def allowed_value(problem: DesignProblem, postures: Array) -> float:
     return problem.objective(postures) if allowed else -np.inf
 
 
-def gaps(postures: Array, others: Array) -> Array:
-    """(m, k) largest joint difference between postures (m, n) and others (k, n), in their unit."""
-    return np.abs(postures[:, None] - others).max(axis=-1, initial=0.0)
-
-
-def searched_part(problem: DesignProblem, postures: Array) -> Array:
-    """(m, j) the joints that a solver chooses, in the problem's `joint_units`."""
-    return problem.comparable(postures)[:, list(problem.searched_joints)]
+def gaps(problem: DesignProblem, postures: Array, others: Array) -> Array:
+    """(m, k) largest joint difference between postures (m, n) and others (k, n)."""
+    return np.abs(problem.comparable(postures)[:, None] - problem.comparable(others)).max(axis=-1, initial=0.0)
 
 
 def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
-    """Rows that come too near earlier rows, or postures measured already, in more places than a free joint has.
-
-    Without a free joint that is within the minimum distance of a single one. In very long plans later rows count too.
-    """
-    capacity = replicates_allowed(problem)
-    if capacity >= len(postures):
+    """Rows that come too near earlier rows, or postures measured already; in very long plans later rows count too."""
+    if problem.choices is not None or problem.minimum_distance == 0.0:
         return np.empty(0, dtype=np.intp)
-    searched, distance = searched_part(problem, postures), problem.minimum_distance / ROUNDING
-    blocked = 1 if capacity == 1.0 else 2  # places on a free joint within the distance of a measured posture
-    near = blocked * (gaps(searched, searched_part(problem, problem.kept)) < distance).sum(axis=1)
-    crowded = np.flatnonzero(near + neighbor_counts(searched, distance) >= capacity)
-    if len(crowded) * len(postures) > CHUNK:
-        return crowded
-    earlier = [np.count_nonzero(gaps(searched[row, None], searched[:row]) < distance) for row in crowded.tolist()]
-    return crowded[near[crowded] + np.array(earlier, dtype=int) >= capacity]
-
-
-def neighbor_counts(points: Array, distance: float) -> NDArray[np.intp]:
-    """(m,) number of other rows nearer than the distance in every column."""
-    if points.shape[1] == 0:
-        return np.full(len(points), len(points) - 1)
-    return _counted(np.ascontiguousarray(points).tobytes(), points.shape[1], distance)
-
-
-@lru_cache(maxsize=2)
-def _counted(content: bytes, columns: int, distance: float) -> NDArray[np.intp]:
-    """Remembered, since a search asks of one plan again and again; of 100,000 rows an answer takes seconds."""
+    before, distance = len(problem.kept), problem.minimum_distance / ROUNDING
+    points = np.concatenate([problem.kept, postures])
+    if len(points) <= 200:
+        return np.flatnonzero(np.tril(gaps(problem, points, points) < distance, -1)[before:].any(axis=1))
     from scipy.spatial import KDTree  # 0.1 s to import
 
-    points = np.frombuffer(content).reshape(-1, columns)
-    counts = np.asarray(KDTree(points).query_ball_point(points, distance, p=np.inf, return_length=True)) - 1
-    counts.setflags(write=False)
-    return counts
+    compared = problem.comparable(points)
+    near = KDTree(compared).query_ball_point(compared, distance, p=np.inf, return_length=True)[before:] > 1
+    crowded = np.flatnonzero(near)
+    if len(crowded) * len(points) > 10_000_000:  # pairs of rows to compare one by one
+        return crowded
+    earlier = [gaps(problem, points[None, k], points[:k]).min(initial=np.inf) for k in (before + crowded).tolist()]
+    return crowded[np.array(earlier) < distance]
+
+
+def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
+    """Those of the places (k, n) that are feasible and no repeat of one of the `others` (j, n)."""
+    if problem.minimum_distance > 0.0:
+        distance = problem.minimum_distance / ROUNDING if problem.choices is None else 1e-300
+        places = places[(gaps(problem, places, others) >= distance).all(axis=1)]
+    return places[problem.feasible(places)] if len(places) else places
 
 
 def separated(problem: DesignProblem, postures: Array) -> Array:
     """The same plan with every repeat moved to the best free posture near it; unchanged where there is none."""
     plan, crowded = np.array(postures), too_near(problem, postures)
     sizes = problem.minimum_distance * ROUNDING * np.array([-3, -2, -1, 1, 2, 3])
-    units = (problem.joint_units * np.eye(problem.joints))[list(problem.searched_joints)]
+    units = problem.joint_units * np.eye(problem.joints)
     steps = [size * unit for unit in units for size in sizes]  # of one joint, and below of two
     steps += [a + b for a, b in product(steps, steps) if np.count_nonzero(a + b) == 2] if len(crowded) else []
-    for row in crowded if len(crowded) * len(plan) <= CHUNK else ():
+    for row in crowded if len(crowded) <= 2000 else ():
         others = np.vstack([np.delete(plan, row, axis=0), problem.kept])
         around = plan[row] + np.array(steps)
         around = around[np.all((around >= problem.lower) & (around <= problem.upper), axis=1)]
@@ -115,56 +95,24 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
     return plan
 
 
-def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
-    """Those of the places (k, n) that are feasible and have room for one more beside the `others` (j, n).
-
-    Of a list each posture is another one, and each may be measured once unless repeats are allowed.
-    """
-    if problem.choices is not None and problem.minimum_distance > 0.0:
-        return places[(gaps(places, others) > 0.0).all(axis=1)]
-    near = gaps(searched_part(problem, places), searched_part(problem, others)) < problem.minimum_distance / ROUNDING
-    places = places[near.sum(axis=1) < replicates_allowed(problem)]
-    return places[problem.feasible(places)] if len(places) else places
-
-
 def spread_free_joints(problem: DesignProblem, postures: Array, generator: Generator) -> Array:
     """The same plan with joints that play no part spread evenly over their limits in shuffled order.
 
     They cost nothing and help to see missing effects (identification/README.md, "Lessons"), instead of staying at a
-    constant. Where even steps are below the minimum distance, the widest of them sets apart postures that are alike in
-    all other joints.
+    constant. Where even steps are below the minimum distance, rows that are alike in all other joints take the places
+    of the widest in turn.
     """
     spread, m = np.array(postures), len(postures)
     for joint in free_joints(problem):
         shares = (generator.permutation(m) + 0.5) / m
+        if 1 < (count := places_of_free_joint(problem)) < m and joint == free_joints(problem)[0]:
+            alike = np.round(problem.comparable(postures)[:, list(problem.searched_joints)], 6)
+            order = np.lexsort(alike.T) if alike.size else np.arange(m)
+            shares[order] = (generator.permutation(count)[np.arange(m) % count] + 0.5) / count
         spread[:, joint] = problem.lower[joint] + shares * (problem.upper[joint] - problem.lower[joint])
-    if not 1.0 < replicates_allowed(problem) < m:
-        return spread
-    from scipy.spatial import KDTree
-
-    # of evenly spaced values of the widest free joint the least used that no equal posture has yet
-    joint, count = free_joints(problem)[0], int(replicates_allowed(problem))
-    searched, kept = searched_part(problem, spread), searched_part(problem, problem.kept)
-    width, distance = problem.upper[joint] - problem.lower[joint], problem.minimum_distance / ROUNDING
-    places = problem.lower[joint] + (np.arange(count) + 0.5) / count * width
-    by_measured = gaps(places[:, None], problem.kept[:, joint, None]) < distance * problem.joint_units[joint]
-    used, chosen = np.zeros(count), np.full(m, -1)
-    tree = KDTree(searched if searched.shape[1] else np.zeros((m, 1)))
-    for rows in np.array_split(np.arange(m), -(-m // 256)):  # rows whose neighbors are sought at once
-        wishes = generator.uniform(0.0, 0.5, (len(rows), count))
-        alike = tree.query_ball_point(tree.data[rows], distance, p=np.inf)
-        beside = gaps(searched[rows], kept) < distance
-        for row, wish, near, measured in zip(rows.tolist(), wishes, alike, beside, strict=True):
-            cost, taken = used + wish, chosen[near]
-            cost[taken[taken >= 0]] = np.inf
-            cost[by_measured[:, measured].any(axis=1)] = np.inf
-            chosen[row] = np.argmin(cost)
-            used[chosen[row]] += 1.0
-    spread[:, joint] = places[chosen]
     return spread
 
 
-# -- additions ---------------------------------------------------------------------------------------------------------
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
     total = len(plan) + problem.prior.runs

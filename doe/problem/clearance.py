@@ -20,7 +20,6 @@ of a pair that is always near, as both neighbours of a short link, a quarter of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,15 +28,8 @@ from numpy.typing import NDArray
 from doe.problem.model import turns
 from identification import Array
 
-SAMPLES, SELDOM = 1000, 0.02  # random postures that tell how far apart pairs come, but for this share of them
-NEAR = 60.0  # [mm] below which a pair is always near
-WORST, FINE = 60, 4.0  # postures at which drawings are compared, and how finely [mm]
-SHARE = 0.25  # of the largest distance of a pair: the clearance that is asked at most
-SMALL = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
-STEP = 1e-4  # [rad] of a joint, for second derivatives
-PART = 2**18  # pairs of pieces at once: 2 MB an array
 ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss what it keeps
-SHOWN = 6  # pairs named in a sentence
+TINY = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
 FLOOR, SIGHT = "floor", "line of sight"
 # what is said of plans of an arm in space whose bodies are not known
 COLLISIONS = (
@@ -56,13 +48,6 @@ class Seen(NamedTuple):
     least: Array
     nearest: NDArray[np.intp]
 
-    def screws(self, model: Any) -> tuple[Array, Array]:
-        """(m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide."""
-        frames = self.frames[:, 1:-1]
-        along = (frames[..., :3, :3] @ model.joint_axes[:, :, None])[..., 0]
-        turning = turns(model)[:, None]
-        return np.where(turning, along, 0.0), np.where(turning, np.cross(frames[..., :3, 3], along), along)
-
 
 class Clearance:
     """The condition on a posture that bodies keep their distance: a constraint, as `doe.problem.constraints` has them.
@@ -80,7 +65,7 @@ class Clearance:
         trackers : (3,) [mm] in the frame of the base, from which the measured point must be seen
         """
         self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
-        self.usual = cell.clearance
+        self.usual = max(cell.clearance, 1.0)  # [mm] of a posture in touch no move is proven to be free
         # a line of sight is a capsule from the base's frame to that of the measured point
         none, no_box = np.empty((0, 7)), np.empty((0, 15))
         sights = [(SIGHT, tip, np.r_[place, np.zeros(4)][None], no_box) for place in trackers]
@@ -91,7 +76,6 @@ class Clearance:
         self._frames = np.stack([np.where(joint == tip, 0, joint), joint])  # (2, K) of the ends of each axis
         axes = np.concatenate(capsules)
         self._ends, self._radii = np.stack([axes[:, :3], axes[:, 3:6]]), axes[:, 6]
-        self._moves = np.array([[np.any(row == k) for k in range(tip + 1)] for row in self._frames])
         self._boxes, self._floor = np.concatenate(boxes), cell.floor
         self._last: Seen | None = None
         # pieces in this order: capsules, boxes, the floor
@@ -107,62 +91,33 @@ class Clearance:
                 first, second = np.flatnonzero(owner == one), np.flatnonzero(owner == other)
                 pieces += [(len(pairs), a, b) for a in first.tolist() for b in second.tolist()]
                 pairs += [pair] if len(first) and len(second) else []
-        self._set_pieces(np.array(pieces, dtype=int).reshape(-1, 3))
-        drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (SAMPLES, tip - 1))
+        self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
+        self._choose()
+
+    def _choose(self, near: float = 60.0, share: float = 0.25) -> None:
+        """Of all pairs those that are looked at, by 1000 random postures: not those that always touch.
+
+        near : [mm] of pairs that never come farther apart, and touch by their covers, the drawings are compared, at the
+            postures where covers overlap most: covers stick out
+        share : of the largest distance of a pair, seldom postures aside: the clearance that is asked at most
+        """
+        model, bodies = self.model, {body.name: body for body in self.model.cell.bodies}
+        drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         apart = self.distance(drawn)
-        largest = np.quantile(apart, 1.0 - SELDOM, axis=0)
-        always = largest <= 0.0
-        # covers stick out: of pairs that are always near, and touch by their covers, the drawings are compared
-        drawings = {body.name: (body.joint, body.triangles) for body in cell.bodies}
-        near = np.flatnonzero((largest < NEAR) & (apart.min(axis=0) < 0.0))
-        never = np.zeros(len(pairs), dtype=bool)
-        for k in (k for k in near.tolist() if {*pairs[k]} <= {*drawings}):
-            worst = drawn[np.argsort(apart[:, k])[:WORST]]
-            never[k] = not self._drawn_touch([drawings[name] for name in pairs[k]], worst)
-        self.touching = tuple(pairs[k] for k in np.flatnonzero(always & ~never))
-        self.clear = tuple(pairs[k] for k in np.flatnonzero(never))
-        kept = ~always & ~never
-        self.pairs = tuple(pairs[k] for k in np.flatnonzero(kept))
-        self.asked = np.minimum(cell.clearance, SHARE * largest)[kept]
-        self._set_pieces(self._pieces[kept[self._pieces[:, 0]]])
-
-    def _drawn_touch(self, bodies: Sequence[tuple[int, Array]], postures: Array) -> bool:
-        """Whether the surfaces of two bodies, each by its joint and triangles, come within `FINE` of each other."""
-        from scipy.spatial import cKDTree  # takes longer to load than all else here
-
-        (first, moved), (second, still) = ((joint, spread_over(triangles, FINE)) for joint, triangles in bodies)
-        if not len(moved) or not len(still):
-            return True  # nobody knows
-        tree, frames = cKDTree(still), self._frames_at(postures)
-        for relative in np.linalg.inv(frames[:, second]) @ frames[:, first]:
-            points = moved @ relative[:3, :3].T + relative[:3, 3]
-            around = np.all((points > tree.mins - 2.0 * FINE) & (points < tree.maxes + 2.0 * FINE), axis=1)
-            if np.isfinite(tree.query(points[around], distance_upper_bound=1.2 * FINE)[0]).any():
-                return True
-        return False
-
-    def _set_pieces(self, pieces: np.ndarray) -> None:
-        """(P, 3) of the pairs of pieces that are looked at: the number of their bodies' pair, and both pieces."""
-        capsules, boxes = len(self._radii), len(self._boxes)
-        self._pieces = pieces
-        self._starts, self._pair = np.unique(pieces[:, 0], return_index=True, return_inverse=True)[1:]
-        self._axes, self._walls, self._floors = (
-            np.flatnonzero((pieces[:, 2] >= low) & (pieces[:, 2] < high))
-            for low, high in ((0, capsules), (capsules, capsules + boxes), (capsules + boxes, np.inf))
-        )
-
-    def of_pair(self, k: int) -> Clearance:
-        """That of one of the pairs alone, which takes less time."""
-        one, chosen = copy(self), self._pieces[self._pair == k]
-        count = len(self._radii)
-        used = np.unique(chosen[:, 1:][chosen[:, 1:] < count])
-        one._frames, one._ends, one._radii = self._frames[:, used], self._ends[:, used], self._radii[used]
-        one._moves, one._last = self._moves, None
-        second = chosen[:, 2]
-        placed = np.where(second < count, np.searchsorted(used, second), second - count + len(used))
-        one.pairs, one.asked = self.pairs[k : k + 1], self.asked[k : k + 1]
-        one._set_pieces(np.column_stack([chosen[:, 0], np.searchsorted(used, chosen[:, 1]), placed]))
-        return one
+        largest = np.quantile(apart, 0.98, axis=0)
+        never = (largest < near) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*bodies} for pair in self.pairs]
+        for k in np.flatnonzero(never):
+            worst = self._frames_at(drawn[np.argsort(apart[:, k])[:60]])
+            one, other = (bodies[name] for name in self.pairs[k])
+            never[k] = not drawn_touch(one, other, worst)
+        kept = (largest > 0.0) & ~never
+        self.touching = tuple(self.pairs[k] for k in np.flatnonzero(~kept & ~never))
+        self.clear = tuple(self.pairs[k] for k in np.flatnonzero(never))
+        self.pairs = tuple(self.pairs[k] for k in np.flatnonzero(kept))
+        self.asked = np.minimum(self.usual, share * largest)[kept]
+        self._pieces = self._pieces[kept[self._pieces[:, 0]]]
+        self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
+        self._last = None
 
     def levers(self) -> Array:
         """(k, n) how much at most the distance of each pair changes by a unit of each joint [mm/rad, 1].
@@ -183,7 +138,8 @@ class Clearance:
         lengths *= joints <= frames[:, None]
         inside = np.where(sights[first][:, None], lengths[second], -np.inf)
         apart = np.where(joints > frames[second][:, None], lengths[first], lengths[first] * sights[first][:, None])
-        return np.asarray(np.maximum.reduceat(apart + np.maximum(inside, 0.0), self._starts, axis=0))
+        starts = np.searchsorted(self._pieces[:, 0], range(len(self.pairs)))
+        return np.asarray(np.maximum.reduceat(apart + np.maximum(inside, 0.0), starts, axis=0))
 
     # -- distances -----------------------------------------------------------------------------------------------------
     def margin(self, postures: Array) -> Array:
@@ -193,10 +149,9 @@ class Clearance:
     def distance(self, postures: Array) -> Array:
         """(m, k) [mm] signed distances of the pairs at postures (m, n)."""
         rows = np.atleast_2d(np.asarray(postures, dtype=float))
-        if not len(self._pieces) or not len(rows):
-            return np.empty((len(rows), len(self._starts)))
-        size = max(1, PART // len(self._pieces))
-        return np.concatenate([self._seen(rows[k : k + size]).least for k in range(0, len(rows), size)])
+        size = 1 + 2**17 // (1 + len(self._pieces))  # at once: 4 MB an array
+        parts = [self._seen(rows[k : k + size]).least for k in range(0, len(rows), size)]
+        return np.concatenate([np.empty((0, len(self.pairs))), *parts])
 
     def too_near(self, postures: Array) -> list[tuple[int, tuple[str, str], float]]:
         """Number of the posture from 1, pair, and distance [mm] wherever a pair is nearer than is asked."""
@@ -208,8 +163,9 @@ class Clearance:
         """`too_near` by the keys of `collisions`."""
         return [{"run": run, "bodies": [*pair], "distance_mm": gap} for run, pair, gap in self.too_near(postures)]
 
-    def in_words(self, postures: Array) -> list[str]:
-        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs."""
+    def in_words(self, postures: Array, most: int = 6) -> list[str]:
+        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs, of
+        which so many are named."""
         near, lines = self.too_near(postures), list[str]()
         if near:
             runs = len({run for run, *_ in near})
@@ -226,54 +182,67 @@ class Clearance:
             ("Not looked at, since they touch wherever the arm goes", [*map(_and, self.touching)]),
             ("Not looked at, since they never touch as they are drawn", [*map(_and, self.clear)]),
         ):
-            rest = f" and {_counted(len(pairs) - SHOWN)} more" if len(pairs) > SHOWN else ""
-            lines += [f"{why}: {', '.join(pairs[:SHOWN])}{rest}."] if pairs else []
+            rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
+            lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []
         return lines
 
     def _seen(self, postures: Array) -> Seen:
-        """What there is to see at postures (m, n); kept for the next question about the same ones."""
-        if self._last is None or not np.array_equal(self._last.postures, postures):
-            frames = self._frames_at(postures)
-            placed = np.empty((2, 3, len(postures), len(self._radii)))
-            for end, joint in np.argwhere(self._moves).tolist():
-                chosen = np.flatnonzero(self._frames[end] == joint)
-                points = frames[:, joint, :3, :3] @ self._ends[end, chosen].T + frames[:, joint, :3, 3:]
-                placed[end][:, :, chosen] = points.swapaxes(0, 1)
-            apart, count = self._apart(placed), len(self._pieces)
-            least = np.minimum.reduceat(apart, self._starts, axis=1)
-            ranks = np.where(apart == least[:, self._pair], np.arange(count), count)
-            nearest = np.minimum.reduceat(ranks, self._starts, axis=1)
-            self._last = Seen(postures.copy(), frames, placed, least, nearest)
+        """What there is to see at postures (m, n); kept for the next question about the same ones.
+
+        The middle of an axis tells how far it is at most, and less half its length at least: of most pairs of pieces
+        that another is nearer.
+        """
+        if self._last is not None and np.array_equal(self._last.postures, postures):
+            return self._last
+        m, count, capsules = len(postures), len(self.pairs), len(self._radii)
+        frames, placed = self._frames_at(postures), np.empty((2, 3, len(postures), capsules))
+        for end, joint in {(side, joint) for side in (0, 1) for joint in self._frames[side].tolist()}:
+            chosen = np.flatnonzero(self._frames[end] == joint)
+            points = frames[:, joint, :3, :3] @ self._ends[end, chosen].T + frames[:, joint, :3, 3:]
+            placed[end][:, :, chosen] = points.swapaxes(0, 1)
+        if not count:
+            return Seen(postures.copy(), frames, placed, np.empty((m, 0)), np.empty((m, 0), dtype=np.intp))
+        pair, first, second = self._pieces.T
+        radius, along = self._radii[first], placed[1] - placed[0]
+        middle, half = placed[0] + 0.5 * along, 0.5 * np.sqrt(dot(along, along))
+        most, least = np.empty((2, m, len(pair)))
+        kinds = np.digitize(second, [capsules, capsules + len(self._boxes)])
+        axes, walls, floors = (np.flatnonzero(kinds == kind) for kind in range(3))
+        points = np.moveaxis(middle, 0, -1)
+        square = np.sum(points**2, axis=-1)
+        apart = square[:, :, None] + square[:, None] - 2.0 * points @ np.swapaxes(points, 1, 2)
+        apart = np.sqrt(np.maximum(apart, 0.0)).reshape(m, -1)[:, first[axes] * capsules + second[axes]]
+        most[:, axes] = apart - (radius[axes] + self._radii[second[axes]])
+        least[:, axes] = most[:, axes] - half[:, first[axes]] - half[:, second[axes]]
+        boxes, size = second[walls] - capsules, self._boxes[second[walls] - capsules, 12:].T
+        most[:, walls] = from_box(self._in_box(middle[..., first[walls]], boxes), size[:, None]) - radius[walls]
+        least[:, walls] = most[:, walls] - half[:, first[walls]]
+        ends = placed[:, 2][..., first[floors]]
+        least[:, floors] = most[:, floors] = ends.min(axis=0) - radius[floors] - (self._floor or 0.0)
+        starts = np.searchsorted(pair, range(count))
+        bound = np.minimum.reduceat(most, starts, axis=1) + ROUNDING
+        run, piece = np.nonzero(least <= bound[:, pair])
+        exact = most[run, piece]
+        chosen = np.flatnonzero(kinds[piece] == 0)
+        at, one, two = run[chosen], first[piece[chosen]], second[piece[chosen]]
+        gap = shortest(*placed[:, :, at, one], *placed[:, :, at, two])[2]
+        exact[chosen] = np.sqrt(dot(gap, gap)) - radius[piece[chosen]] - self._radii[two]
+        chosen = np.flatnonzero(kinds[piece] == 1)
+        at, one, box = run[chosen], first[piece[chosen]], second[piece[chosen]] - capsules
+        a, b = (self._in_box(end[:, at, one], box) for end in placed)
+        size = self._boxes[box, 12:].T
+        exact[chosen] = from_box(a + nearest_to_box(a, b, size) * (b - a), size) - radius[piece[chosen]]
+        groups = np.flatnonzero(np.diff(run * count + pair[piece], prepend=-1))
+        distance = np.minimum.reduceat(exact, groups)
+        ranks = np.where(exact == np.repeat(distance, np.diff(groups, append=len(run))), piece, len(pair))
+        nearest = np.minimum.reduceat(ranks, groups)
+        self._last = Seen(postures.copy(), frames, placed, distance.reshape(m, count), nearest.reshape(m, count))
         return self._last
 
     def _frames_at(self, postures: Array) -> Array:
         """(m, n + 2, 4, 4) frames of base, joints and measured point."""
         base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
         return np.concatenate([base, self.model.joint_frames(postures)], axis=1)
-
-    def _apart(self, placed: Array) -> Array:
-        """(m, P) distances of all pairs of pieces; of a box that is not the nearest of its body, at least that."""
-        apart = np.empty((placed.shape[2], len(self._pieces)))
-        first, second = self._pieces[self._axes, 1:].T
-        between = shortest(*placed[..., first], *placed[..., second])[2]
-        apart[:, self._axes] = np.sqrt(dot(between, between)) - self._radii[first] - self._radii[second]
-        first = self._pieces[self._floors, 1]
-        apart[:, self._floors] = placed[:, 2][..., first].min(axis=0) - self._radii[first] - (self._floor or 0.0)
-        if len(self._walls):  # by the middle of each axis, then exactly where the box may be the nearest
-            first, box = self._pieces[self._walls, 1], self._pieces[self._walls, 2] - len(self._radii)
-            a, b = (self._in_box(end[..., first], box) for end in placed)
-            half = self._boxes[box, 12:].T[:, None]
-            most = from_box(0.5 * (a + b), half) - self._radii[first]
-            apart[:, self._walls] = most
-            least = np.full((len(most), len(self._starts)), np.inf)
-            pair = self._pair[self._walls]
-            for k in np.unique(pair):
-                least[:, k] = most[:, pair == k].min(axis=1)
-            run, wall = np.nonzero(most - 0.5 * np.sqrt(dot(b - a, b - a)) <= least[:, pair])
-            a, b, half = a[:, run, wall], b[:, run, wall], half[:, 0, wall]
-            share = nearest_to_box(a, b, half)
-            apart[run, self._walls[wall]] = from_box(a + share * (b - a), half) - self._radii[first[wall]]
-        return apart
 
     def _in_box(self, points: Array, box: np.ndarray) -> Array:
         """(3, ..., W) points (3, ..., W) along the axes of boxes (W,), from their centers."""
@@ -293,7 +262,7 @@ class Clearance:
         share, shared, normal = shortest(a, b, c, d)
         # of axes that cross each other the direction across both
         normal = np.where(dot(normal, normal) < 1e-12, np.cross(b - a, d - c, axis=0), normal)
-        normal /= np.maximum(np.sqrt(dot(normal, normal)), SMALL)
+        normal /= np.maximum(np.sqrt(dot(normal, normal)), TINY)
         share = np.where(axis, share, b[2] < a[2])
         normal = np.where(axis, normal, np.array([[0.0], [0.0], [1.0]]))
         if len(wall := np.flatnonzero(~axis & (second < capsules + len(self._boxes)))):
@@ -303,7 +272,10 @@ class Clearance:
             share[wall] = nearest_to_box(start, end, half)
             away = away_from_box(start + share[wall] * (end - start), end - start, half)
             normal[:, wall] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), away)
-        moment, force = seen.screws(self.model)
+        # (m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide
+        along, turning = seen.frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], turns(self.model)[:, None]
+        moment = np.where(turning, along[..., 0], 0.0)
+        force = np.where(turning, np.cross(seen.frames[:, 1:-1, :3, 3], along[..., 0]), along[..., 0])
         slopes, joints = np.zeros((len(run), moment.shape[1])), np.arange(1, moment.shape[1] + 1)
         still = np.where(axis, self._frames[1, other], 0)
         for sign, near, far, part, piece, frame in (
@@ -345,8 +317,8 @@ class Slopes:
         """(m, a, a) Hessians of the sums: differences of their gradients."""
         bend = np.empty((len(postures), len(self.joints), len(self.joints)))
         for k, joint in enumerate(self.joints):
-            step = STEP * np.eye(postures.shape[1])[joint]
-            bend[:, k] = (self.slope(postures + step, weights) - self.slope(postures - step, weights)) / (2.0 * STEP)
+            step = 1e-4 * np.eye(postures.shape[1])[joint]
+            bend[:, k] = (self.slope(postures + step, weights) - self.slope(postures - step, weights)) / 2e-4
         return 0.5 * (bend + np.swapaxes(bend, 1, 2))
 
 
@@ -374,9 +346,9 @@ def shortest(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Arra
     second of these to the first (C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.9)."""
     u, v, w = b - a, d - c, a - c
     uu, vv, uv, uw, vw = dot(u, u), dot(v, v), dot(u, v), dot(u, w), dot(v, w)
-    first = np.clip((uv * vw - uw * vv) / np.maximum(uu * vv - uv * uv, SMALL), 0.0, 1.0)
-    second = np.clip((uv * first + vw) / np.maximum(vv, SMALL), 0.0, 1.0)
-    first = np.clip((uv * second - uw) / np.maximum(uu, SMALL), 0.0, 1.0)
+    first = np.clip((uv * vw - uw * vv) / np.maximum(uu * vv - uv * uv, TINY), 0.0, 1.0)
+    second = np.clip((uv * first + vw) / np.maximum(vv, TINY), 0.0, 1.0)
+    first = np.clip((uv * second - uw) / np.maximum(uu, TINY), 0.0, 1.0)
     return first, second, w + first * u - second * v
 
 
@@ -395,7 +367,7 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> Array:
     Inside, where it is zero, the deepest point is found by thirds.
     """
     along, n = b - a, np.arange(a.shape[1])
-    crossed = np.concatenate([half - a, -half - a]) / np.tile(np.where(np.abs(along) > SMALL, along, np.inf), (2, 1))
+    crossed = np.concatenate([half - a, -half - a]) / np.tile(np.where(np.abs(along) > TINY, along, np.inf), (2, 1))
     shares = np.concatenate([np.zeros((1, len(n))), np.sort(np.clip(crossed, 0.0, 1.0), axis=0), np.ones((1, len(n)))])
     points = a + shares[:, None] * along
     slopes = np.sum(along * np.sign(points) * np.maximum(np.abs(points) - half, 0.0), axis=1)  # (8, N)
@@ -431,20 +403,32 @@ def away_from_box(points: Array, along: Array, half: Array) -> Array:
     share = np.where(tied, slides[1] / np.where(tied, slides[1] - slides[0], 1.0), 1.0)
     out = np.maximum(beyond, 0.0)
     length = np.sqrt(dot(out, out))
-    away = np.sign(points) * out / np.maximum(length, SMALL)
+    away = np.sign(points) * out / np.maximum(length, TINY)
     return np.where(length > 0.0, away, share * faces[0] + (1.0 - share) * faces[1])
 
 
+def drawn_touch(one: Any, other: Any, frames: Array, fine: float = 4.0) -> bool:
+    """Whether surfaces of two bodies come within `fine` [mm] of each other in one of the frames (m, n + 2, 4, 4)."""
+    from scipy.spatial import cKDTree  # takes longer to load than all else here
+
+    moved, still = (spread_over(body.triangles, fine) for body in (one, other))
+    if not len(moved) or not len(still):
+        return True  # nobody knows
+    tree = cKDTree(still)
+    for relative in np.linalg.inv(frames[:, other.joint]) @ frames[:, one.joint]:
+        points = moved @ relative[:3, :3].T + relative[:3, 3]
+        around = np.all((points > tree.mins - 2.0 * fine) & (points < tree.maxes + 2.0 * fine), axis=1)
+        if np.isfinite(tree.query(points[around], distance_upper_bound=1.2 * fine)[0]).any():
+            return True
+    return False
+
+
 def spread_over(triangles: Array, longest: float) -> Array:
-    """(N, 3) corners of triangles (t, 3, 3) that are halved until no edge is longer: every point of the surface is
-    within 0.58 of that of one of them."""
-    points = []
-    while len(triangles):
-        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
-        points.append(triangles[edges.max(axis=1) <= longest].reshape(-1, 3))
-        triangles, edges = triangles[edges.max(axis=1) > longest], edges[edges.max(axis=1) > longest]
-        rows, first = np.arange(len(triangles)), edges.argmax(axis=1)
-        a, b, c = (triangles[rows, (first + k) % 3] for k in range(3))
-        middle = 0.5 * (a + b)
-        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-    return np.unique(np.round(np.concatenate(points), 3), axis=0) if points else np.empty((0, 3))
+    """(N, 3) points of triangles (t, 3, 3), such that every point of the surface is within 0.58 `longest` of one."""
+    edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2).max(axis=1, initial=0.0)
+    parts, points = np.ceil(edges / longest).astype(int), [np.empty((0, 3))]
+    for count in np.unique(np.maximum(parts, 1)).tolist():
+        corners = [(i, j, count - i - j) for i in range(count + 1) for j in range(count + 1 - i)]
+        chosen = triangles[np.maximum(parts, 1) == count]
+        points.append((np.array(corners) / count @ chosen).reshape(-1, 3))
+    return np.concatenate(points)

@@ -196,7 +196,6 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
         axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
         axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
         axis.margins(y=0.12)
-        axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
     axes[0].set_ylabel("largest d(q), dashed: p")
     return figure
 

@@ -197,7 +197,7 @@ class Steps {
   // one tab stop: the current row has the focus (the grid of the ARIA Authoring Practices, with roving tabindex)
   table() {
     const about = { "aria-label": "Runs", "aria-describedby": this.runs.previousElementSibling.id };
-    const table = element("table", this.runs, "", { class: "wide", role: "grid", ...about });
+    const table = element("table", this.runs, "", { role: "grid", ...about });
     const row = element("tr", element("thead", table, "", { role: "rowgroup" }), "", { role: "row" });
     this.headings = ["place", "run", ...this.plan.joints, "without it"];
     for (const name of this.headings) element("th", row, name, { scope: "col", role: "columnheader" });
@@ -304,7 +304,7 @@ class Steps {
       row.addEventListener("click", () => { row.focus(); this.at = place; this.show(); });
       const left = struck ? "struck out" : without(run);
       const figures = [place + 1, run + 1, ...this.plan.postures[run].map(angle => angle.toFixed(2)), left];
-      figures.forEach((figure, k) => element("td", row, String(figure), { role: "gridcell", "data-heading": this.headings[k] }));
+      figures.forEach(figure => element("td", row, String(figure), { role: "gridcell" }));
     });
   }
 

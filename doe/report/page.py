@@ -17,7 +17,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +25,6 @@ from identification.document import Document, Pictures, Section, Sheet
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NARROW = 430.0  # [pt] width of a figure that a phone shows as it is; columns of wider ones stand below each other
 # colours of figures -> those of the page, light or dark
 COLORS = {"#000000": "var(--ink)", "#ffffff": "none", "#c44e52": "var(--before)", "#2a6f97": "var(--after)"}
 
@@ -86,38 +84,10 @@ def page(document: Document, *more: Section) -> str:
 
 
 def page_picture(figure: Figure) -> str:
-    """A figure as the page has it: SVG in the page's colours; where it is too wide for a phone, the strips too that
-    stand below each other there, or, without strips, in a box that scrolls."""
+    """A figure as the page has it: SVG in the page's colours; a wide one scrolls where the page is narrower."""
     drawn = re.sub("|".join(COLORS), lambda color: COLORS[color[0]], svg(figure))
-    width, height = 72.0 * figure.get_figwidth(), 72.0 * figure.get_figheight()
-    parts = strips(figure) if width > NARROW else []
-    kind = "panel" if width <= NARROW else "wide stacked" if parts else "wide pan"
-    name = f"picture-{hashlib.sha256(drawn.encode()).hexdigest()[:12]}"
-    drawn = drawn.replace("<svg", f'<svg id="{name}"', 1)
-    shown = "".join(
-        f'<svg class="strip" aria-hidden="true" viewBox="{left} 0 {across} {height}">'
-        f'<use href="#{name}" width="{width}" height="{height}"/></svg>\n'
-        for left, across in parts
-    )
-    return f'<div class="{kind}" style="--width: {width:.0f}pt">\n<div class="whole">{drawn}</div>\n{shown}</div>\n'
-
-
-def strips(figure: Figure) -> list[tuple[float, float]]:
-    """Left end and width [pt] of each column of pictures of a figure that has been drawn; none where one of them is as
-    wide as before."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    scale, renderer = 72.0 / figure.dpi, FigureCanvasAgg(figure).get_renderer()
-    boxes = (axis.get_tightbbox(renderer) for axis in figure.axes if axis.get_visible())
-    columns: list[list[float]] = []
-    for low, high in sorted((box.x0 * scale, box.x1 * scale) for box in boxes if box is not None):
-        if columns and low < columns[-1][1]:
-            columns[-1][1] = max(columns[-1][1], high)
-        else:
-            columns.append([low, high])
-    ends = [0.0, *((a[1] + b[0]) / 2.0 for a, b in pairwise(columns)), 72.0 * figure.get_figwidth()]
-    parts = [(round(a, 2), round(b - a, 2)) for a, b in pairwise(ends)]
-    return parts if len(parts) > 1 and max(width for _, width in parts) <= NARROW else []
+    width = 72.0 * figure.get_figwidth()
+    return f'<div class="{"wide" if width > 430.0 else "panel"}" style="--width: {width:.0f}pt">\n{drawn}</div>\n'
 
 
 def svg(figure: Figure) -> str:

@@ -7,13 +7,13 @@ Optimal Experiments", 1972). One sweep visits every run in random order; a start
 starts of a batch advance together, so that numpy works on arrays of starts x candidates.
 
 Exchange finds the pattern, a climb the last digits: with one (IPOPT, L-BFGS) the two are put together. Near a good plan
-there are better ones more often than at random, so each then also starts from the best plans so far, or from the
-optimal weights, with some runs drawn again.
+there are better ones more often than at random, so each then also starts from the best plans so far, with some runs
+drawn again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from doe.criteria import information_matrix
 from doe.plan.ascent import PlanAscent
-from doe.plan.plan import apportion
-from doe.plan.spacing import distance_to_keep
+from doe.plan.spacing import distance_to_keep, gaps
 from doe.problem.postures import fill, listed_candidates, random_postures
 from doe.problem.problem import MANY, DesignProblem, information_of_each
 from doe.solvers.ipopt import Climber, Ipopt, variables
@@ -35,72 +34,50 @@ IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 
 @dataclass(frozen=True)
 class Exchange:
-    """Coordinate exchange from random grid postures; with `climb` the best plans of each batch are polished by IPOPT,
-    and every second batch varies the best.
+    """Coordinate exchange from random grid postures; with `climb` the best five plans of each batch are polished by
+    IPOPT, and every second batch starts from the ten best, with a quarter of their runs drawn again.
 
     levels : grid values per joint, its limits included;  batch : starts that advance together
-    rounded : begin with the rounded optimum of the relaxation, and vary that
-    polished : plans per batch;  elite : how many of the best plans are varied;  redrawn : fraction of their runs
     """
 
     levels: int = 9
     batch: int = 50
     climb: Ipopt | None = None
-    rounded: bool = False
-    polished: int = 5
-    elite: int = 10
-    redrawn: float = 0.25
     name: str = "exchange"
 
     def starts_for(self, problem: DesignProblem) -> int:
         """Thirty per pair of joints, as local optima grow with them; fewer for many parameters, as each costs p^3."""
         wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
-        return 20 if self.rounded else max(10, round(wanted * min(1.0, (MANY / problem.parameters) ** 2)))
+        return max(10, round(wanted * min(1.0, (MANY / problem.parameters) ** 2)))
 
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """The plans of each batch, best first; the polished ones of each where there is a climb."""
-        climb, best, left, vary = None, list[tuple[float, Array]](), budget.starts, False
-        seen = list[float]()
+        climb, best, left, vary, seen = None, list[tuple[float, Array]](), budget.starts, False, list[float]()
         # of more variables IPOPT takes longer to improve what exchange found than it takes to search on
         if self.climb and variables(problem, runs) <= 1500:
             climb = Climber(problem, runs, self.climb, budget)
-        if self.rounded:
-            from doe.bounds.column_generation import continuous_design  # deferred: it needs scipy.linalg
-
-            weights = continuous_design(problem, runs=runs, proof=0.0, stop=budget.part(0.5).ended)
-            carried = weights.plan.shares > 0.0
-            numbers = apportion(weights.plan.shares[carried] / weights.plan.shares[carried].sum(), runs)
-            first = np.repeat(weights.plan.postures[carried], numbers, axis=0)
-            yield Offer(first)
-            best, vary = [(problem.objective(first), first)], True
         while True:
             started = self.begin(problem, left, runs, generator)
+            left -= len(started)
             yield Offer(started[0])  # something to return if the user stops during the first batch
             if vary:
-                elite = np.array([plan for _, plan in best])
-                chosen = elite[generator.integers(len(best), size=len(started))]
-                kept = generator.random(started.shape[:2]) > self.redrawn
+                chosen = np.array([plan for _, plan in best])[generator.integers(len(best), size=len(started))]
+                kept = generator.random(started.shape[:2]) > 0.25
                 started = np.where(kept[..., None], chosen, started)
-                started[:1] = best[0][1] if self.rounded else started[:1]
             plans, values = self.improve(problem, started, generator, budget)
             if climb is None:
-                yield from (Offer(plan, 1, independent=not vary) for plan in plans)
-            else:
-                yield Offer(plans[0], 1)
-                rows: list[int] = []
-                for k, value in enumerate(values.tolist()):
-                    if len(rows) < self.polished and np.isfinite(value) and _unlike(value, seen):
-                        seen.append(value)
-                        rows.append(k)
-                for plan in plans[rows]:
-                    climbed = climb(plan)
-                    if np.isfinite(value := problem.objective(climbed)) and _unlike(value, [one for one, _ in best]):
-                        best = sorted([*best, (value, climbed)], key=lambda pair: -pair[0])[: self.elite]
-                    yield Offer(climbed, independent=not vary)
-                    climb.pass_on_interrupt()
-                yield Offer(plans[0], len(started) - 1)
-                vary = self.rounded or (not vary and bool(best))
-            left -= len(started)
+                yield from (Offer(plan, 1, independent=True) for plan in plans)
+                continue
+            yield Offer(plans[0], 1)
+            for k in _unlike(values, seen)[:5]:
+                seen.append(float(values[k]))
+                value = problem.objective(climbed := climb(plans[k]))
+                if _unlike([value], [other for other, _ in best]):
+                    best = sorted([*best, (value, climbed)], key=lambda pair: -pair[0])[:10]
+                yield Offer(climbed, independent=not vary)
+                climb.pass_on_interrupt()
+            yield Offer(plans[0], len(started) - 1)
+            vary = not vary and bool(best)
 
     def begin(self, problem: DesignProblem, left: int, runs: int, generator: Generator) -> Array:
         """(s, m, n) random plans on the grid: a batch, or as many starts as are left; joints that play no part stay in
@@ -120,35 +97,32 @@ class Exchange:
         self, problem: DesignProblem, plans: Array, generator: Generator, budget: Budget
     ) -> tuple[Array, Array]:
         """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
-        nothing = np.empty((0, problem.joints)), np.zeros(plans.shape[:2], dtype=np.intp)
-        return Batch(problem, plans, self.grid(problem), *nothing).improved(generator, budget)
+        return Batch(problem, plans, self.grid(problem)).improved(generator, budget)
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
         return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
 
 
-def _unlike(value: float, others: list[float]) -> bool:
-    return all(abs(value - other) > 1e-7 for other in others)  # else the same plan up to symmetry, polished once
+def _unlike(values: Sequence[float] | Array, others: Sequence[float]) -> list[int]:
+    """Places of the finite values that no other one and none before is near: else it is one plan up to symmetry."""
+    new, seen = list[int](), list(others)
+    for k, value in enumerate(values):
+        if np.isfinite(value) and all(abs(value - other) > 1e-7 for other in seen):
+            new.append(k)
+            seen.append(float(value))
+    return new
 
 
 @dataclass(frozen=True)
 class Fedorov:
-    """Exchange with all of `problem.choices` for every run, from random choices; each once unless repeats are allowed.
+    """Exchange with all of `problem.choices` for every run, from random ones; each once unless repeats are allowed."""
 
-    count : starts;  batch : starts that advance together, one by one where there is a prior over many effects: a start
-        takes seconds then, and a time limit is to find some at their end
-    """
-
-    count: int = 30
-    batch: int = 10
     name: str = "fedorov"
 
     def starts_for(self, problem: DesignProblem) -> int:
         """Each start is thorough; fewer for many parameters that have a prior, as each costs the square of them."""
-        if not problem.deviations:
-            return self.count
-        return max(2, round(self.batch * min(1.0, (100 / problem.parameters) ** 2)))
+        return max(2, round(10 * min(1.0, (100 / problem.parameters) ** 2))) if problem.deviations else 30
 
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
@@ -160,11 +134,49 @@ class Fedorov:
             if len(postures) < runs:
                 allowed = f"up to {len(postures)}, the different postures to choose from"
                 raise InputError(f"runs: found {runs}, allowed: {allowed}")
-        count = 1 if problem.deviations else self.batch
+        # one by one where there is a prior over many effects: a start takes seconds, and a time limit is to find some
+        count = 1 if problem.deviations else 10
         while True:
-            yield from (
-                Offer(p, 1, independent=True) for p in exchanged(problem, postures, (count, runs), generator, budget)
-            )
+            for plan in exchanged(problem, postures, (count, runs), generator, budget):
+                yield Offer(plan, 1, independent=True)
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """L-BFGS from random postures; later batches from exchanges among the postures of the best plans so far: for models
+    of many parameters.
+
+    batch : starts between two exchanges, half as many under constraints, where each takes longer
+    """
+
+    batch: int = 10
+    name: str = "gradient"
+
+    def _together(self, problem: DesignProblem) -> int:
+        return max(1, self.batch // 2) if problem.constraints else self.batch
+
+    def starts_for(self, problem: DesignProblem) -> int:
+        """Fewer under constraints."""
+        return min(15, 2 * self._together(problem)) if problem.constraints else 15
+
+    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
+        """One offer per start."""
+        climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
+        while True:
+            # runs of all starts that climb between two exchanges, at most
+            count, first = max(1, min(self._together(problem), left, 2_000 // runs)), not best
+            left -= count
+            started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
+            yield Offer(started[0])  # something to return if the user stops during the first batch
+            if not first or problem.constraints:  # penalties climb slowly from poor plans
+                pool = np.unique(np.concatenate([*best, *(started if first else started[:1])]), axis=0)
+                started = exchanged(problem, pool, (count, runs), generator, budget)
+            for plan in started:
+                climbed = climb(plan, stop=budget.ended)
+                yield Offer(climbed, 1, independent=first)
+                best.append(climbed)
+            # of as many plans as have 300 postures to exchange
+            best = sorted(best, key=lambda plan: -problem.objective(plan))[: max(2, 300 // runs)]
 
 
 def exchanged(
@@ -176,52 +188,47 @@ def exchanged(
         chosen = generator.integers(len(postures), size=shape)
     else:
         chosen = np.array([generator.choice(len(postures), shape[1], replace=False) for _ in range(shape[0])])
-    return Batch(problem, postures[chosen], np.empty((0, 0)), postures, chosen).improved(generator, budget)[0]
+    return Batch(problem, postures[chosen], postures, chosen).improved(generator, budget)[0]
 
 
 class Batch:
-    """Starts (s, m, n) that advance together; runs are exchanged for postures on a grid (n, L) that differ in one
-    joint, or for any of a list (N, n), of which `chosen` (s, m) are the rows.
+    """Starts (s, m, n) that advance together; runs are exchanged for any posture of a list (N, n), of which `chosen`
+    (s, m) are the rows, or for those that differ in one joint on a grid (n, L).
 
     jacobians : (s, m, d, p), scaled so that M is the sum of B^T B and the prior's share;  information : (s, p, p)
-    values : (s,) criterion, or its surrogate;  running : starts that still improve
+    running : starts that still improve
     """
 
     def __init__(
-        self, problem: DesignProblem, plans: Array, grid: Array, listed: Array, chosen: NDArray[np.intp]
+        self, problem: DesignProblem, plans: Array, offered: Array, chosen: NDArray[np.intp] | None = None
     ) -> None:
-        self.problem, self.plans, self.grid, self.listed, self.chosen = problem, plans, grid, listed, chosen
-        self.criterion, self.running = problem.criterion.surrogate, np.arange(len(plans))
-        self.total = plans.shape[1] + problem.prior.runs
-        self.distance = distance_to_keep(problem, plans.shape[1])
-        self.offered = self._jacobians(listed)
-        self.jacobians = self.offered[chosen] if len(listed) else self._jacobians(plans)
-        self.information, self.values = self._information(self.running)
-        if not len(listed) and not problem.searched_joints:
-            self.running = self.running[:0]
+        self.problem, self.plans, self.offered, self.chosen = problem, plans, offered, chosen
+        self.criterion, self.total = problem.criterion.surrogate, plans.shape[1] + problem.prior.runs
+        self.running = np.arange(len(plans) if len(problem.searched_joints) else 0)
+        self.listed = self._jacobians(offered) if chosen is not None else np.empty(0)
+        self.jacobians = self.listed[chosen] if chosen is not None else self._jacobians(plans)
+        self.information = self._information(np.arange(len(plans)))
 
     def _jacobians(self, postures: Array) -> Array:
         return self.problem.scaled_jacobians(postures) / np.sqrt(self.total)
 
-    def _information(self, starts: NDArray[np.intp]) -> tuple[Array, Array]:
-        """(s, p, p) information matrices, and (s,) their values."""
-        information = information_matrix(self.jacobians[starts]) + self.problem.prior.total / self.total
-        return information, np.array(self.criterion.value(information))
+    def _information(self, starts: NDArray[np.intp]) -> Array:
+        return information_matrix(self.jacobians[starts]) + self.problem.prior.total / self.total
 
     def improved(self, generator: Generator, budget: Budget) -> tuple[Array, Array]:
         """The plans after sweeps until none changes anything, or time is up, and values (s,) of them, best first."""
         for _ in range(60):
-            if not self.running.size or budget.out_of_time:
+            if not self.running.size or budget.ended():
                 break
-            before = self.values[self.running]
+            before = self.criterion.value(self.information[self.running])
             for run in generator.permutation(self.plans.shape[1]).tolist():
                 if budget.ended():
                     break
-                for starts in self.running[:, None] if len(self.listed) else self.running[None]:
+                for starts in self.running[None] if self.chosen is None else self.running[:, None]:
                     self._exchange(starts, run)
-            information, values = self._information(self.running)  # computed afresh: no rounding piles up
-            self.information[self.running], self.values[self.running] = information, values
-            self.running = self.running[~(values <= before + IMPROVEMENT) | np.isneginf(before)]
+            self.information[self.running] = self._information(self.running)  # afresh: no rounding piles up
+            after = self.criterion.value(self.information[self.running])
+            self.running = self.running[~(after <= before + IMPROVEMENT) | np.isneginf(before)]
         values = np.asarray(self.problem.criterion.value(self.information))
         order = np.argsort(-values, kind="stable")
         return self.plans[order], values[order]
@@ -230,9 +237,9 @@ class Batch:
         """Move one run of some starts to the best posture on offer."""
         old = self.jacobians[starts, run]
         without = self.information[starts] - information_of_each(old)
-        if len(self.listed):
-            postures, jacobians, now = self.listed[None], self.offered[None], self.chosen[starts, run]
-            allowed = np.ones((1, len(self.listed)), dtype=bool)
+        if self.chosen is not None:
+            postures, jacobians, now = self.offered[None], self.listed[None], self.chosen[starts, run]
+            allowed = np.ones((1, len(self.offered)), dtype=bool)
             if self.problem.minimum_distance > 0.0:
                 allowed[0, self.chosen[starts[0]]] = False
         else:  # the posture itself comes last
@@ -240,68 +247,27 @@ class Batch:
             allowed, now = self._allowed(starts, postures, run), np.full(len(starts), postures.shape[1])
             jacobians = np.concatenate([self._jacobians(postures), old[:, None]], axis=1)
         values = self.criterion.values_after_adding(without, jacobians)
-        now = values[np.arange(len(starts)), now]
+        least = values[np.arange(len(starts)), now] + IMPROVEMENT
         values = np.where(allowed, values[:, : allowed.shape[1]], -np.inf)
-        rows = np.flatnonzero(values.max(axis=1) > now + IMPROVEMENT)
+        rows = np.flatnonzero(values.max(axis=1) > least)
         best, at = np.argmax(values[rows], axis=1), starts[rows]
-        self.chosen[at, run], self.plans[at, run] = best, postures[rows, best]
-        self.jacobians[at, run] = jacobians[rows, best]
-        self.information[at] = without[rows] + information_of_each(jacobians[rows, best])
+        if self.chosen is not None:
+            self.chosen[at, run] = best
+        self.plans[at, run], self.jacobians[at, run] = postures[rows, best], jacobians[rows, best]
+        self.information[at] = without[rows] + information_of_each(self.jacobians[at, run])
 
     def _neighbors(self, postures: Array) -> Array:
         """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""
-        levels, joints = self.grid.shape[1], self.problem.searched_joints
+        levels, joints = self.offered.shape[1], self.problem.searched_joints
         moved = np.repeat(postures[:, None], len(joints) * levels, axis=1)
         for k, joint in enumerate(joints):
-            moved[:, k * levels : (k + 1) * levels, joint] = self.grid[joint]
+            moved[:, k * levels : (k + 1) * levels, joint] = self.offered[joint]
         return moved
 
     def _allowed(self, starts: NDArray[np.intp], postures: Array, run: int) -> NDArray[np.bool_]:
         """(s, c) True where a posture satisfies the constraints and repeats no other run of its plan."""
-        allowed = self.problem.feasible(postures)
-        if self.distance > 0.0:
-            others = np.delete(self.plans[starts], run, axis=1)
-            kept = np.broadcast_to(self.problem.kept, (len(others), *self.problem.kept.shape))
-            others = self.problem.comparable(np.concatenate([others, kept], axis=1))
-            offered = self.problem.comparable(postures)
-            for other in np.moveaxis(others, 1, 0):
-                allowed &= np.abs(offered - other[:, None]).max(axis=-1) >= self.distance
+        allowed, distance = self.problem.feasible(postures), distance_to_keep(self.problem)
+        for start, row in enumerate(starts.tolist() if distance > 0.0 else []):
+            others = np.concatenate([np.delete(self.plans[row], run, axis=0), self.problem.kept])
+            allowed[start] &= gaps(self.problem, postures[start], others).min(axis=1, initial=np.inf) >= distance
         return allowed
-
-
-@dataclass(frozen=True)
-class Gradient:
-    """L-BFGS from random postures; later batches from exchanges among the postures of the best plans so far: for models
-    of many parameters.
-
-    count : starts;  batch : starts between two exchanges, half as many under constraints, where each takes longer
-    pool : postures to exchange, of as many plans as have them
-    """
-
-    count: int = 15
-    batch: int = 10
-    pool: int = 300
-    name: str = "gradient"
-
-    def starts_for(self, problem: DesignProblem) -> int:
-        """Fewer under constraints."""
-        return min(self.count, 2 * max(1, self.batch // 2)) if problem.constraints else self.count
-
-    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
-        """One offer per start."""
-        climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
-        together = max(1, self.batch // 2) if problem.constraints else self.batch
-        while True:
-            # runs of all starts that climb between two exchanges, at most
-            count, first = max(1, min(together, left, 2_000 // runs)), not best
-            left -= count
-            started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
-            yield Offer(started[0])  # something to return if the user stops during the first batch
-            if not first or problem.constraints:  # penalties climb slowly from poor plans
-                pool = np.unique(np.concatenate([*best, *(started if first else started[:1])]), axis=0)
-                started = exchanged(problem, pool, (count, runs), generator, budget)
-            for plan in started:
-                climbed = climb(plan, stop=budget.ended)
-                yield Offer(climbed, 1, independent=first)
-                best.append(climbed)
-            best = sorted(best, key=lambda plan: -problem.objective(plan))[: max(2, self.pool // runs)]

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.random import Generator
 
 from doe.bounds.planar_theorem import applies, chain_joints
-from doe.plan.spacing import neighbor_counts, replicates_allowed, too_near
+from doe.plan.spacing import distance_to_keep, spread_free_joints, too_near
 from doe.problem.problem import DesignProblem, Stop, never
 from doe.solvers.solver import Budget, Offer
 from identification import Array, JobError
@@ -72,15 +72,14 @@ def optimal_plans(
         return
     joints = list(chain_joints(problem))
     lower, upper = problem.lower[joints], problem.upper[joints]
-    apart = problem.minimum_distance if replicates_allowed(problem) == 1.0 else 0.0  # where no joint is free
     small: list[Pattern] | None = None
     patterns, widths = 16, upper - lower  # different plans of one size, and times that those too near are placed again
 
     def placed(pattern: Pattern) -> Array:
-        """(m, n) postures with random phases; joints that play no part stay in the middle."""
-        plan = np.tile((problem.lower + problem.upper) / 2.0, (len(pattern[0]), 1))
+        """(m, n) postures with random phases; joints that play no part are spread."""
+        plan = np.empty((len(pattern[0]), problem.joints))
         plan[:, joints] = np.minimum(lower + pattern[0] + generator.uniform(0.0, pattern[1]), upper)
-        return plan
+        return spread_free_joints(problem, plan, np.random.default_rng(0))
 
     def drawn() -> Array:
         return placed(small[generator.integers(len(small))]) if small else np.empty((0, problem.joints))
@@ -105,11 +104,13 @@ def optimal_plans(
                 return
             size = len(small[0][0])
             groups = [drawn() for _ in range(runs // size)]
-            for _ in range(patterns if apart > 0.0 else 0):  # those too near others are placed again
-                near = np.flatnonzero(neighbor_counts(np.concatenate(groups)[:, joints], apart))
+            for _ in range(
+                patterns if distance_to_keep(problem) > 0.0 else 0
+            ):  # those too near others are placed again
+                near = too_near(problem, np.concatenate(groups))
                 for group in np.unique(near // size).tolist():
                     groups[group] = drawn()
-            plan = np.concatenate(groups)
+            plan = spread_free_joints(problem, np.concatenate(groups), np.random.default_rng(0))
         yield generator.permutation(plan)
 
 

@@ -41,10 +41,11 @@ class Budget:
     may_agree: bool = True
     began: float = field(default_factory=perf_counter)
 
-    @property
-    def remaining(self) -> float:
-        """Seconds left; infinite without a time limit."""
-        return float("inf") if self.deadline is None else self.deadline - perf_counter()
+    def ended(self) -> bool:
+        """True once the time is up."""
+        return self.deadline is not None and perf_counter() >= self.deadline
+
+    out_of_time = property(ended)
 
     def used(self, starts: int) -> float:
         """Starts used, or the fraction of the time limit used times the number of starts, whichever is more."""
@@ -53,18 +54,10 @@ class Budget:
         limit = max(self.deadline - self.began, 1e-9)
         return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / limit))
 
-    @property
-    def out_of_time(self) -> bool:
-        """True once the time is up."""
-        return self.remaining <= 0.0
-
-    def ended(self) -> bool:
-        """As `out_of_time`, for what asks it now and then."""
-        return self.out_of_time
-
     def part(self, share: float) -> Budget:
         """The same with that share of the time that is left."""
-        return self if self.deadline is None else replace(self, deadline=perf_counter() + share * self.remaining)
+        now = perf_counter()
+        return self if self.deadline is None else replace(self, deadline=now + share * (self.deadline - now))
 
 
 class Solver(Protocol):

@@ -23,7 +23,7 @@ from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
-from doe.plan.spacing import allowed_value, replicates_allowed, separated, spread_free_joints
+from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange, Fedorov, Gradient
@@ -73,7 +73,6 @@ SOLVERS: dict[str, Solver] = {
     "gradient": Gradient(),
     "ipopt": Ipopt(),
     "random": Random(),
-    "relaxation_rounding": Exchange(climb=Ipopt(warm=True), rounded=True, name="relaxation_rounding"),
     "best_of_random": Random(count=1000, name="best_of_random"),
 }
 
@@ -160,7 +159,10 @@ def solve(
         budget = first if late else whole
         try:
             for name, offer in _offers(problem, runs, chosen, solver is None, seed, begin, budget):
-                postures = separated(problem, problem.clip(offer.postures))
+                postures = spread_free_joints(
+                    problem, problem.clip(offer.postures), np.random.default_rng([seed, runs])
+                )
+                postures = separated(problem, postures)
                 value = allowed_value(problem, postures)
                 done += offer.starts
                 if best is None or (value > best_value and accepted(postures)):
@@ -174,7 +176,7 @@ def solve(
                     status = Status.starts_finished
                 elif budget.may_agree and agreeing >= AGREEMENT:
                     status = Status.agreed
-                elif budget.out_of_time:
+                elif budget.ended():
                     status = Status.time_limit
                 else:
                     continue
@@ -186,9 +188,7 @@ def solve(
         if best is None:
             raise JobError(f"design: no plan that identifies all {p} parameters was found by {chosen.name}")
         best_bound = best_known_bound(problem, runs, whole.ended) if late else best_bound
-        if np.isfinite(best_value):  # else the plan is refused, and no room for it may be left
-            best = spread_free_joints(problem, best, np.random.default_rng([seed, runs]))
-        plan = Plan(problem.clip(best), joint_types=problem.model.joint_types, fit=problem.fit)
+        plan = Plan(best, joint_types=problem.model.joint_types, fit=problem.fit)
         design = Design(problem, plan, best_bound, status, best_name, done, perf_counter() - began)
         if bound is None:
             held = bound_that_holds(problem, best_bound, design.plan.postures, design.value, whole.ended)
@@ -231,7 +231,7 @@ def _offers(
                     plan = np.vstack([some, exchange.begin(problem, 1, runs - fewer, generator)[0]])
                     yield solver.name, Offer(plan)
                     yield solver.name, Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
-                if some is not None or budget.out_of_time:
+                if some is not None or budget.ended():
                     break
             # good postures are few: time may end before those of better plans are moved apart
             yield "random", Offer(random_postures(problem, runs, np.random.default_rng([seed, runs])))
@@ -251,9 +251,10 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
         raise InputError(
             f"runs: {runs} with {problem.parameters} parameters to identify, allowed: at least {problem.fewest_runs}"
         )
-    if (alike := replicates_allowed(problem)) < runs:
+    if problem.choices is None and problem.minimum_distance > 0.0:
         width = problem.comparable(problem.upper - problem.lower)[list(problem.searched_joints)]
-        most = alike * float(np.prod(np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0))
+        each = np.floor(width / problem.minimum_distance * (1.0 + 1e-9)) + 1.0
+        most = places_of_free_joint(problem) * float(np.prod(each))
         if runs + len(problem.kept) > most:
             postures = f"{runs + len(problem.kept)} postures {problem.spacing} apart"
             raise InputError(f"runs: {postures}, allowed: at most {most:.0f} in the limits")

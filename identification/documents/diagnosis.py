@@ -3,7 +3,8 @@ itself with pictures and corrected values too."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
 MOST = 4  # kinds of effects that a verdict spells out
-CANNOT = "What these postures can and cannot show"
 
 
 # -- the verdict -------------------------------------------------------------------------------------------------------
@@ -100,14 +100,14 @@ def likely(data: Data) -> str:
 
 def gap_in_words(data: Data) -> str:
     """The error before and after, where it was held out if it was."""
-    gap, test = data["gap"], data["confirmation"]
+    gap, test, unit = data["gap"], data["confirmation"], data.get("reading_unit", "mm")
     if data["verdict"] == "none" and test is None:
-        return f"The model leaves {in_a_sentence(gap['rms_after_mm'])} mm RMS of the data; no rows were held out."
+        return f"The model leaves {in_a_sentence(gap['rms_after_mm'])} {unit} RMS of the data; no rows were held out."
     if test is None:
-        figures = f"from {in_a_sentence(gap['rms_before_mm'])} to {in_a_sentence(gap['rms_after_mm'])} mm"
+        figures = f"from {in_a_sentence(gap['rms_before_mm'])} to {in_a_sentence(gap['rms_after_mm'])} {unit}"
         return f"On the data, the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
-    figures = f"from {in_a_sentence(test['before_mm'])} to {in_a_sentence(test['after_mm'])} mm"
-    expected = f"{in_a_sentence(test['predicted_mm'])} mm were predicted"
+    figures = f"from {in_a_sentence(test['before_mm'])} to {in_a_sentence(test['after_mm'])} {unit}"
+    expected = f"{in_a_sentence(test['predicted_mm'])} {unit} were predicted"
     return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}; {expected}."
 
 
@@ -196,7 +196,26 @@ def diagnosis_document(
     files : arm and measurements, for the commands of the next steps;  written : the extended model, where it has been
     nominal : RMS distance of the drawing [mm]
     """
-    parts: list[Part] = [missing_section(data, diagnosis), *replication_sections(data)]
+    # what is named, how likely it is, and its values; what is named beside an unknown effect
+    explanations = (list(data["candidates"]) or [data["named"]]) if data["effects"] else []
+    several, figures, estimates = len(data["candidates"]) > 1, [], list[Part]()
+    for c in explanations:
+        chance = "its cause is unknown" if is_described(data) else probability_text(c["probability"])
+        figures.append([" +\n".join(c["effects"]), chance, *(f"{c[key]:.1f}" for key in ("delta_bic", "f"))])
+        estimates.append(estimates_of(c, f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"))
+    named: list[Part] = [*findings(data), as_sentence(likely(data))]
+    named += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
+    named += [Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
+    named += [f"95 % intervals: {diagnosis.named.reliance}."] if diagnosis is not None and explanations else []
+    orders = [
+        [one["effect"], f"{one['range_deg'][1] - one['range_deg'][0]:.0f}", "{} to {}".format(*one["orders"])]
+        for one in data["shapes"]
+    ]
+    headings = ("wave", "joint moved over [deg]", "orders that fit")
+    named.append(Sheet(headings, orders, "Shapes, not causes: waves of other orders fit as well"))
+    parts: list[Part] = [Section("What is missing", named)]
+    if data["replication"]:
+        parts.append(replication_section(data["replication"]))
     parts.append(gap_section(data, diagnosis, nominal))
     if diagnosis is not None:
         arm = diagnosis.extended_arm(diagnosis.named)
@@ -208,57 +227,32 @@ def diagnosis_document(
     if diagnosis is not None:
         how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
         parts.append(Section("Against time and torque", [how, *pictures_of(diagnosis, "against_figure")], folded=True))
-    parts += further_sections(data, diagnosis)
+    parts += further_sections(data)
     title = f"Gap report: {(diagnosis.arm.name if diagnosis else '') or 'arm'}"
     actions = diagnosis_actions(data, files[0], files[1:], written)
     return Document(title, [*diagnosis_verdict(data), gap_in_words(data)], parts, actions, data["warnings"])
 
 
-def pictures_of(diagnosis: Diagnosis | Detectability | None, name: str) -> list[Part]:
+def pictures_of(diagnosis: Diagnosis | None, name: str) -> list[Part]:
     """A picture of documents/pictures.py, or several, of a diagnosis, drawn where they are seen: matplotlib takes
     longer to load than a small diagnosis."""
 
     def draw() -> Sequence[Any]:
-        from identification.documents import pictures
-
-        drawing: Callable[[Any], Any] = getattr(pictures, name)
-        drawn = drawing(diagnosis)
-        return drawn if isinstance(drawn, list) else [drawn]
+        drawn = getattr(import_module("identification.documents.pictures"), name)(diagnosis)
+        return drawn if isinstance(drawn, Sequence) else [drawn]
 
     return [] if diagnosis is None else [Pictures(draw)]
 
 
-def missing_section(data: Data, diagnosis: Diagnosis | None) -> Section:
-    """What is named, how likely it is, and its values; what is named beside an unknown effect."""
-    explanations = (list(data["candidates"]) or [data["named"]]) if data["effects"] else []
-    several, figures = len(data["candidates"]) > 1, []
-    for c in explanations:
-        chance = "its cause is unknown" if is_described(data) else probability_text(c["probability"])
-        figures.append([" +\n".join(c["effects"]), chance, *(f"{c[key]:.1f}" for key in ("delta_bic", "f"))])
-    parts: list[Part] = [*findings(data), as_sentence(likely(data))]
-    parts += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
-    parts.append(Sheet(("effects", "probability", "-2 log odds", "F"), figures))
-    for c in explanations:
-        parts.append(Sheet(*estimate_rows(c), f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"))
-    parts += [f"95 % intervals: {diagnosis.named.reliance}."] if diagnosis is not None and explanations else []
-    orders = [
-        [one["effect"], f"{one['range_deg'][1] - one['range_deg'][0]:.0f}", "{} to {}".format(*one["orders"])]
-        for one in data["shapes"]
-    ]
-    headings = ("wave", "joint moved over [deg]", "orders that fit")
-    parts.append(Sheet(headings, orders, "Shapes, not causes: waves of other orders fit as well"))
-    return Section("What is missing", parts)
-
-
-def estimate_rows(candidate: Data) -> tuple[Sequence[str], list[list[str]]]:
-    """Headings and rows: the parameters of its effects with 95 % intervals, named with their settings."""
+def estimates_of(candidate: Data, title: str) -> Sheet:
+    """The parameters of its effects with 95 % intervals, named with their settings."""
     labels = {key: label for label in candidate["effects"] for key in (label.partition("[")[0], label)}
     rows = []
     for row in candidate["parameters"]:
         owner, _, short = row["name"].rpartition(".")
         figures = (estimate_text(row[key], row["std"], row["unit"]) for key in ("value", "low_95", "high_95"))
         rows.append([f"{labels.get(owner, owner)}.{short}", *figures, unit_or_dash(row["unit"])])
-    return ("parameter", "value", "low 95 %", "high 95 %", "unit"), rows
+    return Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title)
 
 
 def probability_text(p: float | None) -> str:
@@ -266,7 +260,7 @@ def probability_text(p: float | None) -> str:
     return "< 0.01" if p is not None and 0.0 < p < 0.005 else number(p, 2)
 
 
-def replication_sections(data: Data) -> list[Section]:
+def replication_section(effects: Sequence[Data]) -> Section:
     """Each named effect in each session, where there are several."""
     lead = (
         "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
@@ -274,7 +268,7 @@ def replication_sections(data: Data) -> list[Section]:
         "where that is 0.9 or more."
     )
     rows = []
-    for effect, session in ((one, session) for one in data["replication"] for session in one["sessions"]):
+    for effect, session in ((one, session) for one in effects for session in one["sessions"]):
         values = [
             f"{p['name'].rpartition('.')[2]} = {p['value']:.3g} +- {p['std']:.1g} {p['unit']}"
             for p in session["parameters"]
@@ -283,17 +277,17 @@ def replication_sections(data: Data) -> list[Section]:
         fitted = ",\n".join(values) if len(values) <= 3 else ""
         rows.append([effect["effect"], session["session"], fitted, number(session["probability"], 2), answer])
     headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
-    return [Section("Across sessions", [lead, Sheet(headings, rows)])] if rows else []
+    return Section("Across sessions", [lead, Sheet(headings, rows)])
 
 
 def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float | None = None) -> Section:
     """How far model and measurements are apart, before and after: on the data, less outliers, and on rows that no fit
     has seen, and whether the model holds there."""
-    gap, rows, out = data["gap"], data.get("rows"), data["outlier_rows"]
+    gap, rows, out, unit = data["gap"], data.get("rows"), data["outlier_rows"], data.get("reading_unit", "mm")
     sources = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
     noise = "the noise, which is not known"
     if (floor := gap["noise_floor_mm"]) is not None:
-        noise = f"the noise floor {number(floor)} mm, from {sources[gap['noise_floor_from']]}"
+        noise = f"the noise floor {number(floor)} {unit}, from {sources[gap['noise_floor_from']]}"
     figures = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
     counted = "" if rows is None else f"{rows - len(out)} of {rows}" if out else str(rows)
     shown, sentences = [["the data", counted, *figures, ""]], []
@@ -304,13 +298,13 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
         shown.append([f"{kind}: {test['file'] or test['transfer']}", str(test["rows"]), *figures, answer])
         sentences.append(sentence)
     parts: list[Part] = [
-        Sheet(["RMS distance [mm]", "rows", "before", "after", "expected", "holds"], shown),
+        Sheet([f"RMS distance [{unit}]", "rows", "before", "after", "expected", "holds"], shown),
         "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
         f"{noise}; on rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name.",
         *sentences,
         *(f"Scatter: {scatter_in_words(finding)}." for finding in data["scatter"]),
         *([f"Rows left out as outliers: {', '.join(map(str, out))}."] if out else []),
-        *([] if nominal is None else [f"Drawing: {number(nominal)} mm RMS, {DRAWN['base']}."]),
+        *([] if nominal is None else [f"Drawing: {number(nominal)} {unit} RMS, {DRAWN['base']}."]),
         *pictures_of(diagnosis, "gap_figure"),
     ]
     return Section("The gap, before and after", parts)
@@ -373,7 +367,7 @@ def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Secti
     return [Section("Error curves of joints", shown)] if rows else []
 
 
-def further_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Section]:
+def further_sections(data: Data) -> list[Section]:
     """What was tried, what these postures can show, and notes; folded but where nothing is named."""
     other = {" + ".join(one["effects"]): one["probability"] for one in data["other_sets"]}
     chances = [
@@ -396,22 +390,16 @@ def further_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Sec
         Sheet(("effect", "probability", "F alone", "p", "-2 log odds alone"), trials),
     ]
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
-    each = [[name, size_in_words(size)] for name, size in data["excluded"].items()]
     shown: list[Part] = [
         Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data)),
         "Effects smaller than these may still be present. Tip: what the largest of them would move it by, RMS over the "
         "rows.",
-    ]
-    single: list[Part] = [
-        Sheet(("effect", "smallest detectable size (90 % power)"), each, "Every joint by itself"),
         Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish"),
-        *pictures_of(diagnosis and diagnosis.detectability, "alias_figure"),
     ]
-    sections = [Section("Everything that was tried", tried, folded=True)]
-    if data["effects"]:
-        sections.append(Section(CANNOT, [*shown, *single], folded=True))
-    else:
-        sections += [Section(CANNOT, shown), Section(f"{CANNOT}, effect by effect", single, folded=True)]
+    sections = [
+        Section("Everything that was tried", tried, folded=True),
+        Section("What these postures can and cannot show", shown, folded=bool(data["effects"])),
+    ]
     notes = [as_sentence(note) for note in data["notes"]]
     return [*sections, *([Section("Notes", notes)] if notes else [])]
 

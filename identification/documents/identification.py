@@ -77,17 +77,21 @@ def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
     return f"{scatter}: {cause}. The intervals {follows}; {do}"
 
 
-def reading_unit(model: Any) -> str:
-    """Unit of the errors of what has an arm: that of what its instrument reads."""
-    arm = getattr(model, "arm", None)
+def reading_unit(arm: Any) -> str:
+    """Unit of the errors of an arm, None: of no arm: that of what its instrument reads."""
     return "px" if arm is not None and any(c.quantity == "pixel" for c in arm.chain.instrument.coordinates) else "mm"
+
+
+def unit_key(arm: Any) -> dict[str, str]:
+    """`reading_unit` of JSON, where it is not mm."""
+    return {} if (unit := reading_unit(arm)) == "mm" else {"reading_unit": unit}
 
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
     closed = fit.method == "linear" and fit.status is Status.converged
     outcome = "Closed form, the exact global minimum." if closed else fit.status.value
-    unit, tip = reading_unit(fit.model), None
+    unit, tip = reading_unit(fit.arm), None
     if fit.expected_tip is not None:
         doubt = "; but chi2 says that it is not" if fit.misfit else ""
         measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
@@ -136,11 +140,10 @@ def identification_document(result: Identification, data: Data, hidden: frozense
     """
     # of the class of the others: estimation, where it is defined, imports this module
     dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
-    strict = [] if result.geometry is None else result.geometry.strict_table
     rows = [row for row in result.corrected_values if row.parameter not in hidden]
-    sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows, *strict)]
+    sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows)]
     left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
-    others = f"{reading_unit(result.model)} RMS: each posture predicted by a fit to the others, noise included"
+    others = f"{reading_unit(result.arm)} RMS: each posture predicted by a fit to the others, noise included"
     figures: list[tuple[str, str | None]] = [
         *fit_facts(result),
         ("cross-validated", None if left is None else f"{number(left)} {others}"),

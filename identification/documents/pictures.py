@@ -24,6 +24,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.document import Pictures
+from identification.documents.identification import reading_unit
 from identification.effects import Effect
 from identification.error_curve import all_hold
 from identification.estimation.uncertainty import quantile_95
@@ -37,19 +38,25 @@ if TYPE_CHECKING:
     from identification.validate import Validation
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
-MANY = 500  # more points are drawn smaller, as pixels in vector formats
-
-POINTS = 721  # of a line
-FAR = 0.1  # share of the range without rows over which no line is drawn
 READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
+Pairs = Sequence[tuple[Array, str]]  # what two models leave, and their names
 
 
+def dots(axes: Axes, x: Array, pairs: Pairs) -> None:
+    """Values (m,) of two models as points; of very many smaller ones, as pixels in vector formats."""
+    style: dict[str, Any] = {"ms": 1.5, "alpha": 0.25, "rasterized": True} if len(x) > 500 else {"ms": 4, "alpha": 0.7}
+    for (values, name), color in zip(pairs, (BEFORE, AFTER), strict=True):
+        axes.plot(x, values, ".", color=color, **style)
+        axes.plot([], [], ".", color=color, label=name)
+    axes.locator_params(axis="y", nbins=6)
+
+
+# -- signed errors of joints -------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Compared:
     """Residuals (m, d) [mm], measured less computed, of two models at postures (m, n).
 
-    model : the later one;  named : labels of its effects that the earlier one has not; where it has none of these, the
-        line is what lies between the two models, in groups of rows
+    model : the later one;  named : labels of its effects that the earlier one has not
     """
 
     arm: Arm
@@ -61,15 +68,32 @@ class Compared:
     named: Collection[str] = ()
 
     @property
+    def levers(self) -> Array:
+        """(m, d, n) what an error of each joint moves the measured point by [mm/rad, 1]."""
+        return Model(self.arm).joint_levers(self.postures, conditions=self.conditions)[:, POINT]
+
+    @property
     def errors(self) -> tuple[Array, Array]:
         """(m, n) errors of each joint [rad, mm] that the residuals of either model mean."""
-        levers = Model(self.arm).joint_levers(self.postures, conditions=self.conditions)[:, POINT]
+        levers = self.levers
         before, after = (joint_errors(levers, r[:, : levers.shape[1]]) for r in (self.before, self.after))
         return before, after
 
     def pictures(self, before: str, after: str) -> Pictures:
-        """The pictures and how they are read; before, after : the models in words."""
-        return Pictures(lambda: [caption(before, after, self.named), *signed_figures(self)])
+        """The pictures and how they are read; before, after : the models in words, a comma may follow"""
+        how = f"{READ} Red: {before}. Blue: {after}."
+        if at_joints(self.named):
+            how = (
+                f"{READ} Blue: {after}. Red: {before}; but where effects stand above a picture, the blue model without "
+                "these. Line, or the smallest dots: what these effects add, as the model has them. A wave in the red "
+                "dots that the line follows and the blue dots lack is explained."
+            )
+        return Pictures(lambda: [how, *signed_figures(self)])
+
+
+def at_joints(named: Collection[str]) -> list[str]:
+    """Of labels those of effects at a joint: `backlash:2`."""
+    return [label for label in named if ":" in label]
 
 
 def joint_errors(levers: Array, residuals: Array) -> Array:
@@ -80,37 +104,18 @@ def joint_errors(levers: Array, residuals: Array) -> Array:
     return np.divide(along, clear, out=np.zeros_like(along), where=clear > 0.0)
 
 
-def line_between(q: Array, lever: Array, change: Array) -> tuple[Array, Array]:
-    """Angles, and the error of a joint there that the change (m, d) [mm] between two models means: of groups of rows by
-    least squares; broken by NaN where no rows are."""
-    size = int(np.clip(len(q) // 8, 3, 10))  # rows of one point of the line, at most an eighth of all
-    groups = np.array_split(np.argsort(q, kind="stable"), max(1, len(q) // size))
-    weight, along = np.sum(lever**2, axis=1), np.sum(lever * change, axis=1)
-    angles = [float(np.mean(q[g])) for g in groups]
-    errors = [float(along[g].sum() / weight[g].sum()) if weight[g].sum() > 0.0 else np.nan for g in groups]
-    gaps = 1 + np.flatnonzero(np.diff(angles) > FAR * np.ptp(q))
-    return np.insert(angles, gaps, np.nan), np.insert(errors, gaps, np.nan)
-
-
 def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tuple[Array, Array, Array, bool]:
-    """What an effect adds at its joint: (POINTS,) angles over the range of the rows and the errors there, NaN where it
-    is off, in the mean of eight postures; (m, d) what it does to the rows [mm]; whether it is a function of the angle
-    alone, as far as the rows show: a backlash is none.
-
-    A curve acts where all curves hold, and is drawn where there are such rows.
-    """
+    """What an effect adds at its joint: (721,) angles over the range of the rows and the errors there, in the mean of
+    eight postures; (m, d) what it does to the rows [mm]; whether it is a function of the angle alone, as far as the
+    rows show: a backlash is none. A curve acts where all curves hold."""
     assert effect.joint is not None
     joint = effect.joint - 1
     q = rows.postures[:, joint]
-    grid = np.linspace(q.min(), q.max(), POINTS)
+    grid = np.linspace(q.min(), q.max(), 721)
     if effect.curve is not None:
         curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
-        hold = all_hold(curves, rows.postures)
-        places = np.concatenate([[-np.inf], np.sort(q[hold > 0.5]), [np.inf]])
-        after = np.searchsorted(places, grid)
-        near = np.minimum(grid - places[after - 1], places[after] - grid) < FAR * (float(np.ptp(q)) or 1.0)
-        line = np.where(near, effect.curve.at(grid), np.nan)
-        return grid, line, lever * (hold * effect.curve.at(q))[:, None], True
+        moved = lever * (all_hold(curves, rows.postures) * effect.curve.at(q))[:, None]
+        return grid, effect.curve.at(grid), moved, True
     names = {p.name for p in effect.parameters}
     without = np.where([name in names for name in model.names], 0.0, model.values)
 
@@ -119,12 +124,12 @@ def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tupl
         return np.nan_to_num(np.subtract(*position))[:, :dimension]
 
     chosen = rows.postures[np.linspace(0, len(q) - 1, min(len(q), 8)).astype(int)]
-    densely = np.tile(chosen, (POINTS, 1))
+    densely = np.tile(chosen, (len(grid), 1))
     densely[:, joint] = np.repeat(grid, len(chosen))
     levers = model.joint_levers(densely)[:, POINT, joint]
-    along = np.sum(levers * moved_by_it(densely, None, levers.shape[1]), axis=1).reshape(POINTS, -1).sum(axis=1)
-    square = np.sum(levers**2, axis=1).reshape(POINTS, -1).sum(axis=1)
-    line = np.divide(along, square, out=np.zeros(POINTS), where=square > 0.0)
+    along = np.sum(levers * moved_by_it(densely, None, levers.shape[1]), axis=1).reshape(len(grid), -1).sum(axis=1)
+    square = np.sum(levers**2, axis=1).reshape(len(grid), -1).sum(axis=1)
+    line = np.divide(along, square, out=np.zeros(len(grid)), where=square > 0.0)
     moved = moved_by_it(rows.postures, rows.conditions, lever.shape[1])
     left = moved - lever * np.interp(q, grid, line)[:, None]
     # True: its function of the angle is nearly all that the effect does
@@ -132,71 +137,41 @@ def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tupl
 
 
 def signed_figures(rows: Compared) -> list[Figure]:
-    """A picture for each joint: its error by the residuals of both models, and the model's line between the two.
+    """A picture for each joint: its error by the residuals of both models, and what named effects add.
 
     Shown are the named effects that are functions of the joint's angle, as lines, or else those that are not, at rows.
     """
-    model, named = Model(rows.arm), set(rows.named)
-    levers = model.joint_levers(rows.postures, conditions=rows.conditions)[:, POINT]
-    before, after = (values[:, : levers.shape[1]] for values in (rows.before, rows.after))
-    figures = []
-    for j, kind in enumerate(model.joint_types):
+    levers, errors, figures = rows.levers, rows.errors, []
+    effects = [] if rows.model is None else [(rows.model, e) for e in rows.model.effects if e.label in rows.named]
+    black: dict[str, Any] = {"color": "k", "lw": 1.3}
+    for j, kind in enumerate(Model(rows.arm).joint_types):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]
         figure = Figure(figsize=(3.7, 2.5), layout="constrained")
-        axes, q, lever = figure.subplots(), rows.postures[:, j], levers[:, :, j]
-        effects = [] if rows.model is None else [e for e in rows.model.effects if e.joint == j + 1 and e.label in named]
-        shares = {e.label: share_of(rows.model, e, rows, lever) for e in effects if rows.model}
+        axes, q, lever = figure.subplots(), factor * rows.postures[:, j], levers[:, :, j]
+        shares = {e.label: share_of(model, e, rows, lever) for model, e in effects if e.joint == j + 1}
         smooth = {label: share for label, share in shares.items() if share[3]}
-        shares = smooth or shares
-        moved = sum((share[2] for share in shares.values()), np.zeros_like(after))
-        errors = [joint_errors(levers, values)[:, j] for values in (after + moved if shares else before, after)]
-        draw_errors(axes, factor * q, [factor * values for values in errors], ("before", "after"))
-        if smooth:
-            line = np.sum([share[1] for share in shares.values()], axis=0)
-            axes.plot(factor * next(iter(smooth.values()))[0], factor * line, color="k", lw=1.3)
-        elif shares:
-            axes.plot(factor * q, factor * joint_errors(levers, moved)[:, j], "k.", ms=3)
-        elif not at_joints(named):
-            axes.plot(*(factor * values for values in line_between(q, lever, before - after)), color="k", lw=1.3)
-        title = "\n".join(label + ("" if share[2].any() else " (off here)") for label, share in shares.items())
+        before, after = (factor * each[:, j] for each in errors)
+        for grid, *_ in [*smooth.values()][:1]:
+            axes.plot(factor * grid, factor * np.sum([share[1] for share in smooth.values()], axis=0), **black)
+        if shares := smooth or shares:
+            added = factor * joint_errors(levers, np.sum([share[2] for share in shares.values()], axis=0))[:, j]
+            before = after + added
+            if not smooth:
+                axes.plot(q, added, "k.", ms=3)
+        axes.axhline(0.0, color=LIMIT, lw=0.8)
+        dots(axes, q, ((before, "before"), (after, "after")))
+        # the one in a hundred that is farthest does not set the scale
+        scale = 1.25 * max(float(np.percentile(np.abs(values), 99.0)) for values in (before, after)) or 1.0
         # a joint with shorter levers says little
         still = np.linalg.norm(lever, axis=1).max() < 0.02 * rows.arm.reach
-        axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]")
-        axes.set_title("hardly moves the measured point" if still else title, fontsize=9, parse_math=False)
+        axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]", ylim=(-scale, scale))
+        axes.set_title("hardly moves the measured point" if still else "\n".join(shares), fontsize=9, parse_math=False)
         if j == 0:
-            axes.plot([], [], color="k", lw=1.3, label="effects" if at_joints(named) else "change")
+            if at_joints(rows.named):
+                axes.plot([], [], label="effects", **black)
             axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)
         figures.append(figure)
     return figures
-
-
-def at_joints(named: Collection[str]) -> list[str]:
-    """Of labels those of effects at a joint: `backlash:2`."""
-    return [label for label in named if ":" in label]
-
-
-def caption(before: str, after: str, named: Collection[str] = ()) -> str:
-    """How the pictures are read; before, after : the models in words, a comma may follow."""
-    if not at_joints(named):
-        return f"{READ} Red: {before}. Blue: {after}. Line: the difference of the two, in groups of rows."
-    return (
-        f"{READ} Blue: {after}. Red: {before}; but where effects stand above a picture, the blue model without these. "
-        "Line, or the smallest dots: what these effects add, as the model has them. A wave in the red dots that the "
-        "line follows and the blue dots lack is explained."
-    )
-
-
-def draw_errors(axes: Axes, angles: Array, errors: Sequence[Array], names: Sequence[str]) -> None:
-    """Points of two models; the one in a hundred that is farthest does not set the scale."""
-    few: dict[str, Any] = {"ms": 4, "alpha": 0.7}
-    style = few if len(angles) <= MANY else {"ms": 1.5, "alpha": 0.25, "rasterized": True}
-    axes.axhline(0.0, color=LIMIT, lw=0.8)
-    for values, color, name in zip(errors, (BEFORE, AFTER), names, strict=True):
-        axes.plot(angles, values, ".", color=color, **style)
-        axes.plot([], [], ".", color=color, label=name)
-    scale = 1.25 * max(float(np.percentile(np.abs(values), 99.0)) for values in errors) or 1.0
-    axes.set(ylim=(-scale, scale))
-    axes.locator_params(axis="y", nbins=6)
 
 
 # -- residuals ---------------------------------------------------------------------------------------------------------
@@ -205,17 +180,17 @@ def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, 
     views = 1 + (before.shape[1] > 2)
     figure = Figure(figsize=(10.0, 2.6 + 3.6 * views), layout="constrained")
     top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
-    draw_workspace(top, arm, positions, ((before, "before"), (after, "after")))
+    pairs = (before, "before"), (after, "after")
+    draw_workspace(top, arm, positions, pairs)
     (strips,) = bottom.subplots(1, postures.shape[1], sharey=True, squeeze=False)
     for j, axis in enumerate(strips):
-        for residuals, color in ((before, BEFORE), (after, AFTER)):
-            axis.plot(np.degrees(postures[:, j]), distances(residuals), ".", color=color, ms=4, alpha=0.7)
+        dots(axis, np.degrees(postures[:, j]), [(distances(residuals), name) for residuals, name in pairs])
         axis.set(xlabel=f"$q_{j + 1}$ [deg]", yscale="log")
-    strips[0].set_ylabel("residual [mm]")
+    strips[0].set_ylabel(f"residual [{reading_unit(arm)}]")
     return figure
 
 
-def workspace_arrows(arm: Arm, positions: Array, pairs: Sequence[tuple[Array, str]]) -> Figure:
+def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), on one scale."""
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     columns = draw_workspace(figure, arm, positions, pairs)
@@ -228,44 +203,39 @@ def workspace_arrows(arm: Arm, positions: Array, pairs: Sequence[tuple[Array, st
     return figure
 
 
-def draw_workspace(
-    figure: Figure | SubFigure, arm: Arm, positions: Array, pairs: Sequence[tuple[Array, str]]
-) -> list[list[Axes]]:
+def draw_workspace(figure: Figure | SubFigure, arm: Arm, positions: Array, pairs: Pairs) -> list[list[Axes]]:
     """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
     arrow is an eighth of the reach; and where a planar arm stands."""
     dimension, values = pairs[0][0].shape[1], Model(arm).best_known
     stand = [values.get(name, 0.0) for name in arm.chain.base_shift if arm.chain.planar]
-    views = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)]  # from above, in space from the side too
+    views, unit = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)], reading_unit(arm)  # in space from the side too
     grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
     for column, (residuals, name), color in zip(grid.T, pairs, (BEFORE, AFTER), strict=True):
-        title = f"{name}: RMS {rms_distance(residuals):.4g} mm{f', arrows x {scale:.0f}' if dimension > 1 else ''}"
+        title = f"{name}: RMS {rms_distance(residuals):.4g} {unit}{f', arrows x {scale:.0f}' if dimension > 1 else ''}"
         column[0].set_title(title, fontsize=9, parse_math=False)
         for axis, (across, up) in zip(column, views, strict=True):
-            axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
             if dimension == 1:  # lengths, as they are, against what was measured
                 axis.plot(positions[:, 0], residuals[:, 0], ".", color=color, ms=4, alpha=0.7)
-                axis.set(xlabel="measured length [mm]", ylabel="residual [mm]")
+                axis.set(xlabel=f"measured length [{unit}]", ylabel=f"residual [{unit}]")
                 continue
             x, y, along, upward = (v[:, k] for v in (positions, residuals * scale) for k in (across, up))
-            axis.quiver(x, y, along, upward, color=color, rasterized=len(positions) > MANY, **style)
+            axis.quiver(x, y, along, upward, color=color, rasterized=len(positions) > 500, **style)
             axis.update_datalim(np.column_stack([x + along, y + upward]))  # whole arrows
             axis.autoscale_view()
-            axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [mm]", ylabel=f"{'xyz'[up]} [mm]")
+            axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [{unit}]", ylabel=f"{'xyz'[up]} [{unit}]")
             axis.plot(*(stand or ([], [])), "ks", ms=5)
     return [list(column) for column in grid.T]
 
 
-def draw_distances(axis: Axes, x: Array, pairs: Sequence[tuple[Array, str]]) -> None:
-    """Distances (m,) [mm] of two models as points, and their RMS in up to twelve groups of rows as lines."""
-    few: dict[str, Any] = {"ms": 3, "alpha": 0.5}
-    style = few if len(x) <= MANY else {"ms": 1, "alpha": 0.2, "rasterized": True}
+def draw_distances(axis: Axes, x: Array, pairs: Pairs) -> None:
+    """Distances (m,) of two models as points, and their RMS in up to twelve groups of rows as lines."""
+    dots(axis, x, pairs)
     groups = np.array_split(np.argsort(x, kind="stable"), min(12, max(1, len(x) // 4)))
     middle = [np.mean(x[g]) for g in groups]
-    for (values, name), color in zip(pairs, (BEFORE, AFTER), strict=True):
-        axis.plot(x, values, ".", color=color, **style)
-        axis.plot(middle, [np.sqrt(np.mean(values[g] ** 2)) for g in groups], color=color, lw=1.8, label=name)
+    for (values, _), color in zip(pairs, (BEFORE, AFTER), strict=True):
+        axis.plot(middle, [np.sqrt(np.mean(values[g] ** 2)) for g in groups], color=color, lw=1.8)
     axis.set(ylim=(0, None))
 
 
@@ -278,23 +248,22 @@ def validation_figure(result: Validation) -> Figure:
     axis, order = top.subplots(), result.measurements.sequence
     row = np.arange(1.0, len(order) + 1.0)
     draw_distances(axis, row, [(distances(residuals[order]), name) for residuals, name in pairs])
-    axis.set(xlabel="measurement, in order", ylabel="distance [mm]")
+    axis.set(xlabel="measurement, in order", ylabel=f"distance [{reading_unit(result.arm)}]")
     axis.legend(frameon=False, fontsize=8)
     draw_workspace(bottom, result.arm, result.measurements.positions, pairs)
     return figure
 
 
 # -- diagnoses ---------------------------------------------------------------------------------------------------------
-def signed_of(diagnosis: Diagnosis) -> list[Figure | str]:
+def signed_of(diagnosis: Diagnosis) -> Sequence[Figure | str]:
     """Residuals of the data with their sign, against each joint, and how they are read."""
     shown, kept = diagnosis.residuals, rows_kept(diagnosis)
     named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
     postures, before, after = (values[kept] for values in (postures_of(diagnosis), shown.before, shown.after))
     rows = postures, before, after, shown.conditions.rows(kept)
     compared = Compared(diagnosis.arm, *rows, Model(diagnosis.extended_arm()), named)
-    how = f"{READ} Nothing is named: before and after are nearly one model."
-    how = caption("the model without what is named", "the model with what is named", named) if named else how
-    return [how, *signed_figures(compared)]
+    last = "the model with what is named" if named else "the model, of which nothing is named"
+    return compared.pictures("the model without what is named", last).draw()
 
 
 def gap_figure(diagnosis: Diagnosis) -> Figure:
@@ -316,7 +285,7 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
         turn = "[rad]" in name
         values = shown.against[name][kept]
         draw_distances(axis, np.degrees(values) if turn else values, pairs)
-        axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel="residual [mm]")
+        axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel=f"residual [{reading_unit(diagnosis.arm)}]")
 
     return panels([*shown.against], 3, 2.3, draw, sharey=True)
 
@@ -353,7 +322,6 @@ def panels(
     for axis, item in zip(axes, items, strict=False):
         draw(axis, item)
         axis.locator_params(axis="y", nbins=6)
-        axis.tick_params(labelleft=True)  # on a phone the columns stand below each other
     for axis in axes[len(items) :]:
         axis.set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)

@@ -30,8 +30,6 @@ from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
 
 SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
-# formulas of earlier versions -> those of today
-RENAMED = {"bending": "deflections and slopes", "frame_errors": "joint_turns and joint_shifts"}
 
 
 @dataclass(frozen=True)
@@ -170,8 +168,6 @@ class Effect:
 
     def __init_subclass__(cls) -> None:
         cls.family = cls.family or getattr(cls, "name", "")
-        if old := [name for name in RENAMED if hasattr(cls, name)]:
-            raise InputError(f"{cls.__name__}: found {old[0]}, which nothing calls, allowed: {RENAMED[old[0]]}")
 
     def __init__(
         self,

@@ -7,7 +7,7 @@ distinguish from the base parameters are listed, never named (`alias`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -470,8 +470,7 @@ add_effect(
 
 # -- the noise, not the mean: `simulate` applies these, `diagnose` screens for them, models ignore them ----------------
 # each has a method `disturb`, which transforms the (m, d) errors of the measured positions [mm], in the order of the
-# arm file; values : short name of a parameter -> its value, as given in the arm file; nothing is estimated
-Values = Mapping[str, float]
+# arm file; values : of its parameters as given in the arm file, else 0; nothing is estimated
 of_noise = partial(add_effect, scatter=True)
 
 
@@ -482,27 +481,29 @@ class Scene(NamedTuple):
     levers: Array  # (m, d, n) derivative of the tip by each joint angle [mm/rad]
     time: Array  # (m,) -0.5..0.5 over the session
     sigma: float  # of the instrument [mm]
+    generator: np.random.Generator
 
 
-def _far_off(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
+def _far_off(self: Effect, errors: Array, scene: Scene, values: Sequence[float]) -> Array:
     """A share of the rows in directions uniform over all; of lengths longer or shorter."""
-    count = round(values.get("share", 0.0) * len(errors))
-    rows = generator.choice(len(errors), count, replace=False)
+    (share, size), draw = values, scene.generator
+    count = round(share * len(errors))
+    rows = draw.choice(len(errors), count, replace=False)
     width = min(self.chain.dimension, errors.shape[1])  # a length is one number
     if width == 2:
-        angle = generator.uniform(0.0, 2.0 * np.pi, count)
+        angle = draw.uniform(0.0, 2.0 * np.pi, count)
         directions = np.column_stack([np.cos(angle), np.sin(angle)])
     else:
-        drawn = generator.standard_normal((count, width))
+        drawn = draw.standard_normal((count, width))
         directions = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
     changed = errors.copy()
-    changed[rows, :width] += values.get("size", 0.0) * scene.sigma * directions
+    changed[rows, :width] += size * scene.sigma * directions
     return changed
 
 
-def _correlated(self: Effect, errors: Array, scene: Scene, values: Values, generator: np.random.Generator) -> Array:
+def _correlated(self: Effect, errors: Array, scene: Scene, values: Sequence[float]) -> Array:
     """Each row with a part of the one before."""
-    rho, changed = values.get("rho", 0.0), errors.copy()
+    (rho,), changed = values, errors.copy()
     for i in range(1, len(errors)):
         changed[i] = rho * changed[i - 1] + np.sqrt(1.0 - rho**2) * errors[i]
     return changed
@@ -514,10 +515,9 @@ of_noise(
     "A joint does not come to rest at the same angle: the tip scatters along the joint's lever.",
     [Number("std", "rad", 5e-5, LEVER, 0.0)],  # typical: repeatability of 0.05 mm at 1 m (ISO 9283)
     per_joint="required",
-    disturb=lambda self, errors, scene, values, generator: (
+    disturb=lambda self, errors, scene, values: (
         errors
-        + scene.levers[:, :, self.joint_index]
-        * (values.get("std", 0.0) * generator.standard_normal(len(errors)))[:, None]
+        + scene.levers[:, :, self.joint_index] * values[0] * scene.generator.standard_normal(len(errors))[:, None]
     ),
 )
 of_noise(
@@ -526,9 +526,8 @@ of_noise(
     "The scatter grows with the distance from the base: errors times sqrt(1 + (g |p| / reach)^2).",
     # typical: error half constant, half proportional to the distance: sqrt(2) at full reach
     [Number("g", "1", 1.0, lower=0.0)],
-    disturb=lambda self, errors, scene, values, generator: (
-        errors
-        * np.hypot(1.0, values.get("g", 0.0) * np.linalg.norm(scene.positions, axis=1, keepdims=True) / self.reach)
+    disturb=lambda self, errors, scene, values: (
+        errors * np.hypot(1.0, values[0] * np.linalg.norm(scene.positions, axis=1) / self.reach)[:, None]
     ),
 )
 of_noise(
@@ -536,7 +535,7 @@ of_noise(
     "scatter changes during the session",
     "The scatter changes during the session: errors times exp(g t).",
     [Number("g", "1", 0.5)],  # typical: scatter changes by exp(0.5) = 1.6 over the session
-    disturb=lambda self, errors, scene, values, generator: errors * np.exp(values.get("g", 0.0) * scene.time)[:, None],
+    disturb=lambda self, errors, scene, values: errors * np.exp(values[0] * scene.time)[:, None],
 )
 of_noise(
     "outliers",

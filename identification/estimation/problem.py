@@ -139,7 +139,7 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
         for need, lacks, what in (
             ("temperature", measurements.temperature is None, "the column temperature_C, the measurements have none"),
             ("gravity", model.arm.gravity is None, "gravity torques"),
-            ("distance", "distance" not in model.arm.offers, "measured distances"),
+            ("distance", "distance" not in model.arm.chain.instrument.offers, "measured distances"),
         ):
             if lacks and need in effect.needs:
                 raise InputError(f"effects: {effect.key} needs {what}, allowed: {SOURCES[need]}")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, frame_of_rows, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
@@ -51,10 +51,7 @@ DH_MEANING = {  # unit, and what the number of a row of the table means
     ),
 }
 # keys of the JSON of a fit that a calibration has elsewhere or is read without
-NOT_KEPT = (
-    "parameters p_value status warnings outlier_rows unexplained_rows clusters base tools geometry joint_offsets "
-    "strict_table"
-)
+NOT_KEPT = "parameters p_value status warnings outlier_rows unexplained_rows clusters base tools geometry joint_offsets"
 Values = Mapping[str, float]  # parameter name -> value [API unit]
 
 
@@ -287,9 +284,9 @@ class Identification(Documented):
             for p, *figures in rows
         ]
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """`corrected_values` as a frame, polars or pandas."""
-        return frame_of_rows([row.to_json() for row in self.corrected_values], kind)
+    def to_frame(self) -> Any:
+        """`corrected_values` as a frame."""
+        return as_frame([row.to_json() for row in self.corrected_values])
 
     def document(self) -> Document:
         """The parameters with their intervals, and how well the model fits."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
-from identification.arrays import Array, ByValue, frame_of_columns, readonly
+from identification.arrays import Array, ByValue, as_frame, readonly
 from identification.conditions import directions_from_order, gaps_of
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
@@ -384,10 +384,10 @@ class Plan(ByValue):
         scaled = displayed * [next(iter(each.values())) for each in units]
         return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """A row for each posture, as in a plan file; polars or pandas."""
+    def to_frame(self) -> Any:
+        """A row for each posture, as in a plan file."""
         columns: dict[str, Any] = {"run": range(1, len(self) + 1), **self.columns}
-        return frame_of_columns(columns if self.weights is None else columns | {"weight": self.weights}, kind)
+        return as_frame(columns if self.weights is None else columns | {"weight": self.weights})
 
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""

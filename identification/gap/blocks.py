@@ -233,7 +233,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     given : conditions that the data have beyond `BY_ORDER`: `temperature`
     rows : the data, on which scanned settings may depend; None: settings that suit any data
     """
-    available = set(BY_ORDER | (given & {"temperature"})) | arm.offers
+    available = set(BY_ORDER | (given & {"temperature"})) | arm.chain.instrument.offers
     available -= FOLLOWING if rows is not None and not rows.conditions.follow else set()
     available |= set() if arm.gravity is None else {"gravity"}
     known, base = of_dimension(arm.dimension), Model(arm)

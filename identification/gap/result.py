@@ -22,10 +22,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
-from identification.arrays import Array, frame_of_rows, readonly
+from identification.arrays import Array, as_frame, readonly
 from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
+from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, quantile_95, uncertainty
@@ -478,13 +479,14 @@ class Diagnosis(Documented):
             "degrees_of_freedom": self.detectability.freedom,
             "trials": [trial._asdict() for trial in self.trials],
             "predicting": [spec.key for spec in self.predicting.specs],
+            **unit_key(self.arm),
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
 
-    def to_frame(self, kind: str = "polars") -> Any:
-        """Data frame with a row for each parameter of each candidate;  kind : `polars` or `pandas`."""
+    def to_frame(self) -> Any:
+        """Data frame with a row for each parameter of each candidate."""
         sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
-        return frame_of_rows([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters], kind)
+        return as_frame([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters])
 
     def document(
         self,

@@ -328,7 +328,7 @@ def constant_length(arm: Arm, measurements: Measurements, fit: Identification | 
 
     fit : without it, None: there is none
     """
-    settled = "distance" not in arm.offers or any(spec.name == LENGTH_OFFSET for spec in arm.effects)
+    settled = "distance" not in arm.chain.instrument.offers or any(spec.name == LENGTH_OFFSET for spec in arm.effects)
     if settled or fit is None or fit.dof <= doubts.SPARE or rms_distance(fit.residuals_after) < NOTHING:
         return []
     wider = replace(arm, calibration=None).with_effects(*arm.effects, EffectSpec(LENGTH_OFFSET))

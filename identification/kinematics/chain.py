@@ -50,7 +50,8 @@ from identification.vectorized import Evaluate, vectorize
 
 DIMENSION = 3  # of space
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
-Values = Mapping[str, ca.SX | float]  # parameter name -> value
+Values = Mapping[str, ca.SX | float]  # parameter name -> value [mm, rad]; what is not there is zero
+Numbers = Mapping[str, float]
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 Complex = NDArray[np.complex128]
 Solver = Callable[[Array], tuple[Array, Array]]
@@ -349,13 +350,10 @@ class KinematicChain(ByValue):
         measured = self.measured(self.frames(q, values)[-1], values)
         return _of_marker([ca.vec(frame.axes) for frame in measured], marker)
 
-    def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
+    def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
-        *frames, _, measured = self._in_base(q, self._named(values))
+        *frames, _, measured = self._in_base(q, values)
         return [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
-
-    def _named(self, values: ArrayLike) -> dict[str, float]:
-        return self.parameters().mapping(values)
 
     def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
@@ -363,32 +361,18 @@ class KinematicChain(ByValue):
         frames = at_home.frames(q, {name: value for name, value in values.items() if not name.startswith("base.")})
         return [*frames, self.measured(frames[-1], values)[0]]
 
-    # -- numbers -------------------------------------------------------------------------------------------------------
-    def points(self, postures: Array, values: Array) -> Array:
+    # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
+    def points(self, postures: Array, values: Numbers) -> Array:
         """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
-        return np.swapaxes(_points(self, tuple(np.asarray(values, dtype=float).tolist()))(postures)[0], -1, -2)
+        return np.swapaxes(_points(self, tuple(values.items()))(postures)[0], -1, -2)
 
-    def joint_frames(self, values: Array) -> Callable[[Array], Array]:
-        """What gives the frames (..., n + 1, 4, 4) [mm] at postures (..., n), in that of the base: each of a joint
-        after it moved, and the tip's with the first measured point as its origin.
+    def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
+        """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
+        return self.frames_at(values)(postures)[..., -2, :, :]
 
-        values : of the parameters, in their order
-        """
-        poses = self._poses(self._named(values))
-
-        def at(postures: Array) -> Array:
-            frames = poses(postures)
-            frames[..., -2, :3, 3] = frames[..., -1, :3, 3]
-            return frames[..., 1:-1, :, :]
-
-        return at
-
-    def tip_frames(self, postures: Array, values: Mapping[str, float] = NOTHING) -> Array:
-        """(m, 4, 4) poses of the tip in the base at postures (m, n), with errors of the geometry by name."""
-        return self._poses(values)(postures)[..., -2, :, :]
-
-    def _poses(self, values: Mapping[str, float]) -> Callable[[Array], Array]:
-        """What gives `_in_base` (..., n + 3, 4, 4) at postures (..., n)."""
+    def frames_at(self, values: Numbers) -> Callable[[Array], Array]:
+        """What gives the frames (..., n + 3, 4, 4) [mm] at postures (..., n), in that of the base: base, each joint
+        after it moved, tip, and the first measured point or frame."""
         compiled = _frames(self, tuple(values.items()))
 
         def at(postures: Array) -> Array:
@@ -402,9 +386,9 @@ class KinematicChain(ByValue):
 
 
 @lru_cache(maxsize=32)  # compiled once, used in every search; without axes a fifth of the time of `_frames`
-def _points(chain: KinematicChain, values: tuple[float, ...]) -> Evaluate:
+def _points(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
     q = ca.SX.sym("q", len(chain))
-    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, np.array(values))))
+    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, dict(values))))
     return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
 
 
@@ -479,7 +463,7 @@ class PlanarChain(KinematicChain):
     def link_lengths(self, values: ca.SX) -> ca.SX:
         return super().link_lengths(values) + values[: len(self)]
 
-    def symbolic_points(self, q: ca.SX, values: Array) -> list[ca.SX]:
+    def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 1 points (2,), since joint 1 is the base."""
         return [point[:2] for point in super().symbolic_points(q, values)[1:]]
 

@@ -15,14 +15,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.chain import BASE, NOTHING, STANDARD, TOOL, DHRow, Joint, KinematicChain
+from identification.kinematics.chain import BASE, NOTHING, STANDARD, TOOL, DHRow, Joint, KinematicChain, Numbers
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import (
     X,
@@ -38,8 +38,6 @@ from identification.kinematics.frames import (
     tool_tables,
 )
 from identification.kinematics.parameters import JOINT_OFFSET, REVOLUTE, error_names
-
-Numbers = Mapping[str, float]  # parameter name -> value [mm, rad]; what is not there is zero
 
 
 def _moved(joint: Joint, q: float) -> Array:
@@ -136,30 +134,6 @@ class CorrectedGeometry:
         they are known."""
         return dict(self.real.tool_axes) if self.chain.angle_scale is not None and self.tools else {}
 
-    @property
-    def strict_table(self) -> list[str]:
-        """Why a Denavit-Hartenberg table of the corrected geometry is of no use, in sentences; empty: it is."""
-        sentences, frame, axes = [], np.eye(4), list[tuple[Array, Array] | None]()
-        for joint in self.real.joints:
-            frame = frame @ joint.origin
-            axes.append((frame[:3, 3], frame[:3, :3] @ joint.axis) if joint.type == REVOLUTE else None)
-        for j, (one, other) in enumerate(pairwise(axes), start=1):
-            if one is None or other is None:
-                continue
-            cross, between = np.cross(one[1], other[1]), other[0] - one[0]
-            if (sine := float(np.linalg.norm(cross))) <= 1e-12:  # parallel but for rounding
-                continue
-            # how far from the two joints' frames the common normal stands along their axes
-            distance = max(abs(float(np.cross(between, axis) @ cross)) / sine**2 for axis in (other[1], one[1]))
-            angle = np.degrees(np.arctan2(sine, abs(one[1] @ other[1])))
-            if distance > self.chain.reach:
-                sentences.append(
-                    f"the axes of joints {j} and {j + 1} are {angle:.2g} deg from parallel and their common normal "
-                    f"{distance / 1000.0:.3g} m away: a strict Denavit-Hartenberg table would have it as d; "
-                    "use this table of six numbers, or the URDF"
-                )
-        return sentences
-
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys")."""
         n, offsets = len(self.chain), []
@@ -169,7 +143,7 @@ class CorrectedGeometry:
             value = float(shares[j - 1] @ [self.values.get(f"{JOINT_OFFSET}:{i}", 0.0) for i in range(1, n + 1)])
             value, unit = (float(np.degrees(value)), "deg") if kind == REVOLUTE else (value, "mm")
             offsets.append({"joint": j, "unit": unit, "value": value, "command": 0.0 - value})
-        return {**self.tables(), "joint_offsets": offsets, "strict_table": self.strict_table}
+        return {**self.tables(), "joint_offsets": offsets}
 
     def tables(self) -> dict[str, Any]:
         """The keys `base`, `tools` and `geometry` of these."""

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from identification.arrays import Array
-from identification.errors import InputError
+from identification.errors import require
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS, PRISMATIC, REVOLUTE
 
 TURN = 2.0 * np.pi
@@ -47,16 +47,16 @@ class Counting:
     def __post_init__(self) -> None:
         n = len(self.sign)
         for name, values in (("coupled_to", self.coupled_to), ("zero_deg", self.zero)):
-            _require(len(values) == n, f"{name}: found {len(values)} values, allowed: {n}")
+            require(len(values) == n, f"joints.{name}: found {len(values)} values, allowed: {n}")
         for j, (sign, other) in enumerate(zip(self.sign, self.coupled_to, strict=True), start=1):
-            _require(sign in (1, -1), f"sign: found {sign} for joint {j}, allowed: 1 or -1")
+            require(sign in (1, -1), f"joints.sign: found {sign} for joint {j}, allowed: 1 or -1")
             fits = abs(other) <= n and abs(other) != j
-            _require(fits, f"coupled_to: found {other} for joint {j}, allowed: another joint, 1 to {n}, or 0")
+            require(fits, f"joints.coupled_to: found {other} for joint {j}, allowed: another joint, 1 to {n}, or 0")
         for j in range(1, n + 1):
             passed, at = {j}, j
             while at := abs(self.coupled_to[at - 1]):
                 circle = f"found a circle through joint {at}"
-                _require(at not in passed, f"coupled_to: {circle}, allowed: joints that lead to one with 0")
+                require(at not in passed, f"joints.coupled_to: {circle}, allowed: joints that lead to one with 0")
                 passed.add(at)
 
     @classmethod
@@ -159,17 +159,14 @@ def in_joints(columns: Array, kinds: Any) -> Array:
 def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:
     """Raises `InputError` for another number of joints, turning joints coupled to sliding ones, zeros of these."""
     n = len(kinds)
-    _require(len(counting.sign) == n, f"sign: found {len(counting.sign)} values, allowed: {n}, one for each joint")
+    require(
+        len(counting.sign) == n, f"joints.sign: found {len(counting.sign)} values, allowed: {n}, one for each joint"
+    )
     for j, (kind, other, zero) in enumerate(zip(kinds, counting.coupled_to, counting.zero, strict=True), start=1):
         alike = not other or kinds[abs(other) - 1] == kind
-        _require(alike, f"coupled_to: found {other} for joint {j}, which is {kind}, allowed: a joint of its kind")
+        require(alike, f"joints.coupled_to: found {other} for joint {j}, which is {kind}, allowed: a joint of its kind")
         held_zero = f"zero_deg: found {np.degrees(zero):g} for joint {j}, which is {kind}"
-        _require(kind != PRISMATIC or zero == 0.0, f"{held_zero}, allowed: 0")
-
-
-def _require(condition: bool, message: str) -> None:
-    if not condition:
-        raise InputError(f"joints.{message}")
+        require(kind != PRISMATIC or zero == 0.0, f"joints.{held_zero}, allowed: 0")
 
 
 def turned_into(postures: Array, lower: Array, upper: Array, joint_types: Sequence[str], slack: float = 0.0) -> Array:
@@ -196,14 +193,8 @@ def joint_range(postures: Array, joint_types: Sequence[str]) -> dict[str, list[l
 
 
 def range_of(provenance: Mapping[str, Any], joint_types: Sequence[str]) -> Array | None:
-    """(2, n) least and largest positions [rad, mm] that `joint_range` wrote; None where they are not there.
-
-    Files written before slides had a key of their own list all joints in the other one, a slide's millimetres times
-    180 / pi.
-    """
+    """(2, n) least and largest positions [rad, mm] that `joint_range` wrote; None where they are not there."""
     slides = np.array([kind == PRISMATIC for kind in joint_types], dtype=bool)
-    if KEYS[PRISMATIC] not in provenance:
-        slides = np.zeros_like(slides)
     ends = np.empty((2, len(slides)))
     for kind, of_kind in ((REVOLUTE, ~slides), (PRISMATIC, slides)):
         count = int(of_kind.sum())

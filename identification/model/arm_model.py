@@ -305,12 +305,13 @@ class Model:
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
         """Points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
-        return self.arm.chain.symbolic_points(q, self._geometry_values)
+        return self.arm.chain.symbolic_points(q, self.geometry)
 
     @cached_property
-    def _geometry_values(self) -> Array:
+    def geometry(self) -> dict[str, float]:
         """Best known values of `geometry_parameters`."""
-        return self.geometry_parameters.vector(self.best_known)
+        known = self.best_known
+        return {name: known[name] for name in self.geometry_parameters.names}
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
@@ -365,7 +366,7 @@ class Model:
 
         In the frame of the base, without effects: for constraints and pictures; `position` is what is measured.
         """
-        return self.arm.chain.points(self._postures(postures), self._geometry_values)
+        return self.arm.chain.points(self._postures(postures), self.geometry)
 
     def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
         """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""

@@ -156,7 +156,7 @@ def test_information_is_that_of_finite_differences(name: str, parameters: int) -
 
 
 # -- exact plans -------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("solver", ["exchange", "exchange_ipopt", "ipopt", "relaxation_rounding", "random"])
+@pytest.mark.parametrize("solver", ["exchange", "exchange_ipopt", "ipopt", "random"])
 def test_solvers(solver: str) -> None:
     problem = spatial()
     design = solve(problem, RUNS, solver, starts=3, seed=1, bound=continuous().bound)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
-import polars as pl
 import pytest
 
 from identification import Plan
 from identification.arm import Arm, Calibration, EffectSpec
-from identification.arrays import frame_of_columns, frame_of_rows
 from identification.compensate import compensate
-from identification.errors import InputError
 from identification.estimation import estimate
 from identification.model import Model
 from tests.identification.estimation.cases import arm, data, plan
@@ -46,12 +41,3 @@ def test_a_plan_and_an_arm_in_a_notebook() -> None:
     assert "backlash:2" in shown
     assert shown.count("<tr>") == 3
     assert "-180 deg" in shown
-
-
-def test_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert isinstance(frame_of_rows([]), pl.DataFrame)
-    with pytest.raises(InputError, match="unknown kind 'excel', allowed: polars or pandas"):
-        frame_of_columns({}, "excel")
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="pandas is not installed"):
-        frame_of_columns({"a": [1]}, "pandas")

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.bounds.column_generation import optimal_weights
-from doe.bounds.weights import interior_point_weights, minus_hessian, proper_weights, solve_program, sparsest
-from doe.criteria import A, Criterion, D, Ds, E, I
+from doe.bounds.weights import interior_point_weights, proper_weights, solve_program, sparsest
+from doe.criteria import A, Criterion, D, Ds, E
 from doe.problem.problem import PriorInformation
 from identification.arrays import Array
 from identification.errors import InputError, JobError
@@ -77,20 +77,6 @@ def test_a_part_of_the_runs_is_fixed() -> None:
     assert mine == pytest.approx(w, abs=1e-3)  # the multiplicative algorithm is slow near zero weights
     g = prior.sensitivities(jacobians, gradient)
     assert g.max() - mine @ g <= 1e-10
-
-
-@pytest.mark.parametrize("runs", [0.0, 2.0])
-def test_curvature_without_the_matrices_of_postures(runs: float) -> None:
-    """D^2 Phi(M)[F_i, F_j] of the criteria's own formula, with and without something known."""
-    generator = np.random.default_rng(5)
-    jacobians = random_jacobians(generator, 6, 2, 4)
-    known = np.einsum("kda,kdb->ab", jacobians[:3], jacobians[:3]) * (runs > 0.0)
-    prior = PriorInformation(known, runs)
-    weights = np.full(6, 1.0 / 6.0)
-    information = prior.mixture(jacobians, weights)
-    for criterion in (D(), A(), Ds((0,)), I(random_jacobians(generator, 5, 2, 4))):
-        expected = criterion.curvature(information, prior.information(np.swapaxes(jacobians, 1, 2) @ jacobians))
-        assert -minus_hessian(jacobians, weights, criterion, prior) == pytest.approx(expected, rel=1e-10)
 
 
 # -- the convex program ------------------------------------------------------------------------------------------------

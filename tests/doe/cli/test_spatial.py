@@ -95,7 +95,7 @@ def moved(joint: object, x: float) -> np.ndarray:
 
 def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
     found = spatial.said(f"{IDENTIFY} --urdf corrected.urdf")
-    assert set(found) >= {"base", "tools", "geometry", "joint_offsets", "strict_table"}
+    assert set(found) >= {"base", "tools", "geometry", "joint_offsets"}
     assert found["rms_after_mm"] < 0.04
     assert set(found["tools"]) == {"top", "side"}
     truth, arm = (load_arm(spatial.path / f"{name}.toml") for name in ("truth", "calibrated"))

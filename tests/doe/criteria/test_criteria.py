@@ -36,7 +36,7 @@ P = 6
 POSES = np.random.default_rng(42).normal(size=(5, 2, P))
 ALL: dict[str, Criterion] = {
     "D": D(), "A": A(), "E": E(), "I": I(POSES), "Ds": Ds((0, 3)), "Dstar": DStar(((0, 1, 2), (3, 4, 5))),
-    "mean 3": PowerMean(3.0), "mean 8": PowerMean(8.0), "mean 32": PowerMean(32.0),
+    "mean 3": PowerMean(3), "mean 8": PowerMean(8), "mean 32": PowerMean(32),
 }  # fmt: skip
 SMOOTH = {name: c.smooth for name, c in ALL.items() if name != "E"}
 each = pytest.mark.parametrize("phi", ALL.values(), ids=ALL)
@@ -112,7 +112,7 @@ def test_curvature(phi: Criterion, seed: int) -> None:
 def test_curvature_of_a_power_mean_where_eigenvalues_meet() -> None:
     """At the identity every eigenvalue is the same: the quotient in the formula is a limit."""
     directions = np.array([random_direction(np.random.default_rng(s)) for s in range(3)])
-    phi, step = PowerMean(32.0), 1e-5
+    phi, step = PowerMean(32), 1e-5
     changes = [
         (phi.gradient(np.eye(P) + step * x) - phi.gradient(np.eye(P) - step * x)) / (2 * step) for x in directions
     ]
@@ -162,8 +162,8 @@ def test_gain_of_adding_a_block(phi: Criterion) -> None:
 
 def test_stand_ins_of_criteria_without_derivatives() -> None:
     """Gradient methods climb Phi_32 instead of E, exchange compares by Phi_8; a smooth criterion stands for itself."""
-    assert E().smooth == PowerMean(32.0)
-    assert E().surrogate == PowerMean(8.0)
+    assert E().smooth == PowerMean(32)
+    assert E().surrogate == PowerMean(8)
     assert D().smooth == D().surrogate == D()
 
 
@@ -187,7 +187,7 @@ HALF = 1e-6  # a share of the largest singular value that its square, in double 
 def criteria(p: int) -> dict[str, Criterion]:
     halves = (tuple(range(p // 2)), tuple(range(p // 2, p)))
     poses = np.random.default_rng(7).normal(size=(5, 2, p))
-    return {"D": D(), "A": A(), "E": E(), "I": I(poses), "Ds": Ds((0,)), "Dstar": DStar(halves), "mean": PowerMean(8.0)}
+    return {"D": D(), "A": A(), "E": E(), "I": I(poses), "Ds": Ds((0,)), "Dstar": DStar(halves), "mean": PowerMean(8)}
 
 
 @st.composite

@@ -20,9 +20,7 @@ from doe.discrimination.design import (
     MisidentificationBound,
     Swaps,
     discrimination_design,
-    off_the_limits,
     pool_of,
-    turning,
 )
 from doe.problem.problem import DesignProblem
 from doe.report import design as report
@@ -416,14 +414,3 @@ def test_the_best_of_all_plans_of_a_small_list() -> None:
     assert len(every) > 1
     assert found.wrong == pytest.approx(min(1.0, *every.values()), rel=1e-3)
     assert found.wrong <= found.best_wrong
-
-
-def test_a_slide_is_moved_off_its_limits_and_never_goes_round() -> None:
-    rows = [*ROWS[:2], DHRow(0.0, 0.0, 100.0, 0.0, "prismatic", (0.0, 500.0))]
-    arm = Arm(replace(chain_of(rows), tools={"a": TOOLS["a"]}), sigma=0.05)
-    problem = DesignProblem.of(Model(arm))
-    assert turning(problem).tolist() == [True, True, False]
-    corners = np.column_stack([np.zeros((12, 2)), np.tile([0.0, 500.0], 6)])
-    moved = off_the_limits(problem, corners, -np.inf, np.random.default_rng(1))[:, 2]
-    assert np.all((moved >= 0.0) & (moved <= 500.0))
-    assert np.abs(moved - corners[:, 2]).max() > 20.0  # some of 30 degrees of a range that counts as a turn

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from doe.criteria import criterion
-from doe.plan import spacing
-from doe.plan.spacing import distance_to_keep, neighbor_counts, separated, spread_free_joints, too_near, with_additions
+from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
@@ -48,10 +47,9 @@ def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
 
 def test_a_free_joint_sets_postures_apart() -> None:
     case = problem(FOUR)
-    assert distance_to_keep(case, 20) == 0.0
-    assert distance_to_keep(case, 1000) == 0.0
+    assert distance_to_keep(case) == 0.0
     tied = problem(NARROW, OFFSET)  # a base offset: every joint plays a part
-    assert distance_to_keep(tied, 20) == tied.minimum_distance
+    assert distance_to_keep(tied) == tied.minimum_distance
     design = solve(case, 16)
     assert smallest_gap(design.plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
 
@@ -60,11 +58,11 @@ def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> N
     """Joint 1 turns by 3.5 deg: three alike postures may stay, the others are moved in the joints that matter."""
     arm = Arm(FOUR.lengths, np.r_[0.0, FOUR.lower[1:]], np.r_[np.radians(3.5), FOUR.upper[1:]])
     case = problem(arm)
-    alike = np.tile((arm.lower + arm.upper) / 2, (5, 1))
-    assert too_near(case, alike).tolist() == [3, 4]
-    spread = spread_free_joints(case, separated(case, alike), np.random.default_rng(0))
-    assert smallest_gap(spread) >= np.radians(1.0) * (1 - 1e-9)
-    assert np.all((spread >= arm.lower) & (spread <= arm.upper))
+    spread = spread_free_joints(case, np.tile((arm.lower + arm.upper) / 2, (5, 1)), np.random.default_rng(0))
+    assert too_near(case, spread).tolist() == [3, 4]
+    apart = separated(case, spread)
+    assert smallest_gap(apart) >= np.radians(1.0) * (1 - 1e-9)
+    assert np.all((apart >= arm.lower) & (apart <= arm.upper))
 
 
 def test_measured_postures_are_not_repeated() -> None:
@@ -73,20 +71,14 @@ def test_measured_postures_are_not_repeated() -> None:
     assert smallest_gap(np.vstack([design.plan.postures, kept])) >= np.radians(1.0) * (1 - 1e-9)
 
 
-def test_long_plans_are_compared_by_a_tree(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neighbors are those of all pairs; of rows that are too near each other one is found at least."""
-    generator = np.random.default_rng(0)
-    points = generator.uniform(0.0, 1.0, (300, 2))
-    near = np.abs(points[:, None] - points).max(axis=2) < 0.02
-    np.testing.assert_array_equal(neighbor_counts(points, 0.02), near.sum(axis=1) - 1)
-    case = problem(NARROW, OFFSET)
-    few = generator.uniform(case.lower, case.upper, (400, 2))
-    exact = too_near(case, few)
-    monkeypatch.setattr(spacing, "CHUNK", 10)
-    by_tree = too_near(case, few)
-    assert set(exact.tolist()) <= set(by_tree.tolist())
-    assert len(exact)
-    assert not len(too_near(case, np.delete(few, exact, axis=0)))
+@pytest.mark.parametrize("rows", [150, 400])
+def test_repeats_are_those_of_all_pairs(rows: int) -> None:
+    case = problem(NARROW, OFFSET, kept=np.zeros((3, 2)))
+    plan = np.random.default_rng(0).uniform(case.lower, case.upper, (rows, 2))
+    plan[5] = 0.0
+    every = np.concatenate([case.kept, plan])
+    near = [k for k in range(rows) if np.abs(every[: 3 + k] - plan[k]).max(axis=1).min() < np.radians(1.0)]
+    assert too_near(case, plan).tolist() == near
 
 
 # -- additions ---------------------------------------------------------------------------------------------------------

@@ -133,15 +133,6 @@ def test_bends_are_differences_of_slopes(clearance: Clearance, postures: Array) 
     assert wrong.mean() < 0.1  # kinks, where other pieces become the nearest
 
 
-def test_a_pair_alone_is_as_far_apart_as_among_all(clearance: Clearance, postures: Array) -> None:
-    whole = clearance.distance(postures)
-    for k, pair in enumerate(clearance.pairs):
-        alone = clearance.of_pair(k)
-        assert alone.pairs == (pair,)
-        np.testing.assert_array_equal(alone.distance(postures)[:, 0], whole[:, k])
-        np.testing.assert_array_equal(alone.levers()[0], clearance.levers()[k])
-
-
 def test_walls_of_bodies_alone(arm: Arm, postures: Array) -> None:
     """Without any expression beside them."""
     (clearance,) = constraints_of(Model(arm))

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from doe.bounds.certificate import Bound
-from doe.bounds.planar_theorem import closed_form_log_det
 from doe.problem.postures import random_postures
 from doe.solvers import Exchange, Fedorov, Gradient, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm
 from identification.errors import InputError
-from tests.doe.arms import FIVE, FOUR, OFFSET, problem
+from tests.doe.arms import FOUR, OFFSET, problem
 from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
 from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis
 
@@ -112,7 +111,7 @@ NONE = Bound(np.inf, "continuous")
 def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
     """Six axes, one reflector; 0.995 is the aim, and a random plan has 0.87."""
     problem = six_axis()
-    design = solve(problem, 30, Gradient(count=2), seed=2)
+    design = solve(problem, 30, Gradient(), starts=2, seed=2)
     assert design.solver == "gradient"
     assert 0.999 < design.efficiency <= 1.0
     expected = difference_information(problem, problem.model, design.plan.postures)  # type: ignore[arg-type]
@@ -138,25 +137,3 @@ def test_a_feasible_plan_better_than_the_best_list() -> None:
     chosen = solve(replace(problem, choices=choices), 12, Fedorov(), bound=NONE)
     # four seeds of the climb reach 0.978 to 1.004 of the list's best weights, the best exchange on the list 0.902
     assert problem.criterion.efficiency(chosen.value, design.value, problem.parameters) < 0.96
-
-
-# -- from rounded weights ----------------------------------------------------------------------------------------------
-def test_reaches_known_optima() -> None:
-    """Sixteen runs: the relaxation's factorial, rounded, is optimal at once; eleven: near the best known."""
-    design = solve(problem(FIVE), 16, "relaxation_rounding")
-    assert design.value > closed_form_log_det(problem(FIVE)) - 1e-6
-    assert solve(problem(FOUR), 10, "relaxation_rounding").value > -0.1445  # -0.14288 is the best known
-
-
-def test_a_rounded_plan_has_the_runs_asked_for() -> None:
-    design = solve(problem(FIVE), 9, "relaxation_rounding", starts=3)
-    assert len(design.plan) == 9
-    assert np.all((design.plan.postures >= FIVE.lower) & (design.plan.postures <= FIVE.upper))
-
-
-def test_long_plans_are_not_polished() -> None:
-    """600 runs: IPOPT would need a dense matrix of 1,800 x 1,800 second derivatives for each step."""
-    four = problem(FOUR)
-    found = solve(four, 600, "relaxation_rounding", starts=2, seconds=20.0)
-    assert found.value <= found.bound.value + 1e-9
-    assert found.value >= found.bound.value - 1e-3

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from doe.report.page import svg
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.documents.pictures import (
+    AFTER,
+    BEFORE,
     Compared,
-    caption,
-    draw_errors,
+    dots,
     joint_errors,
-    line_between,
     share_of,
     signed_figures,
 )
@@ -44,22 +44,6 @@ def test_a_joint_that_turns_too_far_has_a_positive_error_of_that_size() -> None:
     np.testing.assert_array_equal(joint_errors(np.concatenate([short, np.ones((1, 2, 1))]), np.ones((2, 2)))[0], 0.0)
 
 
-def test_the_line_is_the_change_where_there_are_rows_and_is_broken_elsewhere() -> None:
-    generator = np.random.default_rng(2)
-    q = np.concatenate([generator.uniform(-3.0, 0.0, 400), generator.uniform(2.0, 3.0, 200)])
-    lever = generator.normal(size=(600, 2))
-    change = lever * (1e-3 * np.sin(4.0 * q))[:, None]
-    angles, errors = line_between(q, lever, change)
-    (gap,) = np.flatnonzero(np.isnan(angles))
-    assert np.isnan(errors[gap])
-    assert angles[gap - 1] < 0.0 < 2.0 < angles[gap + 1]
-    seen = np.isfinite(angles)
-    # ten rows, some 0.04 rad to each side, whose weighted mean is off by up to 4e-3 * 0.04 where the slope is largest
-    np.testing.assert_allclose(errors[seen], 1e-3 * np.sin(4.0 * angles[seen]), atol=1.6e-4)
-    one_angle = line_between(np.full(5, 0.3), np.ones((5, 2)), np.full((5, 2), 2e-3))
-    np.testing.assert_allclose(one_angle, [[0.3], [2e-3]])
-
-
 def model_with(effect: EffectSpec, **values: float) -> Model:
     """Two links with one effect of these values [rad]."""
     found = {f"{effect.key}.{name}": value for name, value in values.items()}
@@ -69,8 +53,9 @@ def model_with(effect: EffectSpec, **values: float) -> Model:
 def points_and_line(axes: Axes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(m, 2) points before, (m, 2) after, and the black ones, (0, 2) without any."""
     black = [line.get_xydata() for line in axes.lines if line.get_color() == "k" and len(line.get_xdata())]
-    zero, before, _, after = axes.lines[:4]
-    assert list(zero.get_ydata()) == [0.0, 0.0]
+    before, after = (
+        next(a for a in axes.lines if a.get_color() == color and a.get_marker() == ".") for color in (BEFORE, AFTER)
+    )
     return before.get_xydata(), after.get_xydata(), black[0] if black else np.empty((0, 2))
 
 
@@ -99,7 +84,7 @@ def test_the_line_is_the_effect_of_the_model_and_the_points_before_lack_it() -> 
     red, _, line = points_and_line(first)  # nothing is named there: the earlier model, no line
     np.testing.assert_allclose(np.radians(red[:, 1]), joint_errors(real.joint_levers(q), before)[:, 0])
     assert len(line) == 0
-    read = caption("the drawing", "the model", rows.named)
+    read = str(rows.pictures("the drawing", "the model").draw()[0])
     assert "Line, or the smallest dots: what these effects add" in read
     assert "black" not in read.lower().split()  # on a dark page the line is white
 
@@ -107,16 +92,15 @@ def test_the_line_is_the_effect_of_the_model_and_the_points_before_lack_it() -> 
 def test_an_error_curve_is_off_beyond_its_angles() -> None:
     curve = ErrorCurve(-1.0, 1.0, np.array([0.0, 1e-3, -1e-3, 2e-3, 0.0]))
     arm = Arm(LENGTHS, effects=(EffectSpec("joint_error_curve", 2, curve=curve),), calibration=Calibration({}))
-    inside, beyond = np.linspace(-0.9, 0.9, 40), np.linspace(2.2, 3.0, 20)
-    for angles, on in ((inside, 40), (np.r_[inside, beyond], 40), (beyond, 0)):
-        q, nothing = np.column_stack([np.zeros_like(angles), angles]), np.zeros((len(angles), 2))
-        rows = Compared(arm, q, nothing, nothing, model=Model(arm), named=["joint_error_curve:2"])
-        axes = signed_figures(rows)[1].axes[0]
-        red, _, line = points_and_line(axes)
-        np.testing.assert_allclose(np.radians(red[:on, 1]), curve.at(angles[:on]), atol=1e-12)
-        np.testing.assert_array_equal(red[on:, 1], 0.0)
-        assert np.isfinite(line[:, 1]).any() == (on > 0)
-        assert axes.get_title() == f"joint_error_curve:2{'' if on else ' (off here)'}"
+    angles = np.concatenate([np.linspace(-0.9, 0.9, 40), np.linspace(2.2, 3.0, 20)])
+    q, nothing = np.column_stack([np.zeros(60), angles]), np.zeros((60, 2))
+    rows = Compared(arm, q, nothing, nothing, model=Model(arm), named=["joint_error_curve:2"])
+    axes = signed_figures(rows)[1].axes[0]
+    red, _, line = points_and_line(axes)
+    np.testing.assert_allclose(np.radians(red[:40, 1]), curve.at(angles[:40]), atol=1e-12)
+    np.testing.assert_array_equal(red[40:, 1], 0.0)
+    np.testing.assert_array_equal(line[line[:, 0] > 130.0, 1], 0.0)
+    assert axes.get_title() == "joint_error_curve:2"
 
 
 def test_no_label_leaves_a_small_picture() -> None:
@@ -124,7 +108,7 @@ def test_no_label_leaves_a_small_picture() -> None:
     for size in np.linspace(0.02, 0.09, 8):
         figure = Figure(figsize=(3.7, 2.5), layout="constrained")
         axes = figure.subplots()
-        draw_errors(axes, np.linspace(0.0, 100.0, 30), [np.full(30, size), np.full(30, -size)], ("before", "after"))
+        dots(axes, np.linspace(0.0, 100.0, 30), [(np.full(30, size), "before"), (np.full(30, -size), "after")])
         axes.set_ylabel("error [deg]")
         svg(figure)
         label = axes.yaxis.label.get_window_extent(FigureCanvasAgg(figure).get_renderer())

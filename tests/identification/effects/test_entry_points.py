@@ -75,9 +75,3 @@ def test_an_own_effect_may_be_defined_again() -> None:
     base.register(one)
     base.register(other)
     assert base._LIBRARY["mine"] is other
-
-
-@pytest.mark.parametrize(("old", "new"), base.RENAMED.items())
-def test_a_formula_of_an_earlier_version_says_its_names_of_today(old: str, new: str) -> None:
-    with pytest.raises(InputError, match=f"Mine: found {old}, which nothing calls, allowed: {new}"):
-        type("Mine", (base.Effect,), {"name": "mine", "__module__": "notebook", old: lambda *_: 0.0})

@@ -277,8 +277,7 @@ def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, dat
 
 def test_pandas_where_it_is_installed() -> None:
     pandas, data = pytest.importorskip("pandas"), Measurements([[0.1, 0.2]], [[1.0, 2.0]], order=[3.0])
-    frame = data.to_frame("pandas")
-    assert isinstance(frame, pandas.DataFrame)
+    frame = pandas.DataFrame(data.to_frame().to_dict(as_series=False))
     assert_same(Measurements.from_frame(frame), data)
 
 

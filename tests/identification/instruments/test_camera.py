@@ -8,6 +8,8 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, Calibration, EffectSpec
+from identification.document import in_a_sentence
+from identification.documents.pictures import gap_figure
 from identification.estimation import estimate
 from identification.gap.diagnose import diagnose
 from identification.instruments import Coordinate, Instrument
@@ -52,6 +54,10 @@ def test_a_camera_with_unknown_base() -> None:
     assert f"{found.rms_before:.4g} -> {found.rms_after:.4g} px" in str(found)
     assert found.chi2 is not None
     assert abs(found.chi2 - found.dof) < 4.0 * np.sqrt(2.0 * found.dof)
-    assert diagnose(arm, data).named.effects == ("encoder_eccentricity:3",)
+    diagnosis = diagnose(arm, data)
+    assert diagnosis.named.effects == ("encoder_eccentricity:3",)
+    assert all(" px" in gap_figure(diagnosis).axes[k].get_title() for k in (0, 1))
+    assert "On the data, the geometry fitted, the RMS error goes from" in (text := " ".join(str(diagnosis).split()))
+    assert f"to {in_a_sentence(diagnosis.gap.rms_after)} px;" in text
     judged = validate(found.calibrated_arm(), data)
     assert f"to {judged.model.rms:.3f} px" in " ".join(str(judged).split())

@@ -132,7 +132,6 @@ def test_sliding_joints() -> None:
 
 TYPES = ("revolute", "prismatic", "revolute")
 POSTURES = np.array([[np.pi / 6.0, 12.5, -1.0], [-np.pi / 3.0, 200.0, -0.5]])
-DEGREES = [[-60.0, 30.0], [-57.2957795, -28.6478898]]
 
 
 def test_what_was_written_is_read() -> None:
@@ -141,13 +140,6 @@ def test_what_was_written_is_read() -> None:
         found = range_of(joint_range(POSTURES[:, joints], types), types)
         assert found is not None
         np.testing.assert_allclose(found, [POSTURES[:, joints].min(axis=0), POSTURES[:, joints].max(axis=0)], rtol=1e-8)
-
-
-def test_older_files_have_all_joints_under_one_key() -> None:
-    older = {"joint_range_deg": [DEGREES[0], list(np.degrees([12.5, 200.0])), DEGREES[1]]}
-    found = range_of(older, TYPES)
-    assert found is not None
-    np.testing.assert_allclose(found, [[-np.pi / 3.0, 12.5, -1.0], [np.pi / 6.0, 200.0, -0.5]], rtol=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,7 @@ def test_frames_points_and_orientation_against_exponentials(chain: KinematicChai
         from_base = np.linalg.inv(places[0])
         tip = tip_by_exponentials(posed, q, values, posed.tools["1"])
         expected = [*(place[:3, 3] for place in places[:-1]), tip]
-        found = posed.points(q, np.array([values[name] for name in names]))
+        found = posed.points(q, values)
         np.testing.assert_allclose(found, [(from_base @ np.r_[point, 1.0])[:3] for point in expected], atol=1e-9)
 
 
@@ -223,10 +223,11 @@ def test_errors_lengthen_links_and_turn_joints_in_symbols_too(n: int, seed: int)
     lengths, posture = generator.uniform(10.0, 500.0, n), generator.uniform(-4.0, 4.0, n)
     errors, offsets = generator.normal(0.0, 1.0, n), generator.normal(0.0, 0.1, n)
     chain, q = planar_chain(lengths), ca.SX.sym("q", n)
-    symbolic = ca.Function("points", [q], [ca.horzcat(*chain.symbolic_points(q, np.r_[errors, offsets]))])
+    values = chain.parameters().mapping(np.r_[errors, offsets])
+    symbolic = ca.Function("points", [q], [ca.horzcat(*chain.symbolic_points(q, values))])
     points = np.array(symbolic(posture)).T @ [1.0, 1.0j]
     np.testing.assert_allclose(points, by_complex_numbers(lengths + errors, posture + offsets), rtol=0, atol=1e-10)
-    np.testing.assert_allclose(chain.points(posture[None], np.r_[errors, offsets])[0] @ [1.0, 1.0j], points, atol=1e-10)
+    np.testing.assert_allclose(chain.points(posture[None], values)[0] @ [1.0, 1.0j], points, atol=1e-10)
 
 
 def test_bent_links_displace_and_turn_what_follows() -> None:
