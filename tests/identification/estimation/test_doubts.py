@@ -110,7 +110,7 @@ def test_swapped_columns_are_said_where_the_fit_hides_them() -> None:
     order = [0, 1, 2, 4, 3, 5]
     for bad, said in (
         (replace(good, postures=good.postures[:, order]), "columns of joints 4 and 5 are swapped"),
-        (replace(good, positions=good.positions[:, [1, 0, 2]]), "two of x_mm, y_mm, z_mm are swapped"),
+        (replace(good, positions=good.positions[:, [1, 0, 2]]), "two coordinates of the positions are swapped"),
     ):
         hidden = estimate(model, bad)
         assert hidden.rms_after < FAR * model.reach or "joints" not in said  # too little to be implausible by that
