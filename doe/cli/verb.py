@@ -170,9 +170,6 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
                     answer = function(**values)
                 for sentence in answer.warnings if as_json else ():
                     warnings.warn(sentence, UserWarning, stacklevel=2)
-            if answer.failure is not None:
-                say(str(answer.failure))
-                answer.exit_code = answer.failure.exit_code
             shown(answer, as_json)
             sys.stdout.flush()
             sys.exit(answer.exit_code)

@@ -376,7 +376,7 @@ class Readings:
         gain = f"{self.better.rms:.3g} mm instead of {self.written.rms:.4g}"
         if self.explained:
             return [f"it looks as if {ways}: the drawing then leaves {gain}"]
-        nothing = "no one or two signs, zeros, swapped columns or mirrored axes explain the positions"
+        nothing = "no reading with a few other signs, zeros, columns or mirrored axes explains the positions"
         return [f"{nothing}: several faults at once, or another arm? Closest: {ways}, which leaves {gain}"]
 
     def to_json(self) -> dict[str, Any] | None:
@@ -396,9 +396,9 @@ class Readings:
 def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
-    Tried are zeros, of one joint at any angle, joints that are counted from farther back than the link before, signs,
-    pairs of swapped columns, zeros off by quarter turns, and a mirrored frame. With few rows nothing is tried. Where a
-    spatial arm stands and what is measured on it are fitted.
+    Tried are zeros of joints at any angle, then one change after another of the readings that leave least: signs, pairs
+    of swapped columns, zeros off by quarter turns, joints that are counted from farther back than the link before, a
+    mirrored frame. With few rows nothing is tried. Where a spatial arm stands and what is measured on it are fitted.
 
     search : False: only what the columns say
     """
@@ -416,9 +416,8 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
         return Readings(written, None)
     place = _place(arm, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
     tried = {written: written.rms}
-    joints, turning = range(arm.links), [j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC]
-    several = [each for count in range(arm.links + 1) for each in combinations(joints, count)]  # joints
-    pairs = [each for each in several if len(each) <= 2]
+    kinds = arm.joint_types
+    turning = [j for j, kind in enumerate(kinds) if kind != PRISMATIC]
 
     def left(reading: Reading) -> float:
         return reading.placed(rows, place).rms
@@ -434,9 +433,20 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
             k = float(minimize_scalar(left_with, bounds=(near - step, near + step), options={"xatol": 1e-3}).x)
             yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # whole within 2 deg
 
-    def absolute(best: Reading) -> Iterator[Reading]:
-        """One joint, or all from one on, counted from a link farther back than the one before, or from the base: of
-        joints that turn about parallel axes one after the other."""
+    def mirrored(best: Reading) -> list[Reading]:  # lengths are the same in a mirrored frame
+        return [replace(best, mirrored=not best.mirrored)] if arm.chain.instrument.reads_positions else []
+
+    def changed(best: Reading) -> Iterator[Reading]:
+        """One more thing read differently: a mirrored frame, a sign, a zero off by quarter turns, two columns of like
+        joints swapped, and one joint, or all from one on, counted from a link farther back than the one before, or from
+        the base: of joints that turn about parallel axes one after the other."""
+        yield from mirrored(best)
+        yield from (best.flipped([j]) for j in range(arm.links))
+        yield from (best.with_quarters(j, k) for j in turning for k in (1, 2, 3))
+        for a, b in (each for each in combinations(range(arm.links), 2) if kinds[each[0]] == kinds[each[1]]):
+            order = list(best.order)
+            order[a], order[b] = order[b], order[a]
+            yield replace(best, order=tuple(order))
         for first, senses in parallel_joints(arm):
             last = first + len(senses)
             for start in range(first, last - 1):
@@ -449,45 +459,33 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
                     yield replace(best, sums=tuple(map(tuple, one.tolist())))
                 yield replace(best, sums=tuple(map(tuple, every.tolist())))
 
-    def mirrored(best: Reading) -> list[Reading]:  # lengths are the same in a mirrored frame
-        return [replace(best, mirrored=not best.mirrored)] if arm.chain.instrument.reads_positions else []
+    def changed_twice(best: Reading) -> Iterator[Reading]:
+        """With a sign or a mirrored frame beside another change."""
+        for one in (best, *changed(best)):
+            yield from (one, *mirrored(one), *(one.flipped([j]) for j in range(arm.links)))
 
-    def signs(best: Reading) -> list[Reading]:
-        changed = [best.flipped(some) for some in (several if arm.links <= 6 else pairs)]
-        return [reading for one in changed for reading in (one, *mirrored(one))]
+    def simplest() -> Reading:
+        """The fewest changes, and zeros among them, of those that leave about as little as the best."""
+        near = [reading for reading, rms in tried.items() if rms <= ALIKE * min(tried.values())]
+        return min(near, key=lambda reading: (reading.changes, sum(map(bool, reading.quarters)), tried[reading]))
 
-    def swaps(best: Reading) -> Iterator[Reading]:
-        """Two columns of like joints swapped, as it is and with one joint turning the other way."""
-        for a, b in (each for each in combinations(joints, 2) if len({arm.joint_types[j] for j in each}) == 1):
-            order = list(best.order)
-            order[a], order[b] = order[b], order[a]
-            swapped = replace(best, order=tuple(order))
-            yield from (swapped.flipped(some) for some in pairs if len(some) <= 1)
-
-    def flips(best: Reading) -> list[Reading]:
-        return [best.flipped([j]) for j in joints]
-
-    def zeros(best: Reading) -> list[Reading]:
-        return [best.with_quarters(j, k) for j in turning for k in (1, 2, 3)]
-
-    def pairs_and_zero(best: Reading) -> list[Reading]:  # each alone may explain next to nothing
-        return [reading for some in pairs for reading in zeros(best.flipped(some))]
-
-    for stage in (moved_zero, moved_zero, absolute, mirrored, signs, swaps, zeros, flips, zeros, pairs_and_zero):
+    for change in (moved_zero, moved_zero, changed, changed_twice, changed, changed):
         ranked = sorted(tried, key=tried.__getitem__)
         if tried[ranked[0]] < DRAWN * arm.reach:
             break
-        whole = [] if stage is pairs_and_zero else [r for r in ranked if not r.moved_zeros][:4]  # effort
-        for start in ranked[:1] if stage is moved_zero else dict.fromkeys((written, *whole)):
-            tried |= {reading: left(reading) for reading in stage(start) if reading not in tried}
-    # the fewest changes of those that leave about as little as the best
-    least = min(tried.values())
-    best = min((r for r, rms in tried.items() if rms <= ALIKE * least), key=lambda r: (r.changes, tried[r]))
+        starts = ranked[:1] if change is moved_zero else [written]
+        if change is changed:  # effort
+            starts += [reading for reading in ranked if not reading.moved_zeros][:5]
+        for start in dict.fromkeys(starts):
+            tried |= {reading: left(reading) for reading in change(start) if reading not in tried}
+    best = simplest()
     if CLEARLY * tried[best] >= written.rms:
         return Readings(written, None)
     explained = tried[best] < DRAWN * arm.reach
-    if explained and not best.moved_zeros:  # the search ends early: at a zero, say, that a sign is as good as
-        tried |= {reading: left(reading) for reading in signs(written) if reading not in tried}
+    if explained and not best.moved_zeros:  # the search ends early: others may be as simple
+        further = changed if best.changes == 1 else changed_twice
+        tried |= {reading: left(reading) for reading in further(written) if reading not in tried}
+        best = simplest()
     as_simple = (r for r in tried if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and tried[r] <= ALIKE * tried[best]), key=tried.__getitem__)
     best, *others = map(placed, (best, *alike[:2]))  # two are named beside the simplest
