@@ -24,7 +24,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -86,15 +86,23 @@ def with_columns(frame: pl.DataFrame, types: Mapping[str, Any]) -> pl.DataFrame:
     return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
 
 
-def journal_of(path: Path) -> Path:
-    """The file that holds finished rows while work goes on."""
-    return path.with_name(path.name + ".journal")
+def make_folder(folder: Path) -> bool:
+    """Make a folder in an existing one; whether it was not there. Raises `InputError` if it cannot be made."""
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        return False
+    except OSError as error:
+        reason = f"cannot be made ({error.strerror})"
+        raise InputError(f"{folder}: {reason}, allowed: a folder in an existing one") from None
+    return True
 
 
 class RowTable:
     """Rows by the text of their key, in memory and in the journal.
 
-    path : the Parquet file, written on the way out of `with`, also after Ctrl-C or an error; None: in memory only
+    path : the Parquet file, in a folder that is made; written on the way out of `with`, also after Ctrl-C or an error,
+        if a row is of a finished task; None: in memory only
     resume : continue a table that exists;  force : replace it, at once: what is resumed later is of one run
 
     Raises `InputError` if the table exists and neither is given, or another process is writing it.
@@ -105,42 +113,37 @@ class RowTable:
         self.path = None if path is None else Path(path).absolute()
         if self.path is None:
             return
+        self._made = make_folder(self.path.parent)
         check_writable(self.path, force=True)
-        journal = journal_of(self.path)
-        for file in (self.path, journal):
+        self.journal = self.path.with_name(self.path.name + ".journal")  # finished rows, while work goes on
+        for file in (self.path, self.journal):
             if file.exists() and not (resume or force):
                 allowed = "a new name, --resume to go on, or --force to replace it"
                 raise InputError(f"{file}: exists, allowed: {allowed}")
-        if resume:
-            self._read(self.path)
+        if resume and self.path.exists():
+            try:
+                self.rows = pl.read_parquet(self.path).rows_by_key(KEY, named=True, include_key=True)
+            except (pl.exceptions.PolarsError, OSError) as error:
+                reason = f"not a Parquet file with a column {KEY!r} ({str(error).splitlines()[0]})"
+                raise InputError(f"{self.path}: {reason}, allowed: a table written by armcal") from None
         try:
-            self._journal = journal.open("ab", buffering=0)
-            fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._open = self.journal.open("ab", buffering=0)
+            fcntl.flock(self._open, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            self._journal.close()
-            raise InputError(f"{journal}: another run is writing this table, allowed: one at a time") from None
+            self._open.close()
+            raise InputError(f"{self.journal}: another run is writing this table, allowed: one at a time") from None
         except OSError as error:
-            raise InputError(f"{journal}: cannot be written ({error.strerror}), allowed: a writable place") from None
+            reason = f"cannot be written ({error.strerror})"
+            raise InputError(f"{self.journal}: {reason}, allowed: a writable place") from None
         if resume:
-            for line in journal.read_bytes().splitlines():
+            for line in self.journal.read_bytes().splitlines():
                 with suppress(ValueError):  # cut short by a crash
                     text, rows = json.loads(line)
                     self.rows[text] = [{KEY: text, **row} for row in rows]
-            self._journal.write(b"\n")
+            self._open.write(b"\n")
         else:
             self.path.unlink(missing_ok=True)
-            self._journal.truncate(0)
-
-    def _read(self, path: Path) -> None:
-        """The rows of the Parquet file, if there is one."""
-        try:
-            frame = pl.read_parquet(path)
-            self.rows = frame.rows_by_key(KEY, named=True, include_key=True)
-        except FileNotFoundError:
-            return
-        except (pl.exceptions.PolarsError, OSError) as error:
-            reason = f"not a Parquet file with a column {KEY!r} ({str(error).splitlines()[0]})"
-            raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
+            self._open.truncate(0)
 
     def __enter__(self) -> Self:
         return self
@@ -148,10 +151,13 @@ class RowTable:
     def __exit__(self, *_: object) -> None:
         if self.path is None:
             return
-        with self._journal:
-            if self.rows:
+        with self._open:
+            if any(row.get("status") != "failed" for rows in self.rows.values() for row in rows):
                 write_together({self.path: parquet(self.frame(self.rows))}, force=True)
-            journal_of(self.path).unlink(missing_ok=True)
+            self.journal.unlink(missing_ok=True)
+        if self._made:
+            with suppress(OSError):  # there are files in it
+                self.path.parent.rmdir()
 
     def add(self, text: str, rows: Sequence[Row]) -> None:
         """The rows of the key with this text, in the journal before this returns. Raises `JobError` if that cannot be
@@ -162,31 +168,14 @@ class RowTable:
         line = json.dumps([text, list(rows)]).encode() + b"\n"
         try:
             while line:
-                line = line[self._journal.write(line) :]
+                line = line[self._open.write(line) :]
         except OSError as error:
             reason = f"cannot be written ({error.strerror}); finished rows are kept, go on with --resume"
-            raise JobError(f"{journal_of(self.path)}: {reason}") from None
+            raise JobError(f"{self.journal}: {reason}") from None
 
     def frame(self, texts: Iterable[str]) -> pl.DataFrame:
         """The rows of these keys, in their order; without a row, a frame without columns."""
         return frame_of([row for text in texts for row in self.rows[text]])
-
-
-@contextmanager
-def tables(
-    folder: Path | str | None, *names: str, resume: bool = False, force: bool = False
-) -> Iterator[list[RowTable]]:
-    """Tables of these names that belong together: in a folder, which is made (None: in memory), all of them closed to
-    other runs."""
-    if folder is not None:
-        try:
-            Path(folder).mkdir(exist_ok=True)
-        except OSError as error:
-            reason = f"cannot be made ({error.strerror})"
-            raise InputError(f"{folder}: {reason}, allowed: a folder in an existing one") from None
-    with ExitStack() as stack:
-        paths = [None if folder is None else Path(folder) / name for name in names]
-        yield [stack.enter_context(RowTable(path, resume=resume, force=force)) for path in paths]
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
@@ -226,58 +215,57 @@ def run_tasks(
 
     function : importable by name where the workers are; `function(key, seed_sequence)` gives the rows of one key
     payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
-    A task that raises, or whose worker dies each time, becomes a row with `status` "failed" and `error`; every row has
-    its key's entries, `status` and `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a crash
-    loses only what was being computed.
+    A task that raises, or whose worker dies when it runs alone, becomes a row with `status` "failed" and `error`; every
+    row has its key's entries, `status` and `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a
+    crash loses only what was being computed.
     Raises `JobError` if the workers are lost, `InputError` if the table's rows are those of another seed.
     """
     asked, workers = {canonical(key): key for key in keys}, workers or SERIAL
-    for text, key in asked.items():
-        for row in table.rows.get(text, ()):
-            if (made := row.get(SEED)) not in (None, key.get(SEED, seed)):
-                allowed = f"--seed {made} to go on, or --force to replace them"
-                raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
+    for made in (row.get(SEED, seed) for text in asked for row in table.rows.get(text, ())):
+        if made != seed:
+            allowed = f"--seed {made} to go on, or --force to replace them"
+            raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     waiting, running = deque(text for text in asked if text not in table.rows), dict[Future[Any], str]()
-    done, failed = len(asked) - len(waiting), 0
+    done, failed, suspects = len(asked) - len(waiting), 0, set[str]()  # that may have killed their worker: run alone
     # three tasks per worker, so that none waits; a million tasks are never in flight at once
     ahead = workers.count * 3 if workers.count > 1 else 1
 
-    def task(text: str) -> tuple[Any, ...]:
-        return (function, dict(asked[text]), seed, *(() if payload is None else (payload(asked[text]),)))
-
-    def store(text: str, rows: list[Row]) -> None:
+    def store(text: str, rows: list[Row] | None, error: BaseException | None = None) -> None:
         nonlocal done, failed
-        table.add(text, rows)
-        done, failed = done + 1, failed + (rows[0]["status"] != "done")
+        table.add(text, rows or [_failure(asked[text], seed, error)])
+        done, failed = done + 1, failed + (rows is None or rows[0]["status"] != "done")
         progress(done, len(asked), f"{failed} failed" if failed else "")
-
-    def collect(executor: Executor) -> None:
-        """Submits tasks and stores what ends, to the last. Raises `BrokenExecutor` where a process died."""
-        while waiting or running:
-            while waiting and len(running) < ahead:
-                future = executor.submit(perform, *task(waiting[0]))
-                running[future] = waiting.popleft()
-            for future in wait(running, 0.2, FIRST_COMPLETED).done:
-                if future.cancelled() or isinstance(error := future.exception(), BrokenExecutor):
-                    raise BrokenExecutor
-                text = running.pop(future)  # the executor's own error: rows that cannot travel
-                store(text, future.result() if error is None else [_failure(asked[text], seed, error)])
-            workers.check(executor)
 
     progress(done, len(asked), "")
     try:
         while waiting:
             try:
                 with workers.open() as executor:
-                    collect(executor)
-            except BrokenExecutor:  # one task of these killed its worker, and took the others with it
+                    while waiting or running:
+                        while waiting and len(running) < (1 if suspects & {waiting[0], *running.values()} else ahead):
+                            key = asked[waiting[0]]
+                            needed = () if payload is None else (payload(key),)
+                            future = executor.submit(perform, function, dict(key), seed, *needed)
+                            running[future] = waiting.popleft()
+                        for future in wait(running, 0.2, FIRST_COMPLETED).done:
+                            if future.cancelled():
+                                raise BrokenExecutor
+                            if isinstance(error := future.exception(), BrokenExecutor):
+                                raise error
+                            text = running.pop(future)  # the executor's own error: rows that cannot travel
+                            store(text, None if error else future.result(), error)
+                        workers.check(executor)
+            except BrokenExecutor as error:  # one task of these killed its worker, and took the others with it
                 if not running:
                     raise JobError(LOST) from None
-                for text in running.values():
-                    outcome = call(perform, *task(text), seconds=None)
-                    died = JobError(f"the worker process died each time it ran this task ({outcome.error})")
-                    store(text, outcome.value or [_failure(asked[text], seed, died)])
+                texts = list(running.values())
                 running.clear()
+                if len(texts) == 1 and texts[0] in suspects:
+                    died = f"the worker process died when it ran this task alone ({ending(error)})"
+                    store(texts[0], None, JobError(died))
+                else:
+                    suspects.update(texts)
+                    waiting.extendleft(reversed(texts))
     finally:  # in the order of the keys, whichever finished first
         table.rows = {text: table.rows[text] for text in (asked | table.rows) if text in table.rows}
     return table.frame(asked)
@@ -294,11 +282,11 @@ def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -
     return [{SEED: seed, **key, "status": "done", "error": None, "seconds": seconds, **row} for row in rows or [{}]]
 
 
-def _failure(key: Key, seed: int, error: BaseException, seconds: float = 0.0) -> Row:
+def _failure(key: Key, seed: int, error: BaseException | None, seconds: float = 0.0) -> Row:
     return {SEED: seed, **key, "status": "failed", "error": one_line(error), "seconds": seconds}
 
 
-def one_line(error: BaseException) -> str:
+def one_line(error: BaseException | None) -> str:
     """`TypeName: message`, on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
@@ -343,6 +331,13 @@ def _end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def ending(error: BrokenExecutor) -> str:
+    """How a process of ours ended, by what loky says of it."""
+    code = re.search(r"\((-?\d+)\)\}", str(error))
+    number = int(code[1]) if code else 1
+    return f"signal {-number}" if number < 0 else f"exit code {number}"
 
 
 def cluster(address: str, patience: float = 10.0) -> Workers:
@@ -405,9 +400,8 @@ class Outcome(NamedTuple):
 
     value: Any  # what it returned, None unless `status` is "done"
     status: str  # "done", "failed" (it raised), "timeout" (killed), "crashed" (the process died)
-    error: str | None  # one line on what went wrong
-    seconds: float  # wall time of the call itself, without starting the process
-    peak_memory_mb: float | None  # resident, with the imports; None where the system does not give it
+    error: str | None = None  # one line on what went wrong
+    seconds: float = 0.0  # wall time of the call itself, without starting the process
 
 
 def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -> Outcome:
@@ -415,32 +409,24 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -
 
     function : importable by name there;  arguments : picklable
     """
-    started = time.monotonic()
     with _pool(1) as process:
+        started = time.monotonic()
         try:
             # a minute to start and import, which is not part of the limit on the call itself
             process.submit(id, function).result(60.0)  # its module is imported by now
             started = time.monotonic()
-            return process.submit(_measured, function, arguments).result(seconds)
+            value = process.submit(_silenced, function, arguments).result(seconds)
         except TimeoutError:
-            return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds or 60.0, None)
+            return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds or 60.0)
         except BrokenExecutor as error:
-            code = re.search(r"\((-?\d+)\)\}", str(error))
-            number = int(code[1]) if code else 1
-            reason = f"signal {-number}" if number < 0 else f"exit code {number}"
-            return Outcome(None, "crashed", reason, time.monotonic() - started, None)
+            return Outcome(None, "crashed", ending(error), time.monotonic() - started)
+        except Exception as error:  # noqa: BLE001 - every failure becomes the outcome
+            return Outcome(None, "failed", one_line(error), time.monotonic() - started)
+        return Outcome(value, "done", None, time.monotonic() - started)
 
 
-def _measured(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Outcome:
+def _silenced(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """The call, in the new process; what it prints goes nowhere: solvers print banners."""
     for stream in (1, 2):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-    started = time.perf_counter()
-    try:
-        value, status, error = function(*arguments), "done", None
-    except Exception as raised:  # noqa: BLE001 - every failure becomes the outcome
-        value, status, error = None, "failed", one_line(raised)
-    seconds, process = time.perf_counter() - started, Path("/proc/self/status")
-    # of the address space: `getrusage` would count what the parent had before this process began
-    peak = int(process.read_text().split("VmHWM:")[1].split()[0]) / 1024.0 if process.exists() else None
-    return Outcome(value, status, error, seconds, peak)
+    return function(*arguments)

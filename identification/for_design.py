@@ -204,19 +204,6 @@ class ArmModel(Model):
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
         return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
 
-    @property
-    def covariance(self) -> Array | None:
-        """(p, p) of the calibration, None: it has none of these parameters."""
-        calibration = self.arm.calibration
-        same = calibration is not None and calibration.parameter_names == self.names
-        return calibration.covariance if calibration is not None and same else None
-
-    @property
-    def machining(self) -> tuple[float, float, float]:
-        """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
-        nothing else is known."""
-        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
-
     def only(self, words: Sequence[str]) -> ArmModel:
         """The same of which only these parameters are estimated, see `identification.reuse.only`."""
         from identification.reuse import only
@@ -302,7 +289,7 @@ class ArmModel(Model):
     def theorem_joints(self) -> tuple[int, ...] | None:
         """Joints (from 0) on which det M depends where the planar theorem holds, that is for all lengths and joint
         offsets of a planar chain: all but the first, and the first too with a base offset; None: it does not hold."""
-        if not self.planar or not self.linear_in_links:
+        if self.closed_form is None or not self.closed_form.exact:
             return None
         offset = any(effect.name == "base_offset" for effect in self.effects)
         return tuple(range(0 if offset else 1, self.joints))

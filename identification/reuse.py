@@ -78,11 +78,11 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     frozen, kept = set(held) - set(model.fixed), arm.calibration
     several = measurements is not None and len(measurements.session_names) > 1
     missing = {BASE: kept is None or kept.base is None, TOOL: kept is None or not kept.tools}
-    for kind in (BASE, TOOL) if not arm.chain.planar else ():
+    for kind in arm.chain.frame_kinds:
         if (missing[kind] or several) and any(p.kind == kind and p.name in frozen for p in model.parameters):
             reason = "the data have several sessions" if several else "the arm file does not say where it is"
             raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
-    if several and arm.chain.planar and set(PLANAR_BASE) & frozen:
+    if several and not arm.chain.frame_kinds and set(PLANAR_BASE) & frozen:
         raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
     return replace(model, held=held)
 
@@ -163,9 +163,8 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
     held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}
     # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
     planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
-    of_set_up = {
-        p.name for p in model.all_parameters if (p.name in planar if model.arm.chain.planar else p.kind in (BASE, TOOL))
-    }
+    kinds = model.arm.chain.frame_kinds
+    of_set_up = {p.name for p in model.all_parameters if p.name in planar or p.kind in kinds}
     of_both = calibration.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.parameter_names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")
@@ -222,7 +221,7 @@ def with_mounting_doubt(
 
     fit : the same for other measurements
     """
-    if together.arm is None or together.arm.chain.planar or len(measurements.sessions) < 2:
+    if together.arm is None or not together.arm.chain.frame_kinds or len(measurements.sessions) < 2:
         return together
     # points have names of their own in every session after the first that sees them; without a column marker it is the
     # first of the arm's points that is measured

@@ -98,7 +98,7 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     if count < 2:
         return arm
     spec, calibration, base_values = {"sessions": float(count)}, arm.calibration, dict[str, float]()
-    if chain.planar:
+    if not chain.frame_kinds:
         wide, model = with_base(arm), Model(with_base_offset(arm))
         start = model.parameters.vector(model.best_known)
         computed = model.position(measurements.postures, start, replace(measurements.conditions, session=None))

@@ -127,7 +127,7 @@ class Validation(Documented):
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
         notes = [note for note in self.notes if BY_CHANCE not in note]
-        parts = validation_sections(data, "" if self.arm.chain.planar else ", measured points")
+        parts = validation_sections(data, ", measured points" if TOOL in self.arm.chain.frame_kinds else "")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
 
@@ -155,7 +155,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
-    if arm.chain.planar or len(measurements.sessions) < 2:
+    if not arm.chain.frame_kinds or len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, "base", arm)[1]
     model = Model(with_sessions(replace(drawing, chain=replace(arm.chain, settled=frozenset())), measurements))
     free = {model.names[k] for k in placing(model.parameters)}
@@ -365,9 +365,9 @@ def as_calibrated(arm: Arm) -> Arm:
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
     """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; in space the
     offsets of the first joint and the last stay, which base and points stand for."""
-    planar, last = arm.chain.planar, arm.links - (not arm.chain.planar)
+    planar, last = not arm.chain.frame_kinds, arm.links - (TOOL in arm.chain.frame_kinds)
     free = {f"{JOINT_OFFSET}:{j}" for j in range(2, last + 1)} if refit == "offsets" else set[str]()
-    if planar and refit != "none" and arm.chain.positions_in_plane:
+    if refit != "none" and arm.chain.positions_in_plane:
         values = Model(arm).best_known
         free |= {*PLANAR_BASE}
         model = Model(with_base_offset(arm), {name: value for name, value in values.items() if name not in free})

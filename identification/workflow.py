@@ -104,7 +104,6 @@ def init_files(
     dh : A spatial arm from N Denavit-Hartenberg rows.
     base_link : Of the URDF file; left out: its root.
     tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
-    package_dir : Folder in which packages of the URDF's meshes are, which are copied; may be repeated.
     instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     """
@@ -168,8 +167,6 @@ def check_files(
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
-
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     import numpy as np
 
@@ -344,7 +341,7 @@ def identify_files(
                 held = replace(held, earlier=reuse.earlier(old, model, rows))
             except InputError as error:
                 raise InputError(f"{prior_from}: {error}") from None
-        return with_repeats_doubted(estimation.estimate_with_prior(model, rows, held, sigma=sigma), rows)
+        return with_repeats_doubted(estimation.estimate(model, rows, prior=held, sigma=sigma), rows)
 
     # the fit, and what is doubtful about it
     progress(0, None, f"fitting {len(measurements)} rows")
@@ -604,7 +601,6 @@ def validate_files(
     refitted in each session.
 
     refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
-    picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
     """
     from identification.documents.identification import is_better, validation_actions
     from identification.files.arm import load_arm
@@ -644,7 +640,6 @@ def compensate_files(
     targets that need joint angles outside those of the identification, where the model extrapolates.
 
     out : Write the joint commands (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +23,7 @@ where study.toml has, for instance (names of files are beside it):
     plans = ["exchange_ipopt", "random", "plan.csv"]
     runs = [10, 20]           # of measurements; a plan file has its own
     sigma_mm = [0.05, 0.1]    # left out: the arm's own
-    # simulated data sets per cell, `block` (10000) of them per task
+    # simulated data sets per cell
     replications = 10000
 
 \b
@@ -76,7 +75,7 @@ def command(
     folder = job.out or Path(study).with_suffix(".results")
     if study == "paper":
         # in some seconds, in this process, without anything to resume
-        from doe.jobs import parquet, tables
+        from doe.jobs import make_folder, parquet
         from doe.report.page import svg
         from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
         from doe.studies.paper import paper_study, passed
@@ -88,8 +87,8 @@ def command(
         files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in results.items()}
         files |= {folder / "figure_1.svg": svg(figure_1_picture(results["figure_1"]))}
         files |= {folder / "figure_2.svg": svg(figure_2_picture(results["figure_2"]))}
-        with tables(folder):
-            write_together(files, force)
+        make_folder(folder)
+        write_together(files, force)
         return _tables_answer(results, passed(results), folder, paper_parts(results))
     where = job.where()
     with interruptible(folder):
@@ -103,17 +102,10 @@ def command(
             blind_pictures(folder, result)
             return _tables_answer(result.tables, result.passed, folder, blind_parts(result))
         from doe.report.studies import monte_carlo_parts
-        from doe.studies.monte_carlo import BLOCKS, CELLS, PLANS, load_study, run_study
+        from doe.studies.monte_carlo import CELLS, load_study, run_study
 
-        loaded, before = load_study(Path(study), replications), None
-        if os.path.isdir(folder):
-            before = {name.removesuffix(".journal") for name in os.listdir(folder)}
-        made = run_study(loaded, folder, where, **options)
-        if "done" not in set(made.blocks["status"]):  # one without a result leaves nothing
-            for name in {PLANS, BLOCKS, CELLS}.difference(before or () if job.resume else ()):
-                (folder / name).unlink(missing_ok=True)
-            if before is None:
-                folder.rmdir()
+        made = run_study(load_study(Path(study), replications), folder, where, **options)
+        if "done" not in made.blocks["status"]:
             reason = re.sub(r"\b[A-Z]\w*Error: ", "", made.blocks["error"][0])  # users need no exception types
             raise JobError(f"no cell could be done: {reason}")
         failed = made.cells.filter(made.cells["status"] != "done")

@@ -269,7 +269,7 @@ def demo_document(demo: Demo) -> Document:
             [[name, number(hidden[key])] for name, key in misses.items()],
         ),
     ]
-    postures, effort = demo.design.plan.postures, (4096, 61) if arm.chain.planar else (128, 25)
+    postures, effort = demo.design.plan.postures, (128, 25) if arm.chain.projection else (4096, 61)
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
@@ -316,9 +316,9 @@ def optimality(demo: Demo, digits: int) -> str:
 
 def overview_figure(demo: Demo) -> Figure:
     """Plan, gap step by step, and residuals against the joint at fault."""
-    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), not demo.arm.chain.planar
+    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), demo.arm.chain.projection
     places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
-    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection="3d" if space else None)
+    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=space)
     if space:
         draw_side(axes, demo.arm, postures, zoom=1.1)
         axes.set(zlabel="")  # it would stand in the next picture

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from doe.advise import Advice
 from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
-from doe.report.scene import looks, side, simplified, trackers
+from doe.report.scene import side, simplified, trackers
 from identification import Arm, Array, Model, design_model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
@@ -30,7 +30,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
     most = min(len(postures), 500)  # more stick figures only cover each other
     shown = postures[np.linspace(0, len(postures) - 1, most).round().astype(int)]
     count = f"{len(postures)} postures" if len(shown) == len(postures) else f"{len(shown)} of {len(postures)} postures"
-    if not arm.chain.planar:
+    if arm.chain.projection:
         figure = Figure(figsize=(10.0, 8.6))
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
         up, around = side(arm)
@@ -83,7 +83,7 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
     axes.plot(*np.zeros((arm.dimension, 1)), "ks", ms=6)
-    axes.set(aspect="equal" if arm.chain.planar else "auto")
+    axes.set(aspect="auto" if arm.chain.projection else "equal")
     axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in arm.chain.axes})
 
 
@@ -129,8 +129,8 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) 
     elevation, azimuth = np.radians(view)
     viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     seen, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
-    for body in (one for one in arm.cell.bodies if len(looks(one))):
-        vertices, faces = simplified(looks(body), DRAWN // len(arm.cell.bodies))
+    for body in (one for one in arm.cell.bodies if len(one.looks())):
+        vertices, faces = simplified(body.looks(), DRAWN // len(arm.cell.bodies))
         corners = (vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals *= np.sign(np.linalg.det(corners - corners.mean(axis=(0, 1))).sum()) or 1.0  # outward

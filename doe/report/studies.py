@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from doe.report.figures import AFTER, BEFORE
-from doe.studies.blind.study import ALL, FURTHER_RUNS, KEEPS, NOTHING, OUTSIDE, BlindStudy
+from doe.studies.blind.study import ALL, KEEPS, NOTHING, OUTSIDE, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL, StudyResult
 from doe.studies.paper import passed
@@ -22,7 +22,6 @@ from identification.document import Sheet
 from identification.files.io import write_together
 
 Setting = tuple[str, int]  # solver and starts
-Curve = tuple[Array, Array]  # x and y of a step function
 
 
 def cell_text(value: Any, kind: str = ".4g") -> str:
@@ -35,7 +34,7 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     """One table per problem, the best setting first, and what went wrong, equal sentences once."""
     parts: list[Any] = []
     runs = with_hits(rows)
-    headings = ("solver", "best", "median", "effi-\nciency", "hits", "time\n[s]", "to hit\n[s]", "MB", "wrong")
+    headings = ("solver", "best", "median", "effi-\nciency", "hits", "time\n[s]", "to hit\n[s]", "wrong")
     for part in summary(rows).partition_by(*PROBLEM, maintain_order=True):
         arm, arm_hash, criterion, m = (part[name][0] for name in PROBLEM)
         bounds = runs.filter(arm_hash=arm_hash, criterion=criterion, runs=m)["bound"].drop_nulls().to_list()
@@ -46,9 +45,8 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
             )
             hits = f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}"
             times = [cell_text(row[name], ".2g") for name in ("seconds", "seconds_to_hit")]
-            rest = [cell_text(row["peak_memory_mb"], ".0f"), str(row["not_correct"] or "-")]
-            name = label((row["solver"], row["starts"]))
-            cells.append([name, best, median, cell_text(row["efficiency"], ".5f"), hits, *times, *rest])
+            name, wrong = label((row["solver"], row["starts"])), str(row["not_correct"] or "-")
+            cells.append([name, best, median, cell_text(row["efficiency"], ".5f"), hits, *times, wrong])
         bound = f", bound {min(bounds):z.7f}" if bounds else ""
         parts.append(Sheet(headings, cells, f"{arm}, {criterion}, {m} runs{bound}"))
     failed = runs.filter(pl.col("status") != "done")
@@ -68,39 +66,36 @@ def label(setting: Setting) -> str:
     return f"{solver}, {starts} start{'s' * (starts > 1)}" if starts else solver
 
 
-def performance_profile(rows: pl.DataFrame) -> dict[Setting, Curve]:
-    """Setting -> (tau, fraction): fraction of the instances that it solved within tau times the fastest setting's time.
+def performance_profile(rows: pl.DataFrame) -> dict[Setting, Array]:
+    """Setting -> sorted ratios of its time to the fastest setting's, one per instance, infinite where it is no hit.
 
     An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
     E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
     equations 1 and 2.
     """
     timed = with_hits(rows).with_columns(time=pl.when("hit").then("seconds").otherwise(float("inf")))
-    fastest = pl.col("time").min().over(*PROBLEM, "repeat")
-    finite = pl.col("time").is_finite()
-    timed = timed.with_columns(ratio=pl.when(finite).then(pl.col("time") / fastest).otherwise(float("inf")))
-    curves = {}
-    for part in timed.partition_by(*SETTING, maintain_order=True):
-        ratios = np.sort(part["ratio"].to_numpy())
-        tau = np.unique(ratios[np.isfinite(ratios)])
-        curves[part["solver"][0], part["starts"][0]] = tau, np.searchsorted(ratios, tau, side="right") / len(ratios)
-    return curves
+    ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")
+    timed = timed.with_columns(ratio=pl.when("hit").then(ratio).otherwise(float("inf")))
+    parts = timed.partition_by(*SETTING, maintain_order=True)
+    return {(part["solver"][0], part["starts"][0]): part["ratio"].sort().to_numpy() for part in parts}
 
 
 def profile_figure(rows: pl.DataFrame) -> Figure:
     """The performance profile: on the left who is fastest, on the right who gets there at all."""
     curves = performance_profile(rows)
     solvers, starts = (list(dict.fromkeys(values)) for values in zip(*curves, strict=True))
-    end = 1.3 * max((float(tau[-1]) for tau, _ in curves.values() if tau.size), default=1.0)
+    end = 1.3 * max([1.0, *(ratio for ratios in curves.values() for ratio in ratios if np.isfinite(ratio))])
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()
-    for above, ((solver, number), (tau, fraction)) in enumerate(curves.items()):
+    for above, ((solver, number), ratios) in enumerate(curves.items()):
         color, dashes = colormaps["tab10"](solvers.index(solver) % 10), ("-", "--", ":", "-.")[starts.index(number) % 4]
         width = 1.5 + 1.2 * (len(curves) - 1 - above)  # the narrow ones on top: equal curves hide none
-        x, y = np.r_[0.9, tau, end], np.r_[0.0, fraction, fraction[-1] if fraction.size else 0.0]
-        name = f"{label((solver, number))}: {100.0 * y[-1]:.0f} %"
+        solved = ratios[np.isfinite(ratios)]
+        share = np.arange(len(solved) + 1) / len(ratios)
+        name = f"{label((solver, number))}: {100.0 * share[-1]:.0f} %"
+        x, y = np.r_[0.9, solved, end], np.r_[share, share[-1]]
         axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=name)
-    axes.set(xscale="log", xlim=(1.0, max(end, 1.1)), ylim=(-0.04, 1.04))
+    axes.set(xscale="log", xlim=(1.0, end), ylim=(-0.04, 1.04))
     # 1, 2, 5, 10 along the axis: powers of ten crowd each other where there is less than a decade
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -203,18 +198,19 @@ def figure_2_picture(data: pl.DataFrame) -> Figure:
 # -- armcal study blind ------------------------------------------------------------------------------------------------
 # title -> measures side by side, where a cell has the first of them
 MEASURES = {
-    "Blind study": ("alarm", "exact", "class", "in the set", "size of the set", "located", "gap / true"),
+    "Blind study": ("alarm", "exact", "class", "in the set", "located", "gap / true"),
     "Many effects at once": ("error / true", "effects named", "false names", "intervals, all", "false unknown"),
-    "Outside the library": ("no effect", "named at 0.9", "located", "wrong place"),
+    "Outside the library": ("no effect", "located", "wrong place"),
     "The model that is written": (
         *("inside tip intervals", "error / geometry", "promised / reached"),
         *(KEEPS, "contradiction"),
     ),
+    "Ambiguous sets after further postures of armcal discriminate": ("next_2 right", "next_8 right"),
 }
 
 
 def blind_parts(result: BlindStudy) -> list[Any]:
-    """Verdict, figures of the cells, further postures, reliability, targets, and the most frequent mistakes."""
+    """Verdict, figures of the cells, reliability, bars, and the most frequent mistakes."""
     parts: list[Any] = [str(result)]
     cells: dict[str, dict[str, Any]] = {}
     for row in result.tables["cells"].iter_rows(named=True):
@@ -223,26 +219,16 @@ def blind_parts(result: BlindStudy) -> list[Any]:
         rows = [
             [cell, str(figures[measures[0]]["count"]), *(with_error(figures.get(name)) for name in measures)]
             for cell, figures in cells.items()
-            if measures[0] in figures and (cell != ALL or title != "Blind study")
+            if measures[0] in figures
         ]
         parts.append(Sheet(("hidden", "sets", *measures), rows, title))
-    every = {name: row for figures in cells.values() for name, row in figures.items()}
-    rows, sets = [], 0
-    for count in (0, *FURTHER_RUNS):
-        figures = [every.get(f"next_{count} {measure}") for measure in ("right", "class", "predicted")]
-        if figures[0] is not None:
-            sets = figures[0]["count"]
-            rows.append([f"{count} of armcal discriminate" if count else "none", *map(with_error, figures)])
-    headings = ("postures", "right", "right class", "predicted")
-    parts.append(Sheet(headings, rows, f"{sets} ambiguous sets after further postures"))
-    if len(result.tables["reliability"]):
-        rows = [
-            [f"{row['from']:g} to {row['to']:g}", f"{row['said']:.3f}", f"{row['right']:.3f}", str(row["count"])]
-            for row in result.tables["reliability"].iter_rows(named=True)
-        ]
-        error = result.value(ALL, "calibration error")
-        title = f"Said with probability p: right in p? Expected calibration error {error:.3f}"
-        parts.append(Sheet(("said", "mean", "right", "sets"), rows, title))
+    rows = [
+        [f"{row['from']:g} to {row['to']:g}", f"{row['said']:.3f}", f"{row['right']:.3f}", str(row["count"])]
+        for row in result.tables["reliability"].iter_rows(named=True)
+    ]
+    error = with_error(cells.get(ALL, {}).get("calibration error"))
+    title = f"Said with probability p: right in p? Expected calibration error {error}"
+    parts.append(Sheet(("said", "mean", "right", "sets"), rows, title))
     bars = result.tables["bars"].iter_rows(named=True)
     rows = [[row["cell"], row["measure"], row["asked"], with_error(row), row["outcome"]] for row in bars]
     parts.append(Sheet(("cell", "measure", "asked", "measured", "outcome"), rows, "Bars"))

@@ -27,7 +27,7 @@ PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
 COLUMNS: dict[str, Any] = {"parameters": pl.Int64, "correct": pl.Boolean}
-COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds", "peak_memory_mb"), pl.Float64)
+COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds"), pl.Float64)
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ def compare(
     seed: int = 0,
     progress: Progress = silent,
 ) -> pl.DataFrame:
-    """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `claimed` (the solver's),
-    `bound`, `efficiency`, `correct`, `violation`, `seconds`, `peak_memory_mb`, `error`.
+    """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `bound`, `efficiency`,
+    `correct`, `seconds`, `error`.
 
     Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers; only times do: for
     comparable times use one process fewer than there are cores.
@@ -99,15 +99,15 @@ def compare(
 
 
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Arm, str | Solver]) -> list[Row]:
-    """The row of one run, in a new process, killed some time after its limit."""
+    """The row of one run, in a new process, killed some time after its limit; `seconds` is the search alone."""
     number = int(seed.generate_state(1)[0])
     outcome = call(solve_and_evaluate, *task, key, number, seconds=1.5 * key["limit_s"] + 10.0)
-    measured = {"status": outcome.status, "error": outcome.error, "peak_memory_mb": outcome.peak_memory_mb}
-    return [{**measured, "seconds": outcome.seconds, **(outcome.value or {})}]
+    ended = {"status": outcome.status, "error": outcome.error, "seconds": outcome.seconds}
+    return [ended | (outcome.value or {})]
 
 
 def solve_and_evaluate(arm: Arm, solver: str | Solver, key: dict[str, Any], seed: int) -> Row:
-    """Runs the solver in this process; `seconds` is the search alone."""
+    """Runs the solver in this process."""
     problem = compared_problem(arm, key["criterion"])
     design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
     return evaluated(problem, key["runs"], design)
@@ -120,30 +120,22 @@ def compared_problem(arm: Arm, name: str) -> DesignProblem:
 
 
 def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
-    """A design evaluated on the stored problem, independently of the solver's claims.
-
-    `violation` : how far the worst posture is outside limits and constraints, 0 if all are inside
-    """
-    postures, bound = design.plan.postures, design.bound
+    """A design evaluated on the stored problem, independently of the solver's claims: it is correct if all runs are
+    there, inside limits and constraints, of the value that the solver says, and not above the bound."""
+    postures, bound, rounding = design.plan.postures, design.bound, 1e-9  # [rad], in a margin, in the value
     value = problem.objective(postures)
     outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
     outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
-    violation = float(max(0.0, *outside))
-    # [rad] outside the joint limits, or below zero in a constraint's margin
-    correct = len(postures) == runs and design.plan.weights is None and violation <= 1e-9
-    agrees = 1e-9  # between the solver's value and ours
-    correct &= bool(np.isclose(value, design.value, rtol=0.0, atol=agrees))
+    allowed = len(postures) == runs and design.plan.weights is None and max(outside) <= rounding
+    claimed = abs(value - design.value) <= rounding and (bound is None or value <= bound.value + rounding)
     return {
         "outcome": design.status.name,
         "starts_done": design.starts,
         "value": value if np.isfinite(value) else None,
-        "claimed": design.value if np.isfinite(design.value) else None,
         "bound": None if bound is None else bound.value,
-        "bound_source": None if bound is None else bound.source,
         "efficiency": None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters),
         "parameters": problem.parameters,
-        "violation": violation,
-        "correct": correct and (bound is None or bool(value <= bound.value + agrees)),
+        "correct": bool(allowed and claimed),
         "seconds": design.seconds,
     }
 
@@ -168,7 +160,6 @@ def summary(rows: pl.DataFrame) -> pl.DataFrame:
             pl.col("hit").mean().alias("hit_rate"),
             pl.col("seconds").mean().alias("seconds"),
             pl.when(hits > 0).then(pl.col("seconds").sum() / hits).alias("seconds_to_hit"),
-            pl.col("peak_memory_mb").max(),
         )
         .sort(*PROBLEM, pl.col("best").round(8), "seconds", descending=[*first, True, False], nulls_last=True)
     )

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from doe.jobs import Key, Row, Workers, canonical, parquet, run_tasks, short_hash, tables, with_columns
+from doe.jobs import Key, Row, RowTable, Workers, canonical, parquet, run_tasks, short_hash, with_columns
 from doe.problem.model import PRISMATIC
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -41,6 +41,8 @@ from identification.files.io import write_together
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
 PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
+BLOCK, RANDOM_BLOCK = 10_000, 100  # replications of a task; those that share one random plan
+MOST_ROWS = 4_000_000  # of a task: 64 MB of positions
 
 
 # -- what is asked for -------------------------------------------------------------------------------------------------
@@ -49,7 +51,7 @@ class Study:
     """A Monte Carlo study: every combination of arms, plans, and what a study file has besides (`asked`).
 
     plans : name -> a given plan, whose number of runs is fixed; None: of a solver, "dft" (theta_j = 2 pi i j / m), or
-        "random" (a new plan for each replication, uniform over the allowed postures)
+        "random" (a new plan for every hundred replications, uniform over the allowed postures)
     """
 
     arms: Sequence[Arm]
@@ -61,33 +63,30 @@ class Study:
         """others : as in a study file, `runs`, `sigma_mm`, ... Raises `InputError` for all that can be said before work
         starts."""
         plans = plans if isinstance(plans, Mapping) else dict.fromkeys(plans)
-        asked = StudyFile.of(arms, plans, **others)
-        if asked.replications / asked.block > (most_tasks := 100_000):  # of a cell: each is a row of a table
-            least = f"at least {-(-asked.replications // most_tasks)} for {asked.replications} replications"
-            raise InputError(f"block: found {asked.block}, allowed: {least}")
+        asked = StudyFile.of({"arms": [arm.name for arm in arms], "plans": [*plans], **others})
         methods = {*SOLVERS, DFT, RANDOM}
         for name, plan in plans.items():
             if plan is None and name not in methods:
                 raise InputError(f"plans: unknown {name!r}, {nearest(name, methods)}, or NAME.csv")
             if plan is None and not asked.runs:
                 raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {name!r} needs them")
-        needs = []  # runs of each fit; where one can be done, the others are rows that say why there is nothing
+        least = []  # runs of each fit; where one can be done, the others are rows that say why there is nothing
         for arm in arms:
             if arm.sigma is None and asked.sigma_mm is None:
                 raise InputError(f"sigma_mm: is missing, allowed: numbers > 0 [mm], as arm {arm.name} has none")
             for name, plan in plans.items():
                 if plan is not None and plan.links != arm.links:
                     raise InputError(f"plans: {name} has {plan.links} joints, allowed: {arm.links} as arm {arm.name}")
-            for what, entry in [*(("truths", one) for one in asked.truths), *(("models", one) for one in asked.models)]:
-                try:
-                    model = entry.model(arm)
-                except InputError as error:
-                    raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
-                if what == "models":
-                    needs.append(-(-len(model.names) // (model.dimension * len(model.arm.chain.tools))))
-        most = max(runs for plan in plans.values() for runs in (asked.runs if plan is None else [len(plan)]))
-        if most < min(needs):
-            raise InputError(f"runs: found {most}, allowed: at least {min(needs)}, an equation for every parameter")
+            for what, entries in (("truths", asked.truths), ("models", asked.models)):
+                for entry in entries:
+                    try:
+                        model = entry.model(arm)
+                    except InputError as error:
+                        raise InputError(f"{what}: {entry.name} with arm {arm.name}: {error}") from None
+                    least.append(-(-len(model.names) // (model.dimension * len(model.arm.chain.tools))))
+        most = max(*asked.runs, *(len(plan) for plan in plans.values() if plan is not None), 0, 0)
+        if most < min(least):
+            raise InputError(f"runs: found {most}, allowed: at least {min(least)}, an equation for every parameter")
         return cls(arms, plans, asked)
 
 
@@ -142,17 +141,19 @@ def run_study(
     solvers = [name for name, plan in study.plans.items() if plan is None and name not in (DFT, RANDOM)]
     keys: list[Key] = [
         {"arm": arm.name, "plan": plan, "runs": runs, "limit_s": study.asked.solver_seconds, "inputs": digest}
-        for (arm, digest), plan, runs in product(zip(study.arms, arms, strict=True), solvers, study.asked.runs)
+        for (digest, arm), plan, runs in product(arms.items(), solvers, study.asked.runs)
     ]
     run = partial(run_tasks, workers=workers, seed=seed, progress=progress)
-    with tables(folder, PLANS, BLOCKS, resume=resume, force=force) as (of_plans, of_blocks):
+    open_table = partial(RowTable, resume=resume, force=force)
+    places = [None if folder is None else Path(folder) / name for name in (PLANS, BLOCKS, CELLS)]
+    with open_table(places[0]) as of_plans, open_table(places[1]) as of_blocks:
         plans = run(make_plan, keys, of_plans, payload=lambda key: arms[key["inputs"]])
         tasks = {canonical(key): (key, cell) for key, cell in _tasks(study, plans)}
         asked = [key for key, _ in tasks.values()]
         blocks = run(replicate, asked, of_blocks, payload=lambda key: tasks[canonical(key)][1])
         cells = pooled_rows(blocks)
-        if folder is not None:
-            write_together({Path(folder) / CELLS: parquet(cells)}, force=True)
+        if places[2] is not None and "done" in cells["status"]:
+            write_together({places[2]: parquet(cells)}, force=True)
     return StudyResult(cells, blocks, plans)
 
 
@@ -182,8 +183,8 @@ def _dft(arm: Arm, runs: int) -> Array | str:
     return f"plan dft: posture {outside[0] + 1} is outside the limits or a constraint" if outside.size else postures
 
 
-# what a block of replications needs: the arm as the fit knows it and as it really is, the plan (m, n), None: a new
-# random plan for each replication, runs, sigma
+# what a block of replications needs: the arm as the fit knows it and as it really is, the plan (m, n), None: a random
+# one, runs, sigma
 Cell = tuple[Arm, Arm, Array | None, int, float]
 
 
@@ -191,19 +192,16 @@ def _tasks(study: Study, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]
     """Key and payload of every block; a cell that cannot be simulated has one block, whose row says why."""
     rows = {(row["arm"], row["plan"], row["runs"]): row for row in made.iter_rows(named=True)}
     asked = study.asked
-    whole, rest = divmod(asked.replications, asked.block)
-    blocks = [asked.block] * whole + [rest] * (rest > 0)
     for arm, (name, plan) in product(study.arms, study.plans.items()):
         for runs in asked.runs if plan is None else [len(plan)]:
             row = rows.get((arm.name, name, runs), {})
+            postures: Array | str | None = None if name == RANDOM else f"no plan: {row.get('error')}"
             if plan is not None:
-                postures: Array | str | None = plan.postures
+                postures = plan.postures
             elif name == DFT:
                 postures = _dft(arm, runs)
             elif row.get("status") == "done":
                 postures = Plan.of_displayed(np.array(row["postures_deg"]), arm.joint_types).postures
-            else:
-                postures = None if name == RANDOM else f"no plan: {row['error']}"
             for sigma, truth, model in product(asked.sigma_mm or [arm.sigma or 0.0], asked.truths, asked.models):
                 fitted, true, degrees = model.of(arm), truth.of(arm), None
                 if isinstance(postures, np.ndarray):
@@ -212,41 +210,39 @@ def _tasks(study: Study, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]
                 cell = postures if isinstance(postures, str) else (fitted, true, postures, runs, float(sigma))
                 key = dict(zip(CELL, (arm.name, name, runs, sigma, truth.name, model.name), strict=True))
                 key["inputs"] = short_hash(repr(((dump_arm(fitted), dump_arm(true)), degrees)))
-                for number, size in enumerate([asked.replications] if isinstance(cell, str) else blocks):
-                    yield {**key, "block": number, "replications": size}, cell
+                size = RANDOM_BLOCK if name == RANDOM else BLOCK
+                size = max(1, min(size, MOST_ROWS // (runs * max(1, len(arm.chain.tools)))))
+                starts = [0] if isinstance(cell, str) else range(0, asked.replications, size)
+                for number, start in enumerate(starts):
+                    yield {**key, "block": number, "replications": min(size, asked.replications - start)}, cell
 
 
 def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
     """One row per cell and parameter: blocks pooled.
 
-    `fits`, `failed` : numbers of data sets;  `mean_error`, `std`, `rms` : of the errors, file units
-    `mean_error_se`, `std_se` : their standard errors; the deviation's for normal errors, so null for random plans
+    `fits`, `failed` : numbers of data sets;  `mean_error`, `std` : of the errors, file units
     `expected_std` : eq. 16; of random plans the root mean square over the plans, which `std` must equal
-    `coverage` : fraction of 95 % intervals, with the true sigma and each data set's own plan, that hold the true value
+    `coverage` : fraction of 95 % intervals, with the true sigma, that hold the true value
     `rms_mm` : of the fits' residuals per row;  `status`, `error` : of the first block that failed, else done
     """
     types: dict[str, Any] = {"parameter": pl.String, "unit": pl.String}
     types |= dict.fromkeys(("fits", "failed", "covered"), pl.Int64)
     types |= dict.fromkeys(("mean_error", "squares", "expected_std", "rms_mm"), pl.Float64)
     blocks = with_columns(blocks, types)
-    n = pl.col("fits").sum()
-    mean = (pl.col("mean_error") * pl.col("fits")).sum() / n
-    about = pl.col("squares").sum() + (pl.col("fits") * (pl.col("mean_error") - mean) ** 2).sum()
-    std = (about / (n - 1)).sqrt()
-    of_fits = (pl.col("rms_mm") ** 2 * pl.col("fits")).sum()
-    expected = ((pl.col("expected_std") ** 2 * pl.col("fits")).sum() / n).sqrt()
-    done = pl.col("status") == "done"
+    n, done = pl.col("fits").sum(), pl.col("status") == "done"
+
+    def mean(each: pl.Expr) -> pl.Expr:
+        return (each * pl.col("fits")).sum() / n
+
+    between = (pl.col("fits") * (pl.col("mean_error") - mean(pl.col("mean_error"))) ** 2).sum()
     return blocks.group_by(*CELL, "inputs", "parameter", "unit", maintain_order=True).agg(
         n.alias("fits"),
         pl.col("failed").sum(),
-        pl.when(n > 0).then(mean).alias("mean_error"),
-        pl.when(n > 1).then(std).alias("std"),
-        pl.when(n > 0).then((about / n + mean**2).sqrt()).alias("rms"),
-        pl.when(n > 1).then(std / n.sqrt()).alias("mean_error_se"),
-        pl.when((n > 1) & (pl.col("plan").first() != RANDOM)).then(std / (2.0 * (n - 1)).sqrt()).alias("std_se"),
-        pl.when(n > 0).then(expected).alias("expected_std"),
+        pl.when(n > 0).then(mean(pl.col("mean_error"))).alias("mean_error"),
+        pl.when(n > 1).then(((pl.col("squares").sum() + between) / (n - 1)).sqrt()).alias("std"),
+        pl.when(n > 0).then(mean(pl.col("expected_std") ** 2).sqrt()).alias("expected_std"),
         pl.when(n > 0).then(pl.col("covered").sum() / n).alias("coverage"),
-        pl.when(pl.col("rms_mm").is_not_null().any()).then((of_fits / n).sqrt()).alias("rms_mm"),
+        pl.when(pl.col("rms_mm").is_not_null().any()).then(mean(pl.col("rms_mm") ** 2).sqrt()).alias("rms_mm"),
         pl.when(done.all()).then(pl.lit("done")).otherwise(pl.lit("failed")).alias("status"),
         pl.col("error").cast(pl.String).drop_nulls().first().alias("error"),
     )
@@ -261,37 +257,24 @@ def replicate(key: dict[str, Any], seed: np.random.SeedSequence, cell: Cell | st
     if isinstance(cell, str):
         raise JobError(cell)
     fitted, true, plan, runs, sigma = cell
-    data_sets, generator, count = Replications.of(fitted, true), np.random.default_rng(seed), key["replications"]
-    model, values, transform = data_sets.model, data_sets.values, data_sets.transform
-    unknowns, rows = len(values), runs * data_sets.points
-    if (equations := model.dimension * rows) < unknowns:
-        raise JobError(f"{runs} runs are {equations} equations, allowed: at least {unknowns}, one per unknown")
-    if plan is not None:
-        parameters, rss, stds = data_sets.fits(plan, sigma, generator, count)
-    else:
-        problem, parts = DesignProblem.of(model), []
-        size = max(1, 20_000 // rows)  # whose arrays stay in the processor's cache
-        for number in (min(size, count - start) for start in range(0, count, size)):
-            plans = random_postures(problem, number * runs, generator).reshape(number, runs, -1)
-            parts.append(data_sets.fits(plans, sigma, generator))
-        parameters, rss, stds = map(np.concatenate, zip(*parts, strict=True))
-    good = np.isfinite(np.c_[parameters, rss]).all(axis=1) & np.isfinite(stds).all(axis=1)
-    errors = (parameters[good] - values) @ transform.T
-    turns = [*model.parameters.joint_offsets.tolist(), *range(unknowns, len(transform))]
-    errors[:, turns] = (errors[:, turns] + np.pi) % (2.0 * np.pi) - np.pi  # known up to a whole turn
-    stds = stds if len(stds) == 1 else stds[good]
-    distances = model.dimension <= 3  # the residuals of orientations are none
-    rms = float(np.sqrt(np.mean(rss[good]) / rows)) if len(errors) and distances else None
-    fits: Row = {"fits": len(errors), "failed": int(np.sum(~good)), "rms_mm": rms}
-    reported = [(p.name, p.file_unit, p.to_file) for p in model.parameters]
-    reported += [(f"orientation_offset:{j}", "deg", 180.0 / np.pi) for j in range(1, len(transform) - unknowns + 1)]
+    data_sets, generator = Replications.of(fitted, true), np.random.default_rng(seed)
+    model, rows = data_sets.model, runs * data_sets.points
+    if (equations := model.dimension * rows) < len(model.names):
+        raise JobError(f"{runs} runs are {equations} equations, allowed: at least {len(model.names)}, one per unknown")
+    postures = random_postures(DesignProblem.of(model), runs, generator) if plan is None else plan
+    errors, rss, stds = data_sets.fits(postures, sigma, generator, key["replications"])
+    good = np.isfinite(np.c_[errors, rss]).all(axis=1)
+    errors, rss = errors[good], rss[good]
+    fits: Row = {"fits": len(errors), "failed": int(np.sum(~good)), "rms_mm": None}
+    if len(errors) and model.dimension <= 3:  # the residuals of orientations are no distances
+        fits["rms_mm"] = float(np.sqrt(np.mean(rss) / rows))
     block = []
-    for (name, unit, factor), error, std in zip(reported, errors.T, stds.T, strict=True):
+    for (name, unit, factor), error, std in zip(data_sets.reported, errors.T, stds, strict=True):
         row: Row = {"parameter": name, "unit": unit, **fits, "mean_error": None, "squares": None}
         if error.size:
             mean = float(np.mean(error * factor))
             row |= {"mean_error": mean, "squares": float(np.sum((error * factor - mean) ** 2))}
         row["covered"] = int(np.sum(np.abs(error) <= 1.959963984540054 * std))  # two-sided 95 % of the normal
-        row["expected_std"] = float(np.sqrt(np.mean((std * factor) ** 2))) if error.size else None
+        row["expected_std"] = float(std * factor) if error.size else None
         block.append(row)
     return block

@@ -138,7 +138,8 @@ def table_3(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
             continue
         stated, ideal = printed.get((links, runs, item)) if place == "Table III" else None, ideal_std(runs, item)
         case |= {"item": item, "unit": cell["unit"], "printed": stated, "theory": cell["expected_std"], "ideal": ideal}
-        case |= {"simulated": cell["std"], "standard_error": cell["std_se"], "verdict": agreement(stated, ideal)}
+        error = cell["std"] / np.sqrt(2.0 * (cell["fits"] - 1))  # of normal errors
+        case |= {"simulated": cell["std"], "standard_error": error, "verdict": agreement(stated, ideal)}
         rows.append(case | {"note": None})
     return frame_of(rows)
 
@@ -238,12 +239,12 @@ def paper_study(
 ) -> dict[str, pl.DataFrame]:
     """Everything of the paper by the names of the functions here, `text` for `text_figures`.
 
-    replications : simulated calibrations per table entry. Raises `InputError` for too few to estimate a deviation, or
-        more than memory holds.
+    replications : simulated calibrations per table entry. Raises `InputError` for too few to tell printed deviations
+        from true ones, or more than memory holds.
     """
-    (least, most), number = (100, 100_000), replications or REPLICATIONS
+    (least, most), number = (1_000, 100_000), replications or REPLICATIONS
     if not least <= number <= most:
-        raise InputError(f"--replications: found {number}, allowed for the paper: {least} to {most:,}")
+        raise InputError(f"--replications: found {number}, allowed for the paper: {least:,} to {most:,}")
     made = {"table_1": table_1(), "table_2": table_2(), "text": text_figures()}
     simulations: dict[str, Callable[[int, int], pl.DataFrame]] = {
         "table_3": table_3,

@@ -69,33 +69,24 @@ def diagnosis_verdict(data: Data) -> list[str]:
 
 
 def findings(data: Data) -> list[str]:
-    """What belongs to the verdict, in sentences: a shape, scatter that is not explained, sessions, and of each joint
-    the waves of undetermined order."""
+    """What belongs to the verdict, in sentences: a shape, scatter that is not explained, sessions."""
     lines = [f"Its shape: {data['shape']}."] if data["shape"] and not is_described(data) else []
     if (misfit := data["misfit"]) and misfit["significant"]:
         lines.append(f"Scatter {misfit['ratio']:.3g} x sigma_mm, not explained.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
         if effects := [one["effect"] for one in data["replication"] if one["replicates"] is answer]:
             lines.append(f"{says} across sessions: {' + '.join(effects)}.")
-    for joint in sorted({shape["joint"] for shape in data["shapes"]}):
-        waves = [shape for shape in data["shapes"] if shape["joint"] == joint]
-        low, high = waves[0]["range_deg"]
-        listed = " and ".join("{} (orders {} to {} fit)".format(wave["effect"], *wave["orders"]) for wave in waves)
-        what = "is a shape, not a cause" if len(waves) == 1 else "are shapes, not causes"
-        lines.append(f"Over the {high - low:.0f} deg that joint {joint} moved, {listed} {what}.")
     return lines
 
 
 def likely(data: Data) -> str:
-    """The probabilities in one line, with those of other sets, and what they leave open: names that are shapes rather
-    than causes, and rows too few for a test."""
+    """The probabilities in one line, with those of other sets, and whether the rows are too few for a test."""
     tests = tests_of(data)
-    shapes = ["among the library's shapes, whatever makes them"] if data["effects"] and data["shapes"] else []
     few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
-    among = "; ".join([*shapes, *(["too few rows to confirm it on others"] if few else [])])
+    among = " (too few rows to confirm it on others)" if few else ""
     every = ", ".join(f"{name} {p:.2f}" for name, p in data["probabilities"].items() if p >= 0.005)
     other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in data["other_sets"])
-    return f"probability{f' ({among})' if among else ''}: {every}{f' (of that {other})' if other else ''}"
+    return f"probability{among}: {every}{f' (of that {other})' if other else ''}"
 
 
 def gap_in_words(data: Data) -> str:
@@ -207,12 +198,6 @@ def diagnosis_document(
     named += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
     named += [Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
     named += [f"95 % intervals: {diagnosis.named.reliance}."] if diagnosis is not None and explanations else []
-    orders = [
-        [one["effect"], f"{one['range_deg'][1] - one['range_deg'][0]:.0f}", "{} to {}".format(*one["orders"])]
-        for one in data["shapes"]
-    ]
-    headings = ("wave", "joint moved over [deg]", "orders that fit")
-    named.append(Sheet(headings, orders, "Shapes, not causes: waves of other orders fit as well"))
     parts: list[Part] = [Section("What is missing", named)]
     if data["replication"]:
         parts.append(replication_section(data["replication"]))
@@ -368,27 +353,13 @@ def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Secti
 
 
 def further_sections(data: Data) -> list[Section]:
-    """What was tried, what these postures can show, and notes; folded but where nothing is named."""
+    """All explanations, what these postures can show, and notes; folded but where nothing is named."""
     other = {" + ".join(one["effects"]): one["probability"] for one in data["other_sets"]}
     chances = [
         [name, probability_text(p), "yes" if name in data["credible_set"] else ""]
         for name, p in (data["probabilities"] | other).items()
     ]
-    trials = [
-        [
-            t["effect"],
-            probability_text(1.0 - t["p_adjusted"]),
-            f"{t['f']:.1f}",
-            f"{t['p']:.2g}" if t["p"] > 0.0 else "< 1e-300",
-            f"{t['delta_bic']:.1f}",
-        ]
-        for t in data["trials"][:12]
-    ]
-    tried: list[Part] = [
-        "How likely each explanation is, and the strongest effects one at a time against the base model.",
-        Sheet(("explanation", "probability", "in the 90 % set"), chances),
-        Sheet(("effect", "probability", "F alone", "p", "-2 log odds alone"), trials),
-    ]
+    tried: list[Part] = [Sheet(("explanation", "probability", "in the 90 % set"), chances)]
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
     shown: list[Part] = [
         Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data)),
@@ -397,7 +368,7 @@ def further_sections(data: Data) -> list[Section]:
         Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish"),
     ]
     sections = [
-        Section("Everything that was tried", tried, folded=True),
+        Section("How likely each explanation is", tried, folded=True),
         Section("What these postures can and cannot show", shown, folded=bool(data["effects"])),
     ]
     notes = [as_sentence(note) for note in data["notes"]]

@@ -48,7 +48,8 @@ def dots(axes: Axes, x: Array, pairs: Pairs) -> None:
     for (values, name), color in zip(pairs, (BEFORE, AFTER), strict=True):
         axes.plot(x, values, ".", color=color, **style)
         axes.plot([], [], ".", color=color, label=name)
-    axes.locator_params(axis="y", nbins=6)
+    if axes.get_yscale() == "linear":
+        axes.locator_params(axis="y", nbins=6)
 
 
 # -- signed errors of joints -------------------------------------------------------------------------------------------
@@ -207,7 +208,7 @@ def draw_workspace(figure: Figure | SubFigure, arm: Arm, positions: Array, pairs
     """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
     arrow is an eighth of the reach; and where a planar arm stands."""
     dimension, values = pairs[0][0].shape[1], Model(arm).best_known
-    stand = [values.get(name, 0.0) for name in arm.chain.base_shift if arm.chain.planar]
+    stand = [values.get(name, 0.0) for name in arm.chain.base_shift if not arm.chain.frame_kinds]
     views, unit = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)], reading_unit(arm)  # in space from the side too
     grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)

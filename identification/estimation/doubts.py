@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm, Machining
+from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Contradiction
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
@@ -59,10 +59,8 @@ OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
-POSES = 1000  # random postures that stand for the joint limits
 FEW = "too few measurements"  # the beginning of that sentence
 TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
-HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
 
 
 def doubts(
@@ -123,21 +121,6 @@ def far_zeros(model: Model, parameters: Array) -> list[str]:
     turned = [(j, x) for j, (x, kind) in offsets if j > 1 and kind == REVOLUTE and abs(x) > FAR_ZERO]
     far = ", ".join(f"{np.degrees(x):.1f} deg at joint {j}" for j, x in turned)
     return [f"zeros differ from the drawing's: {far}"] if far else []
-
-
-def far_from_drawing(machining: Machining, width: float, zeros: float) -> list[str]:
-    """What is doubtful about an arm whose errors are so many times those of its machining, and its zeros besides."""
-    rotation, sentences = f"{np.degrees(machining.rotation):g} deg", []
-    if width != 1.0:
-        sizes = f"[machining] says ({machining.translation:g} mm and {rotation})"
-        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
-        taken = f"taken {width:g} times as large{ask if width >= UNUSUAL else ''}"
-        sentences.append(f"the arm is farther from its drawing than {sizes}: {taken}")
-    if zeros != 1.0:
-        taken = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from"
-        far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
-        sentences.append(f"{far}: {taken} elsewhere")
-    return sentences
 
 
 def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
@@ -300,8 +283,8 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
 
 
 def working_postures(low: Array, high: Array) -> Array:
-    """(k, n) random postures between two limits (n,)."""
-    return np.random.default_rng(0).uniform(low, high, (POSES, len(low)))
+    """(1000, n) random postures between two limits (n,)."""
+    return np.random.default_rng(0).uniform(low, high, (1000, len(low)))
 
 
 def tip_of(fit: Identification, *, measured: bool) -> float | None:
@@ -327,7 +310,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     if not measured:
         return over(working_postures(arm.lower, arm.upper))
     numbers = len(postures) * fit.residuals_after.shape[1]
-    among = over(postures[:: max(len(postures) // POSES, 1)], max(numbers - fit.determined, 1.0) / numbers)
+    among = over(postures[:: max(len(postures) // 1000, 1)], max(numbers - fit.determined, 1.0) / numbers)
     return min(among, over(working_postures(postures.min(axis=0), postures.max(axis=0))))
 
 
@@ -388,7 +371,8 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
 
     tip : expected error of the tip [mm] with a covariance (p, p); None: something is not identifiable at all
     """
-    if (turns := fit.flange_turns) is None or turns[0] > HARDLY:
+    hardly = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
+    if (turns := fit.flange_turns) is None or turns[0] > hardly:
         return []
     arm = fit.model.arm
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
@@ -399,11 +383,13 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
         with_tools = fit.covariance - across @ product_inverse(fit.covariance[np.ix_(tools, tools)]) @ across.T
         if 2.0 * tip(with_tools) > tip(fit.covariance):  # with the tool given not half as uncertain: another reason
             return []
-    able = flange_turns(arm.chain, Measurements(working_postures(arm.lower, arm.upper), np.zeros((POSES, 3))))
-    if able[0] <= HARDLY:  # all its axes are parallel
+    anywhere = working_postures(arm.lower, arm.upper)
+    if (
+        flange_turns(arm.chain, Measurements(anywhere, np.zeros((len(anywhere), 3))))[0] <= hardly
+    ):  # all its axes are parallel
         return []
     how = "by 45 deg and more, or give [tool]"
-    if turns[1] <= HARDLY:  # mean squares of small turns a about x, y, z: y^2 + z^2, x^2 + z^2, x^2 + y^2
+    if turns[1] <= hardly:  # mean squares of small turns a about x, y, z: y^2 + z^2, x^2 + z^2, x^2 + y^2
         angle = np.degrees(np.sqrt(np.sum(turns**2) / 2.0))
         kept = f"the flange kept one orientation, turned by {round(float(angle), 4):.2g} deg (RMS)"
         return [f"{TOGETHER}: {kept}. Measure postures that turn it about two axes {how}"]

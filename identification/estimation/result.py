@@ -213,7 +213,7 @@ class Identification(Documented):
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        if self.arm is None or self.arm.chain.planar:
+        if self.arm is None or not self.arm.chain.frame_kinds:
             return None
         return CorrectedGeometry(self.arm.chain, self.values, self.arm.counting)
 
@@ -406,8 +406,8 @@ def corrected_values(
         # what the arm file says of them is where fits start
         if all(p.name in values for p in chain.instrument.parameters)
     ]
-    rows = [*lengths, *of_instrument, *zeros] if chain.planar else zeros
-    if not chain.planar:
+    rows = zeros if chain.frame_kinds else [*lengths, *of_instrument, *zeros]
+    if chain.frame_kinds:
         drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
         steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
         slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
@@ -484,7 +484,7 @@ def dh_table(
     Raises `InputError` as `drawn_links`.
     """
     calibration, model = arm.calibration, Model(arm)
-    if calibration is None or arm.chain.planar or calibration.covariance is None:
+    if calibration is None or calibration.covariance is None:
         return (), []
     drawn, values = drawn_links(rows, convention), {**model.fixed, **calibration.values}
 

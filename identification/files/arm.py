@@ -468,7 +468,7 @@ def dump_arm(arm: Arm) -> str:
     chain, calibration, tables = arm.chain, arm.calibration, Plain(name=arm.name)
     limits, sliding = np.stack(arm.column_limits), np.array(arm.joint_types) == PRISMATIC
     kind = "planar" if chain.planar else "spatial"
-    if chain.planar:
+    if kind == "planar":
         if not np.all(np.isfinite(limits)) and np.any(np.abs([arm.lower, arm.upper]) != np.pi):
             tied = "limits of coupled joints, none of which is the controller's"
             raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
@@ -501,7 +501,7 @@ def dump_arm(arm: Arm) -> str:
     ):
         tables |= {} if value is None else {key: _in_table(keys, value)}
     for constraint in (each for each in arm.constraints if not isinstance(each, ColumnLimits)):
-        sphere = isinstance(constraint, KeepOutCircle) and not chain.planar
+        sphere = isinstance(constraint, KeepOutCircle) and kind == "spatial"
         which = "keep_out_sphere" if sphere else constraint.kind
         entries = _in_table(CONSTRAINTS[which][kind].replace("?", "").split(), constraint)
         if "facing" not in entries:
@@ -603,7 +603,7 @@ def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
 def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> Plain:
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
     names = _names(chain.parameters(), effects, of_api=True)
-    values = calibration.effects if chain.planar else calibration.values
+    values = calibration.values if chain.frame_kinds else calibration.effects
     order = [*_named(names, calibration.parameter_names, "calibration").values()]
     named = _named(names, values, "calibration")
     in_file = {name: _in_file(values[api], factor) for api, (name, factor) in named.items()}

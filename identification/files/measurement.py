@@ -57,7 +57,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     """
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
-    instrument, in_space, poses = chain.instrument, not chain.planar, chain.angle_scale is not None
+    instrument, in_space, poses = chain.instrument, bool(chain.frame_kinds), chain.angle_scale is not None
     postures = read_postures(table, types)
     n = postures.shape[1]
     names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}

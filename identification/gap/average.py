@@ -4,13 +4,11 @@ Where something may be missing that an arm file cannot have (functions of time a
 what it can have alone, so that this describes as much of the data as it can. The parameters of all blocks that are
 likely enough have the mean and the covariance of the mixture of all explanations, E[cov] + cov[E]; the base's follow
 them.
-
-A curve with standard deviation s(q) at angles q is compared with waves and with a step by weighted least squares beside
-a constant. A shape describes the curve if it explains `SHAPED` of its weighted variance.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +20,7 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import WAVES, Block, Linearized, curve_waves
+from identification.gap.blocks import WAVES, curve_waves
 from identification.gap.fit import At, Fit
 from identification.gap.likelihood import Index, mixed
 from identification.gap.search import Posterior
@@ -30,8 +28,6 @@ from identification.information import VISIBLE
 from identification.model import Model
 from identification.sessions import SESSIONS
 
-SHAPED = 0.8  # convention: of a curve's variance, that makes a shape its name; nothing else depends on it
-MOST_WAVES = 6  # that are listed; derived: each explains at least a sixth of what `SHAPED` allows to lack
 COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 
@@ -67,30 +63,62 @@ def geometry(base: Fit) -> PredictingModel:
 def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
     held, library = posterior.writable or posterior, posterior.library
-    places, mean, covariance, response, variance, effective = _mixed(held)
-    base, arm = held.whole.base, library.arm
-    g = len(base)
-    mean[:g] += base
-    members = [(block, at) for block, at in places.values() if block.spec is not None]
-    specs = tuple(block.spec for block, _ in members if block.spec is not None)
+    whole, arm, g = held.whole, library.arm, len(held.whole.base)
+    chances, shares_of_noise = defaultdict[str, float](float), np.zeros(len(held.problems))
+    for one in held.explanations:
+        shares_of_noise[one.noise] += one.probability
+        for block in one.blocks:
+            chances[block.label] += one.probability
+
+    # the base's parameters, and those of all blocks that are likely enough; the base gives way to rows left out, too
+    kept = [b for k, b in enumerate(whole.blocks) if b.row is None and chances[b.label] >= LEVEL]
+    ends = g + np.cumsum([0, *(whole.columns[whole.numbers[b.label]].shape[2] for b in kept)])
+    places = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
+    of_each, geometry_of, variance, used = [], defaultdict[str, Array](lambda: np.zeros(g)), 0.0, 0.0
+    for problem, draws, share in zip(held.problems, held.draws, shares_of_noise.tolist(), strict=True):
+        states, drawn = [problem.products.state(key) for key in draws], np.array([*draws.values()]) / draws.total()
+        first, covariance, of_noise = mixed(states, drawn)
+        used += share * sum(
+            n * (len(s.sizes) - np.sum(np.diag(s.covariance) / s.sizes**2)) for n, s in zip(drawn, states, strict=True)
+        )
+        turn = np.zeros((int(ends[-1]), len(first)))
+        for b, block in enumerate(problem.blocks):
+            own = problem.products.places([b])
+            if block.label in places:
+                turn[np.ix_(places[block.label], own)] = problem.roots[b]
+                geometry_of[block.label] += share * problem.response[:, own] @ first[own]
+            if block.label in places or block.row is not None:
+                turn[:g, own] = problem.response[:, own]
+        mean, covariance = turn @ first, turn @ covariance @ turn.T
+        mean[:g] += problem.base
+        covariance[:g, :g] += of_noise * problem.normal
+        of_each.append((share, mean, covariance))
+        variance += share * of_noise
+    mean = sum((share * one for share, one, _ in of_each), np.zeros(int(ends[-1])))
+    covariance = sum(
+        (share * (c + np.outer(m - mean, m - mean)) for share, m, c in of_each), np.zeros((len(mean), len(mean)))
+    )
+    freedom = max(rows - round(float(used)) - g, 1)
+
+    members = [b for b in kept if b.spec is not None]
+    specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
     place = {name: k for k, name in enumerate(library.base_names(plain))}
-    for (_, at), effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
-        place |= {p.name: k for p, k in zip(effect.parameters, at.tolist(), strict=True)}
+    for block, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
+        place |= {p.name: k for p, k in zip(effect.parameters, places[block.label].tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
     curves = []
-    for block, at in places.values():
-        if block.span is None:
-            continue
+    of_curves = [b for b in kept if b.span is not None]
+    for block in of_curves:
         # beside all else that goes with it: what they exchange makes no difference to any point
-        joint, start, stop = block.span
+        at, (joint, start, stop) = places[block.label], block.span or (0, 0.0, 0.0)
         functions = curve_waves(np.linspace(start, stop, 2 * WAVES + 1), start, stop)
         beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         std = np.sqrt(np.maximum(np.sum((functions @ beside) * functions, axis=1), 0.0))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
-        parts = zip(library.base.names, (response[:, at] @ mean[at]).tolist(), strict=True)
+        parts = zip(library.base.names, geometry_of[block.label].tolist(), strict=True)
         shifted = {name: value for name, value in parts if not name.startswith(f"{SESSIONS}.")}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
@@ -99,110 +127,27 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     entries = (*specs, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
 
+    # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
+    # measured as much more as the curves are uncertain, and what a file cannot have is there
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     normal = held.problems[held.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
-    # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
-    # measured as much more as the curves are uncertain, and what a file cannot have is there
     jacobian = At(model, values, held.at.rows).linearized[1]
-    tables = [(b.columns(held.at), at) for b, at in places.values() if b.span is not None and b.columns is not None]
-    of_curves = np.concatenate([np.zeros(0, dtype=np.int64), *(at for _, at in tables)])
-    whole, every = np.concatenate([jacobian, *(columns for columns, _ in tables)], axis=2), [*index, *of_curves]
-    tall = whole.reshape(-1, whole.shape[2])
-    gram = tall.T @ tall / len(whole)  # of a covariance C the mean square distance is the sum of gram * C
-    inside = gram[: len(index), : len(index)]
+    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[b.label] for b in of_curves)])
+    tables = [whole.columns[whole.numbers[b.label]] for b in of_curves]
+    every, tall = [*index, *known], np.concatenate([jacobian, *tables], axis=2).reshape(held.at.left.size, -1)
+    gram = tall.T @ tall / len(jacobian)  # of a covariance C the mean square distance is the sum of gram * C
+    inside, beside = gram[: len(index), : len(index)], beside_known(covariance, index, known)
     spread /= max(float(np.sum(inside * spread)), 1e-300)
-    beside = beside_known(covariance, index, of_curves)
-    freedom = max(rows - round(effective + g), 1)
-    data = held.at.rows
-    written = PredictingModel(
-        model, values, data, beside, float(np.sqrt(variance)), freedom, spread, entries, tuple(curves)
-    )
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
-    lacking = 0.0 if held is posterior else variance - _noise_variance(posterior)
-    return written.allowing(more + jacobian.shape[1] * max(lacking, 0.0))
-
-
-def _noise_variance(posterior: Posterior) -> float:
-    """Expected variance of a whitened coordinate's noise [mm^2]."""
-    variance = 0.0
-    for number, (problem, draws) in enumerate(zip(posterior.problems, posterior.draws, strict=True)):
-        share = sum(e.probability for e in posterior.explanations if e.noise == number) / draws.total()
-        variance += share * sum(n * problem.products.state(key).variance for key, n in draws.items())
-    return variance
-
-
-def _mixed(posterior: Posterior) -> tuple[dict[str, tuple[Block, Index]], Array, Array, Array, float, float]:
-    """The mixture over explanations, with the rest of the library, dozens of effects, only where it is likelier than
-    not: of changes of the base's g parameters, and of the parameters of the blocks that are likely enough behind them.
-
-    Returns label of each block -> it and the (k,) places of its parameters; their mean (P,) and covariance (P, P); (g,
-    P) by which the base gives way to each parameter of a block; the variance of the noise [mm^2], and the number of
-    parameters beside the base's. The base's parameters are those beside what an arm file can have: what it cannot have
-    stays with the base.
-    """
-    rest = sum(e.probability for e in posterior.explanations if any(b.parts for b in e.blocks)) >= 0.5
-    likely = [e for e in posterior.explanations if rest or not any(b.parts for b in e.blocks)]
-    total = sum(one.probability for one in likely)
-    shares, blocks = dict[str, float](), dict[str, Block]()
-    for one in likely:
-        inside = {part.label: part for b in one.blocks for part in (b.parts or (b,))}
-        blocks |= inside
-        shares |= {label: shares.get(label, 0.0) + one.probability / total for label in inside}
-    order = {block.label: k for k, block in enumerate(posterior.whole.blocks)}
-    kept = [b for b in blocks.values() if shares[b.label] >= LEVEL and b.row is None]
-    kept.sort(key=lambda b: order.get(b.label, len(order)))
-    widths = {b.label: c.shape[2] for p in posterior.problems for b, c in zip(p.blocks, p.columns, strict=True)}
-    base = posterior.whole.base
-    g = len(base)
-    ends = g + np.cumsum([0, *(_width(b) or widths[b.label] for b in kept)])
-    places = {b.label: (b, np.arange(*ends[k : k + 2])) for k, b in enumerate(kept)}
-    count = int(ends[-1])
-    mean, second, response = np.zeros(count), np.zeros((count, count)), np.zeros((g, count))
-    variance = effective = 0.0
-    for number, (problem, drawn) in enumerate(zip(posterior.problems, posterior.draws, strict=True)):
-        weight = sum(one.probability for one in likely if one.noise == number) / total
-        without = {k for k, b in enumerate(problem.blocks) if b.parts and not rest}
-        draws = {key: n for key, n in drawn.items() if not without & {b for b, _ in key}}
-        if not draws or weight == 0.0:
-            continue
-        products, turn = problem.products, _to_parameters(problem, places, g, count)
-        states, counts = [products.state(key) for key in draws], np.array([*draws.values()])
-        first, of_two, noise = mixed(states, counts / counts.sum())
-        used = [float(np.sum(1.0 - np.diag(state.covariance) / np.square(state.sizes))) for state in states]
-        effective += weight * float(np.average(used, weights=counts))
-        moved = np.concatenate([problem.base - base, np.zeros(count - g)])
-        across = np.outer(turn @ first, moved)
-        mean += weight * (turn @ first + moved)
-        second += weight * (turn @ of_two @ turn.T + across + across.T + np.outer(moved, moved))
-        second[:g, :g] += weight * noise * problem.normal
-        variance += weight * noise
-        for b, block in enumerate(problem.blocks):
-            if block.label in places:
-                given = problem.response[:, products.places([b])] @ np.linalg.pinv(problem.roots[b])
-                response[:, places[block.label][1]] = given
-    covariance = second - np.outer(mean, mean)
-    return places, mean, (covariance + covariance.T) / 2.0, response, variance, effective
-
-
-def _width(block: Block) -> int:
-    """Number of parameters of what an arm file can have, else 0."""
-    return block.size or (WAVES if block.span is not None else 0)
-
-
-def _to_parameters(problem: Linearized, places: dict[str, tuple[Block, Index]], g: int, count: int) -> Array:
-    """(P, C) from the coefficients of a problem's columns to the base's parameters and those of the blocks."""
-    turn = np.zeros((count, int(problem.products.starts[-1])))
-    for b, block in enumerate(problem.blocks):
-        own, parts, row = problem.products.places([b]), block.parts or (block,), 0
-        for part in parts:
-            width = _width(part) or len(problem.roots[b])
-            if part.label in places:
-                turn[np.ix_(places[part.label][1], own)] = problem.roots[b][row : row + width]
-            row += width
-        if block.row is not None or any(_width(part) and part.label in places for part in parts):
-            turn[:g, own] = problem.response[:, own]
-    return turn
+    if held is not posterior:
+        of_noise = sum(
+            e.probability * posterior.problems[e.noise].products.state(e.key).variance for e in posterior.explanations
+        )
+        more += jacobian.shape[1] * max(variance - of_noise, 0.0)
+    sigma = float(np.sqrt(variance))
+    written = PredictingModel(model, values, held.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
+    return written.allowing(more)
 
 
 def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:
@@ -288,12 +233,13 @@ def curves_text(curves: Sequence[Curve]) -> str:
 
 
 def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[dict[str, Any]]]:
-    """Description of a curve in words, by name or by its waves; and the waves that make up most of it, strongest first:
-    added one by one, all refitted after each.
+    """Description of a curve in words, and the waves that make up most of it, strongest first: added one by one, all
+    refitted after each, by weighted least squares beside a constant.
 
     The wave amplitude cos(order q - phase), an entry of `waves` (identification/files/README.md, "JSON keys"), has the
     lowest and highest orders [per turn] not distinguishable from its own within the measured range, and the share of
-    the curve's weighted variance that it explains beside the waves before it.
+    the curve's weighted variance that it explains beside the waves before it. They describe the curve if they explain
+    0.8 of it.
 
     angles, error, std : (a,) of the curve [rad]
 
@@ -304,50 +250,29 @@ def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[
     tried = np.arange(max(1.0, np.ceil(half)), half * (len(angles) - 1) / 2.0)
     weights = 1.0 / np.maximum(std, 1e-3 * float(np.max(std)) + 1e-150)
 
-    def fitted(columns: Sequence[Array]) -> tuple[float, Array]:
-        """Weighted squares that a fit of functions (a,) beside a constant leaves, and their coefficients."""
+    def fitted(orders: Sequence[float]) -> tuple[float, Array]:
+        """Weighted squares that waves leave, and their coefficients."""
+        columns = [wave(k * angles) for k in orders for wave in (np.cos, np.sin)]
         table = np.column_stack([np.ones(len(error)), *columns]) * weights[:, None]
         values = np.linalg.lstsq(table, error * weights, rcond=VISIBLE)[0]
         return float(np.sum((error * weights - table @ values) ** 2)), np.asarray(values[1:])
 
-    def of_orders(orders: Sequence[float]) -> tuple[float, Array]:
-        return fitted([wave(k * angles) for k in orders for wave in (np.cos, np.sin)])
-
-    chosen, left = list[float](), [fitted(())[0]]
-    while left[0] > 0.0 and len(tried) and len(chosen) < MOST_WAVES:
-        trials = [of_orders((*chosen, k))[0] for k in tried]
+    chosen, left, most = list[float](), [fitted(())[0]], 6
+    while left[0] > 0.0 and len(tried) and len(chosen) < most:
+        trials = [fitted((*chosen, k))[0] for k in tried]
         best = int(np.argmin(trials))
-        if left[-1] - trials[best] < (1.0 - SHAPED) / MOST_WAVES * left[0]:
+        if left[-1] - trials[best] < 0.2 / most * left[0]:
             break
         chosen.append(float(tried[best]))
         left.append(trials[best])
         tried = tried[np.abs(tried - chosen[-1]) >= 2.0 * half]
-    waves = []
-    for k, (a, b), gain in zip(chosen, of_orders(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
+    waves, listed = list[dict[str, Any]](), list[str]()
+    for k, (a, b), gain in zip(chosen, fitted(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
         amplitude, phase = np.degrees([np.hypot(a, b), np.arctan2(b, a)]).tolist()
         wave = {"order": k, "orders": (max(k - half, 0.0), k + half), "amplitude_deg": amplitude, "phase_deg": phase}
         waves.append({**wave, "share": float(gain / left[0])})
-
-    where, share = (
-        f"over {np.degrees(angles[0]):.0f} to {np.degrees(angles[-1]):.0f} deg",
-        sum(w["share"] for w in waves),
-    )
-    steps = [fitted([np.sign(angles - at)]) for at in (angles[1:] + angles[:-1]) / 2.0]
-    best = min(range(len(steps)), key=lambda k: steps[k][0])
-    shape = f"smooth curve {where}"
-    if left[0] > 0.0 and 1.0 - steps[best][0] / left[0] >= max(SHAPED, share):
-        at, size = np.degrees([angles[best : best + 2].mean(), 2.0 * steps[best][1][0]])
-        shape = f"step of {size:.2g} deg at {at:.0f} deg {where}"
-    elif waves:
-        amplitudes = {wave["order"]: wave["amplitude_deg"] for wave in waves}
-        first = min(amplitudes)  # a sawtooth has waves of orders k, 2k, 3k with amplitudes as 1, 1/2, 1/3
-        ratios = [amplitudes.get(n * first, 0.0) * n / amplitudes[first] for n in (2, 3)]
-        listed = []
-        for order, (low, high), amplitude, *_ in (wave.values() for wave in waves):
-            between = f" ({low:.3g} to {high:.3g})" if high - low >= 0.5 else ""
-            listed.append(f"{order:g}{between} per turn, {amplitude:.2g} deg")
-        kind = "waves" if share >= SHAPED else "in part waves"
-        shape = f"{kind}: {'; '.join(listed)} ({100.0 * share:.0f} %) {where}"
-        if share >= SHAPED and np.allclose(ratios, 1.0, atol=1.0 / 3.0):
-            shape = f"sawtooth, {first:g} per turn, {where}"
-    return shape, waves
+        between = f" ({max(k - half, 0.0):.3g} to {k + half:.3g})" if half >= 0.25 else ""
+        listed.append(f"{k:g}{between} per turn, {amplitude:.2g} deg")
+    where, share = "over {:.0f} to {:.0f} deg".format(*np.degrees(angles[[0, -1]])), sum(w["share"] for w in waves)
+    kind = "waves" if share >= 0.8 else "in part waves"
+    return f"{kind}: {'; '.join(listed)} ({100.0 * share:.0f} %) {where}" if waves else f"smooth curve {where}", waves

@@ -25,7 +25,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from scipy import sparse
-from scipy.linalg import block_diag
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
@@ -50,8 +49,6 @@ OUTSIDE = 0.02  # prior weight of everything outside the library at one place, b
 WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
 TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
 SLOW = 3  # convention: half periods, of orders of functions of several variables
-REST = "library"  # label of the rest of the library
-REST_SIZES = 2  # of `SIZES` that it may have; prior: what is larger shows one effect at a time
 
 
 # -- effects of the library --------------------------------------------------------------------------------------------
@@ -65,7 +62,6 @@ class Block:
         and one for all joints together), divided by the number of scanned settings, times the effect's own `prior`
     effect, spec : of the library, None: outside;  through : kind of effects that alone it shows through
     span : of an error curve the joint (from 0) and its first and last angle [rad]
-    parts : effects that the rest of the library has in it: many small ones, that cannot be told apart
     columns : outside the library, its (m, d, p) columns at other rows
     """
 
@@ -76,7 +72,6 @@ class Block:
     spec: EffectSpec | None = None
     through: str = ""
     span: tuple[int, float, float] | None = None
-    parts: tuple[Block, ...] = ()
     columns: Callable[[At], Array] | None = None
 
     @classmethod
@@ -453,7 +448,7 @@ def outside_blocks(at: At) -> Iterator[Block]:
     for j in turning:
         if j + 1 in unseen:
             continue
-        weight, revolute = n**-0.5, not arm.chain.planar and arm.chain.joints[j].type == REVOLUTE
+        weight, revolute = n**-0.5, "joint_turns" in arm.chain.bends and arm.chain.joints[j].type == REVOLUTE
         share = 0.3 * weight / max(n - 1, 1)
         table.append((j + 1 not in curved, f"curve:{j + 1}", weight, turned(curve, j)))
         others = [(k != j, f"shared:{j + 1},{k + 1}", share, turned(shared, j, k)) for k in turning]
@@ -554,23 +549,8 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     gram = turn @ np.ascontiguousarray((turn @ gram).T)
     right, inside = turn @ right, np.ascontiguousarray((turn @ np.ascontiguousarray(inside.T)).T)
     ends = np.cumsum([0, *(root.shape[1] for root in roots)])
-    # the rest of the library as one block of many small errors that an arm may have, unscanned effects that are not
-    # rare and error curves: each with the same expected square
-    many = [k for k, b in enumerate(blocks) if b.span is not None or (b.plain and b.effect and b.effect.prior == 1.0)]
-    if len(many) > 1 and outside:
-        own = np.concatenate([np.arange(*ends[k : k + 2]) for k in many])
-        values, vectors = np.linalg.eigh(gram[np.ix_(own, own)] / len(many))
-        vectors = vectors[:, values * SIZES[REST_SIZES - 1] ** 2 > FAINT] / np.sqrt(len(many))
-        across = gram[:, own] @ vectors
-        gram = np.block([[gram, across], [across.T, vectors.T @ across[own]]])
-        right, inside = np.append(right, right[own] @ vectors), np.hstack([inside, inside[:, own] @ vectors])
-        ends = np.append(ends, len(right))
-        roots.append(np.asarray(block_diag(*(roots[k] for k in many))) @ vectors)
-        columns.append(np.concatenate([columns[k] for k in many], axis=2))
-        blocks.append(Block(REST, REST, 1.0, parts=tuple(blocks[k] for k in many)))
     signs = np.array([b.size == 1 and b.bounded for b in blocks], dtype=bool)
-    limits = np.array([REST_SIZES if b.parts else len(SIZES) for b in blocks], dtype=np.int64)
-    products = Products(gram, right, float(left @ left), len(target) - u.shape[1], ends, signs, limits)
+    products = Products(gram, right, float(left @ left), len(target) - u.shape[1], ends, signs)
     values = at.values[base] + back @ (u.T @ target)
     return Linearized(tuple(blocks), products, tuple(roots), -back @ inside, values, back @ back.T, tuple(columns))
 

@@ -281,7 +281,7 @@ def placed_residuals(
     both = []
     for one in (base, model):
         left, chain, axes = one.residuals(holdout, conditions)[:, POINT], one.model.arm.chain, None
-        if not chain.planar and chain.instrument.reads_positions:
+        if chain.frame_kinds and chain.instrument.reads_positions:
             sizes = widths(chain)
             first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = one.model.place_levers(holdout.postures, one.values, conditions)[0]
@@ -426,13 +426,13 @@ def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: 
         parts = {"gram": rest[:-1, :-1], "right": rest[:-1, -1], "squares": float(rest[-1, -1]), "freedom": freedom}
         states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
         shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
-        mean, second, variance = mixed(states, shares)
+        mean, covariance, variance = mixed(states, shares)
         turned = table[test, :rank] @ turn
         moved = table[test, rank:] - turned @ inside
         before[test] = moved[:, -1]
         after[test] = before[test] - moved[:, :-1] @ mean
         at = points.ravel()[test]
-        expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * (second - np.outer(mean, mean))))
+        expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * covariance))
         expected += variance * (float(np.sum(np.square(turned[at]))) + noise * np.count_nonzero(test) / d)
     before, after = before.reshape(m, d), after.reshape(m, d)
     return before[:, POINT], after[:, POINT], expected / m

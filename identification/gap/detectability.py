@@ -22,10 +22,10 @@ from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import Block, Library, Linearized, hypotheses, linearized
-from identification.gap.fit import Fit, Rows, fit
+from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import Index, Products, orthonormal
 from identification.gap.noise import SPARE
-from identification.information import VISIBLE, product_inverse
+from identification.information import VISIBLE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.running import single_thread
@@ -238,36 +238,3 @@ def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> t
     scanned = [pair for pair in waves if pair[0] in labels and "[" in pair[1]]
     never = [(name, like, 1.0) for name, like in sees.aliases.items()]
     return (*scanned, *(pair for pair in sees.pairs() if pair[0] in labels), *never)
-
-
-def order_ranges(fitted: Fit, labels: Sequence[str]) -> tuple[dict[str, Any], ...]:
-    """The named waves of a fit whose next whole order has a likeness of at least `NEAR`, beside the rest of the model:
-    shapes, not causes. Entries of `shapes` (identification/files/README.md, "JSON keys"): effect, joint (from 1), the
-    range of its angle, and the lowest and highest of the whole orders that fit [per turn].
-
-    labels : of the named effects
-
-    Over a range of W rad two waves whose orders differ by less than 2 pi / W drift apart by less than one period, and
-    beside other waves they cannot be separated: the named order is one of many that fit.
-    """
-    model, rows, ranges = fitted.model, fitted.rows, list[dict[str, Any]]()
-    harmonics = {"encoder_eccentricity": 1.0, "encoder_second_harmonic": 2.0}
-    base = fitted.jacobian / model.scales
-    gram = base.T @ base
-    for effect in model.effects:
-        order = effect.chosen.get("k", harmonics.get(effect.name))
-        if effect.label not in labels or not effect.joint or order is None:
-            continue
-        q = rows.postures[:, effect.joint_index]
-        angles = q[:, None] * np.array([k for k in (order, order - 1.0, order + 1.0) if k > 0.0])
-        waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), 1, -1)
-        moved = rows.whiten(fitted.levers[:, :, effect.joint_index, None] * waves)
-        rest = np.setdiff1d(np.arange(len(gram)), [model.names.index(p.name) for p in effect.parameters])
-        across = (moved.T @ base)[:, rest]
-        left = moved.T @ moved - across @ product_inverse(gram[np.ix_(rest, rest)]) @ across.T
-        if likenesses(left, list(np.arange(len(left)).reshape(-1, 2)))[0, 1:].max() >= NEAR:
-            apart = 2.0 * np.pi / (np.sqrt(12.0) * np.std(q))  # the range of even angles with this standard deviation
-            span = float(np.degrees(q.min())), float(np.degrees(q.max()))
-            whole = max(1, int(np.ceil(order - apart))), int(np.floor(order + apart))
-            ranges.append({"effect": effect.label, "joint": effect.joint, "range_deg": span, "orders": whole})
-    return tuple(ranges)

@@ -17,9 +17,9 @@ from identification.estimation.doubts import another_frame, copied_rows, far_off
 from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import averaged, geometry
-from identification.gap.blocks import REST, hypotheses
+from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, check_same_arm, confirmed_on, cross_validation
-from identification.gap.detectability import assess, look_alikes, order_ranges, require_spare
+from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
 from identification.gap.replication import replications
@@ -31,9 +31,8 @@ from identification.gap.result import (
     candidate_of,
     keys_of,
     probabilities,
-    trials,
 )
-from identification.gap.search import MOST_ROWS, NOISES, PASSES, Explanation, Posterior, posterior_of
+from identification.gap.search import MOST_ROWS, PASSES, Explanation, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, distances, rms_distance
 from identification.model import Model
@@ -47,7 +46,6 @@ KINDS = {
     "wobble": "tilt or shift across the axis",
     "shared": "depends on other joints too",
     "history": "depends on the direction of approach",
-    REST: "many small effects",
 }
 
 
@@ -87,7 +85,7 @@ def diagnose(
     require_spare(base.freedom, len(rows))
     if holdout is not None:
         check_same_arm(geometry(base), measurements, holdout)
-    shares = iter(np.linspace(0.1, 0.7, PASSES + NOISES + 1, endpoint=False).tolist())
+    shares = iter(np.linspace(0.1, 0.7, 2 * PASSES + 1, endpoint=False).tolist())
     posterior = posterior_of(
         library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}")
     )
@@ -175,7 +173,7 @@ def diagnosis_of(
         noise = posterior.noises[one.noise]
         fits.append(fit(library.model(one.effects), noise.rows.pick(kept), posterior.at.by_name))
         made = candidate_of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
-        made = replace(made, f=products.f_test([whole.numbers[block.label] for block in one.effects])[0])
+        made = replace(made, f=products.f_of([whole.numbers[block.label] for block in one.effects]))
         if not unknown:
             share, highest = (max(likely.of(keys), 1e-300) for keys in ([b.key for b in one.effects], likely.best))
             behind = 2.0 * float(np.log(highest / share)) if likely.rivals else 0.0
@@ -196,20 +194,11 @@ def diagnosis_of(
     # what these rows show
     before, floor = base.residuals(measurements), noise_floor(after, measurements, kept, library.arm.sigma)
     sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
-    place = likely.place if unknown and likely.place != REST else None
+    place = likely.place if unknown else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
     here = fitted.on(rows)
     error, jacobian = rows.whiten(here.left).reshape(before.shape), here.linearized[1] / fitted.model.scales
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
-    of_curves = {
-        f"joint_error_curve:{b.span[0] + 1}": (
-            b.span[0] + 1,
-            b.columns(fitted) @ posterior.problems[shown.noise].roots[number],
-            size,
-        )
-        for b, (number, size) in zip(shown.blocks, shown.key, strict=True)
-        if b.span and b.columns and b.span[0] + 1 in {curve.joint for curve in curves}
-    }
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
     words = " and ".join(confirmation.refitted) if confirmation is not None else ""
@@ -227,7 +216,6 @@ def diagnosis_of(
         outlier_rows=tuple(numbers[~kept].tolist()),
         unexplained_rows=tuple(numbers[far].tolist()),
         gap=Gap(rms_distance(before[kept]), rms_distance(after[kept]), floor, *figures),
-        trials=trials(posterior, products),
         detectability=sees,
         residuals=Residuals.of(library.arm, measurements, before, after),
         sigma=fitted.sigma,
@@ -244,8 +232,7 @@ def diagnosis_of(
             *outside_limits(library.arm, measurements),
             *([moved] if words else []),
         ),
-        shapes=order_ranges(fitted, named.effects),
-        replication=replications(fitted, measurements.session_names, named.effects, of_curves),
+        replication=replications(fitted, measurements.session_names, named.effects),
         curves=curves,
     )
     return replace(result, notes=tuple(notes(result, posterior, measurements, fitted, holdout is not None, numbers)))
@@ -266,7 +253,7 @@ def noise_findings(posterior: Posterior, repeats: tuple[Finding, ...]) -> tuple[
 def shape_of(place: str | None, curves: dict[int, str], one: Explanation) -> str | None:
     """Of what is outside the library, in words;  curves : joint -> shape;  one : the likeliest with it"""
     if place is None:
-        return KINDS[REST] if any(b.parts for b in one.outside) else None
+        return None
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
     return next(filter(None, kinds), None) or {f"joint:{joint}": shape for joint, shape in curves.items()}.get(place)
 

@@ -9,21 +9,22 @@ c = Z^T y and y^T y enter. For a set A with sizes s, D = diag(s) and f degrees o
 relative to nothing missing (A. Zellner, 1971). The columns of a block are scaled such that s_b^2 is the expected
 square, in units of the noise, of what the block contributes to the rows; s_b is one of `SIZES`.
 
-What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the scores and the blocks' own parts are
-kept. With one block more or less, V changes by a term of that block's rank (M. A. Woodbury, 1950).
+What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the blocks' own parts are kept. With one
+block more or less, V changes by a term of that block's rank (M. A. Woodbury, 1950).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
-from scipy.special import fdtrc, log_ndtr
+from scipy.special import log_ndtr
 
 from identification.arrays import Array, eigen_of_pairs
 from identification.information import VISIBLE, significant
@@ -50,8 +51,7 @@ class Products:
     """Products of the P columns of B blocks, projected off the base model.
 
     gram, right : (P, P) G and (P,) c;  squares : y^T y;  freedom : f
-    starts : (B + 1,) first column of each block, and P;  signs : (B,) 1 where the only parameter cannot be negative
-    limits : (B,) how many of `SIZES` a block may have
+    starts : (B + 1,) first column of each block, and P;  signs : (B,) True where the only parameter cannot be negative
     """
 
     gram: Array
@@ -60,14 +60,13 @@ class Products:
     freedom: int
     starts: Index
     signs: NDArray[np.bool_]
-    limits: Index
 
     def of_blocks(self, blocks: Sequence[int]) -> Products:
         """Those of a few blocks alone."""
         chosen, places = list(blocks), self.places(blocks)
         starts = np.concatenate([[0], np.cumsum(self.widths[chosen])])
         gram, right = self.gram[np.ix_(places, places)], self.right[places]
-        return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen], self.limits[chosen])
+        return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen])
 
     @cached_property
     def widths(self) -> Index:
@@ -96,21 +95,19 @@ class Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
         large = self.state([(block, len(SIZES) - 1) for block in blocks])
         gram, freedom = self.gram - large.rows.T @ large.solve(large.rows), self.freedom - len(large.places)
-        return Products(gram, large.scores, large.squares, freedom, self.starts, self.signs, self.limits)
+        return Products(gram, large.scores, large.squares, freedom, self.starts, self.signs)
 
-    def f_test(self, blocks: Sequence[int]) -> tuple[float, float]:
-        """F statistic of a few blocks against the base model, and its p-value."""
+    def f_of(self, blocks: Sequence[int]) -> float:
+        """F statistic of a few blocks against the base model."""
         places = self.places(blocks)
         count, spare = max(len(places), 1), max(self.freedom - len(places), 1)
         # of unit size; a row that is left out may have a column alone
         inner = self.gram[np.ix_(places, places)] + 1e-12 * np.eye(len(places))
         gain = float(self.right[places] @ np.linalg.solve(inner, self.right[places]))
-        f = gain / count / (max(self.squares - gain, 1e-300) / spare)
-        return f, float(fdtrc(count, spare, f))
+        return gain / count / (max(self.squares - gain, 1e-300) / spare)
 
     def added(self, state: State) -> Array:
-        """(B, S) log likelihood ratio of each block added to a set, for each of the sizes it may have, else -inf; of
-        those that are in the set, too."""
+        """(B, S) log likelihood ratio of each block added to a set, or in it, for each size."""
         values, parts = np.empty(len(self.right)), np.empty(len(self.right))
         for index, own in zip(self.alike, state.within, strict=True):
             if own.shape[1] == 1:
@@ -128,35 +125,35 @@ class Products:
             places = starts[self.signs]
             deviations = parts[places] * np.sqrt(squared / spread[:, places] * self.freedom / squares[:, self.signs])
             ratios[:, self.signs] += np.log(2.0) + log_ndtr(deviations)
-        return np.where(np.arange(len(SIZES)) < self.limits[:, None], ratios.T, -np.inf)
+        return np.asarray(ratios.T)
 
 
-def mixed(states: Sequence[State], shares: Sequence[float]) -> tuple[Array, Array, float]:
-    """Mean (P,) and second moment (P, P) of the coefficients of all columns, zero where a block is not in the set, and
-    the variance of the noise, over states with these shares."""
-    size, variance = len(states[0].products.right), 0.0
-    first, second = np.zeros(size), np.zeros((size, size))
+def mixed(states: Sequence[State], shares: Array) -> tuple[Array, Array, float]:
+    """Mean (P,) and covariance (P, P) of the coefficients of all columns, zero where a block is not in the set, and the
+    variance of the noise, over states with these shares."""
+    size = len(states[0].products.right)
+    mean, second = np.zeros(size), np.zeros((size, size))
     for state, share in zip(states, shares, strict=True):
-        first[state.places] += share * state.mean
+        mean[state.places] += share * state.mean
         moment = state.variance * state.covariance + np.outer(state.mean, state.mean)
         second[np.ix_(state.places, state.places)] += share * moment
-        variance += share * state.variance
-    return first, second, variance
+    variance = sum(float(share) * state.variance for state, share in zip(states, shares, strict=True))
+    return mean, second - np.outer(mean, mean), variance
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """A set of blocks with their sizes, and k columns, those of one block after the other.
 
-    pairs : the blocks, in any order, with the numbers of their sizes
-    larger : the set that this one is without one of its blocks
-    given : where they are known `inner` and `within`
+    pairs : the blocks, in any order, with the numbers of their sizes;  known : name -> what need not be computed anew
     """
 
     products: Products
     pairs: Key
-    larger: State | None = None
-    given: tuple[Array, tuple[Array, ...]] | None = None
+    known: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.__dict__.update(self.known)
 
     @cached_property
     def key(self) -> Key:
@@ -169,19 +166,14 @@ class State:
         return tuple(block for block, _ in self.key)
 
     @cached_property
-    def _own(self) -> list[int]:
-        """Numbers of the blocks in the order of the columns."""
-        return [block for block, _ in self.pairs]
-
-    @cached_property
     def places(self) -> Index:
         """(k,) of its columns among all."""
-        return self.products.places(self._own)
+        return self.products.places([block for block, _ in self.pairs])
 
     @cached_property
     def sizes(self) -> Array:
         """(k,) s of the columns."""
-        return np.repeat(SIZES[[size for _, size in self.pairs]], self.products.widths[self._own])
+        return np.repeat(SIZES[[s for _, s in self.pairs]], self.products.widths[[b for b, _ in self.pairs]])
 
     @cached_property
     def rows(self) -> Array:
@@ -191,11 +183,6 @@ class State:
     @cached_property
     def inner(self) -> Array:
         """(k, k) G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
-        if self.given is not None:
-            return self.given[0]
-        if self.larger is not None:
-            out = self._more[0]
-            return np.delete(np.delete(self.larger.inner, out, axis=0), out, axis=1)
         inner = self.products.gram[np.ix_(self.places, self.places)]
         inner[np.diag_indices(len(inner))] += self.sizes**-2.0
         return inner
@@ -221,47 +208,19 @@ class State:
         return self.solve(self.products.right[self.places][:, None])[:, 0]
 
     @cached_property
-    def _more(self) -> tuple[slice, Array, Array, Array]:
-        """Of the larger set's block with w columns their places there, their mean (w,), by what V is larger in its
-        coefficients (w, w), and (w, P) how they take up a unit of each column."""
-        assert self.larger is not None
-        first = int(np.argmax(np.append(self.places, -1) != self.larger.places[: len(self.places) + 1]))
-        out = slice(first, first + len(self.larger.places) - len(self.places))
-        part = self.larger.solve(np.eye(len(self.larger.places))[:, out]).T
-        return out, self.larger.mean[out], np.asarray(np.linalg.inv(part[:, out])), part @ self.larger.rows
-
-    def left(self, columns: Index) -> Array:
-        """(w, P) of V."""
-        if self.larger is not None:
-            *_, inner, taken = self._more
-            return np.asarray(self.larger.left(columns) + taken[:, columns].T @ inner @ taken)
-        return np.asarray(self.products.gram[columns] - self.solve(self.rows[:, columns]).T @ self.rows)
-
-    @cached_property
     def squares(self) -> float:
         """R, not below rounding."""
-        if self.larger is not None:
-            _, mean, inner, _ = self._more
-            return self.larger.squares + float(mean @ inner @ mean)
         whole = self.products.squares
         return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
 
     @cached_property
     def scores(self) -> Array:
         """(P,) V's counterpart of c."""
-        if self.larger is not None:
-            _, mean, inner, taken = self._more
-            return np.asarray(self.larger.scores + (inner @ mean) @ taken)
         return np.asarray(self.products.right - self.mean @ self.rows)
 
     @cached_property
     def within(self) -> tuple[Array, ...]:
         """Of each group of `Products.alike` the blocks' own parts of V."""
-        if self.given is not None:
-            return self.given[1]
-        if self.larger is not None:
-            *_, inner, taken = self._more
-            return self._changed(self.larger.within, taken, inner @ taken)
         own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
         return self._changed(own, self.rows, -self.solve(self.rows))
 
@@ -285,7 +244,8 @@ class State:
     @property
     def signed(self) -> float:
         """Log of the factor by which the signs that physics allows make the set likelier."""
-        signs = np.repeat(self.products.signs[self._own], self.products.widths[self._own])
+        chosen = [block for block, _ in self.pairs]
+        signs = np.repeat(self.products.signs[chosen], self.products.widths[chosen])
         spread = np.diag(self.solve(np.eye(len(signs))[:, signs])[signs])
         deviations = np.sqrt(np.maximum(spread * self.variance, 1e-300))
         return float(np.sum(np.log(2.0) + log_ndtr(self.mean[signs] / deviations)))
@@ -294,15 +254,27 @@ class State:
         """The set without one of its blocks; None: itself."""
         if block is None:
             return self
-        return State(self.products, tuple(pair for pair in self.pairs if pair[0] != block), self)
+        number = next(k for k, (b, _) in enumerate(self.pairs) if b == block)
+        first = len(self.products.places([b for b, _ in self.pairs[:number]]))
+        out = slice(first, first + int(self.products.widths[block]))
+        part = self.solve(np.eye(len(self.places))[:, out]).T
+        # by what V is larger in the block's coefficients, and how they take up a unit of each column
+        inner, taken, mean = np.linalg.inv(part[:, out]), part @ self.rows, self.mean[out]
+        known = {
+            "inner": np.delete(np.delete(self.inner, out, axis=0), out, axis=1),
+            "squares": self.squares + float(mean @ inner @ mean),
+            "scores": self.scores + (inner @ mean) @ taken,
+            "within": self._changed(self.within, taken, inner @ taken),
+        }
+        return State(self.products, self.pairs[:number] + self.pairs[number + 1 :], known)
 
     def beside(self, pair: tuple[int, int] | None) -> State:
-        """The set with a further block of the size with this number, None: without."""
+        """The set with a further block of the size with this number; None: itself."""
         if pair is None:
-            return State(self.products, self.pairs, None, (self.inner, self.within))
-        own, weight = self.products.places([pair[0]]), SIZES[pair[1]] ** -2.0
-        left, rows, ridge = self.left(own), self.products.gram[own], weight * np.eye(len(own))
-        across = rows[:, self.places]
+            return self
+        own = self.products.places([pair[0]])
+        rows, ridge = self.products.gram[own], SIZES[pair[1]] ** -2.0 * np.eye(len(own))
+        left, across = rows - self.solve(self.rows[:, own]).T @ self.rows, rows[:, self.places]
         inner = np.block([[self.inner, across.T], [across, rows[:, own] + ridge]])
         within = self._changed(self.within, left, -np.linalg.solve(left[:, own] + ridge, left))
-        return State(self.products, (*self.pairs, pair), None, (inner, within))
+        return State(self.products, (*self.pairs, pair), {"inner": inner, "within": within})

@@ -14,9 +14,8 @@ can say little, or where the others know nothing of the effect.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,8 +29,6 @@ from identification.information import PRODUCT_TOLERANCE, VISIBLE
 from identification.kinematics.parameters import Parameter
 
 SAME = 0.1  # relative difference of values that are the same; convention: temperature and load differ by session
-
-Columns = tuple[int, Array, int]  # of the error curve of a joint (from 1): (m, d, K), and its number in `SIZES`
 
 
 class InSession(NamedTuple):
@@ -50,7 +47,7 @@ class InSession(NamedTuple):
 
 @dataclass(frozen=True)
 class Replication:
-    """One named effect, or an error curve, across sessions;  parameters : none of a curve"""
+    """One named effect across sessions."""
 
     effect: str
     parameters: tuple[Parameter, ...]
@@ -73,95 +70,65 @@ class Replication:
         return {"effect": self.effect, "replicates": self.replicates, "sessions": sessions}
 
 
-def replications(
-    fitted: Fit,
-    names: Sequence[str],
-    labels: Sequence[str],
-    curves: Mapping[str, Columns] = MappingProxyType({}),
-) -> tuple[Replication, ...]:
-    """Replication of the named effects and of error curves across sessions; empty for a single session.
+def replications(fitted: Fit, names: Sequence[str], labels: Sequence[str]) -> tuple[Replication, ...]:
+    """Replication of named effects across sessions; empty for a single session.
 
-    fitted : with the named effects, without curves;  names : of the sessions in the order of their numbers
-    labels : of the named effects;  curves : by their keys
+    fitted : with these effects;  names : of the sessions in the order of their numbers;  labels : of the effects
     """
     rows, model = fitted.rows, fitted.model
     session = rows.conditions.session
     if session is None or np.ptp(session) == 0.0:
         return ()
     jacobian, scaled = fitted.linearized[1] / model.scales, fitted.values * model.scales
-    table = np.concatenate([fitted.left[:, :, None], jacobian, *(columns for _, columns, _ in curves.values())], axis=2)
-    ends = np.cumsum([1 + jacobian.shape[2], *(columns.shape[2] for _, columns, _ in curves.values())])
-    size, p = table.shape[2], int(ends[0])
-    # columns of the table, standard deviations of an error curve's, and parameters of each effect or curve
-    own: dict[str, tuple[Index, tuple[Parameter, ...]]] = {}
+    table = np.concatenate([jacobian, fitted.left[:, :, None]], axis=2)
+    grams = []
+    for number in np.unique(session):
+        white = rows.whiten(np.concatenate([table, table * (session == number)[:, None, None]], axis=2))
+        grams.append(white.T @ white)
+    replicated = []
     for effect in (e for e in model.effects if e.label in labels):
         parameters = tuple(x for x in effect.parameters if x.name in model.names)
-        own[effect.label] = np.array([1 + model.names.index(x.name) for x in parameters], dtype=np.int64), parameters
-    of_curves = {key: np.arange(*ends[k : k + 2]) for k, key in enumerate(curves)}
-    there: dict[str, list[InSession]] = {label: [] for label in (*own, *curves)}
-    for number in np.unique(session).astype(int).tolist():
-        here = session == number
-        for keys, joint in ([*own], 0), *(([key], joint) for key, (joint, _, _) in curves.items()):
-            common = np.ones(len(here), dtype=bool)
-            if joint:  # a curve is compared at the angles that both have
-                angles = rows.postures[:, joint - 1]
-                parts = angles[here], angles[~here]
-                common = (angles >= max(x.min() for x in parts)) & (angles <= min(x.max() for x in parts))
-            masks = common[:, None, None], (common & here)[:, None, None]
-            white = rows.whiten(np.concatenate([table * mask for mask in masks], axis=2))
-            gram = white.T @ white
-            for key in keys:
-                at, parameters = (of_curves[key], ()) if joint else own[key]
-                beside = [(k, curves[name][2]) for name, ks in of_curves.items() if name != key for k in ks.tolist()]
-                prior = gram.copy()
-                prior[[k for k, _ in beside], [k for k, _ in beside]] += [SIZES[s] ** -2.0 for _, s in beside]
-                target = np.zeros(2 * size)
-                target[0] = 1.0
-                target[at] = 0.0 if joint else scaled[at - 1]  # the fit has the effect, but not the curve
-                rest = np.concatenate([np.setdiff1d(np.arange(1, p), at), np.array([k for k, _ in beside], dtype=int)])
-                coordinates = rows.dimension * int(common.sum()) + len(beside)
-                units = None if joint else np.array([x.to_file for x in parameters]) / model.scales[at - 1]
-                there[key].append(InSession(names[number], *_in_session(prior, target, rest, at, coordinates, units)))
-    return tuple(Replication(key, own[key][1] if key in own else (), tuple(asked)) for key, asked in there.items())
+        own = np.array([model.names.index(x.name) for x in parameters], dtype=np.int64)
+        target = np.zeros(len(grams[0]))  # what is to be explained: the fit has the effect
+        target[[*own, jacobian.shape[2]]] = [*scaled[own], 1.0]
+        units = np.array([x.to_file for x in parameters]) / model.scales[own]
+        sessions = [in_session(name, gram, target, own, units, fitted) for name, gram in zip(names, grams, strict=True)]
+        replicated.append(Replication(effect.label, parameters, tuple(sessions)))
+    return tuple(replicated)
 
 
-def _in_session(
-    gram: Array, target: Array, rest: Index, every: Index, coordinates: int, units: Array | None
-) -> tuple[Any, ...]:
-    """Fields of `InSession` behind its name, from the products (2 n, 2 n) of n whitened columns and of their parts in
-    the session.
+def in_session(name: str, gram: Array, target: Array, own: Index, units: Array, fitted: Fit) -> InSession:
+    """An effect in one session, from the products (2 n, 2 n) of n whitened columns and of their parts in the session.
 
-    target : (2 n,) combination to be explained;  rest, every : of everything else, and of the effect, among the n
-    units : (w,) from its parameters to those of files, None: an error curve
+    target : (2 n,) combination to be explained;  own : of the effect among the n, before the last, the residuals
+    units : (w,) from its parameters to those of files
     """
-    asked = np.zeros((len(gram), 1 + 2 * len(every)))  # what is to be explained, the effect, its part in the session
-    asked[:, 0], width = target, len(every)
-    asked[[*every, *(every + len(gram) // 2)], np.arange(1, 1 + 2 * width)] = 1.0
+    width, n = len(own), len(gram) // 2
+    asked = np.zeros((len(gram), 1 + 2 * width))  # what is to be explained, the effect, its part in the session
+    asked[:, 0] = target
+    asked[[*own, *(own + n)], np.arange(1, 1 + 2 * width)] = 1.0
+    rest = np.setdiff1d(np.arange(n - 1), own)
     basis = orthonormal(gram[np.ix_(rest, rest)], PRODUCT_TOLERANCE)
     across = asked.T @ gram[:, rest] @ basis
     left = asked.T @ gram @ asked - across @ across.T
-    both, here = np.eye(1 + 2 * width)[:, 1 : 1 + width], np.eye(1 + 2 * width)[:, 1 + width :]
-    seen = np.trace(both.T @ left @ both)
-    if seen <= VISIBLE * np.trace(gram[np.ix_(every, every)]):  # nothing that the rest does not have, or no such rows
-        return ()
-    root = np.eye(width)
-    if units is not None:  # the prior covariance of an effect is the inverse of its information
-        root = orthonormal(both.T @ left @ both)
-        root = root / np.sqrt(max(root.shape[1], 1))
-    both, here, width = both @ root, here @ root, root.shape[1]
+    both, here = np.split(np.eye(1 + 2 * width)[:, 1:], 2, axis=1)
+    if np.trace(both.T @ left @ both) <= VISIBLE * np.trace(gram[np.ix_(own, own)]):  # nothing that the rest has not
+        return InSession(name)
+    root = orthonormal(both.T @ left @ both)  # the prior covariance of an effect is the inverse of its information
+    width = root.shape[1]
+    root = root / np.sqrt(max(width, 1))
+    both, here = both @ root, here @ root
     blocks = np.hstack([here, both - here, both, SAME * here])
-    starts, signs, limits = np.array([0, 1, 2, 4]) * width, np.zeros(3, dtype=bool), np.full(3, len(SIZES))
-    freedom, squares = max(coordinates - basis.shape[1], 1), float(left[0, 0])
-    products = Products(blocks.T @ left @ blocks, left[0] @ blocks, squares, freedom, starts, signs, limits)
+    freedom, starts = max(len(fitted.residual) - basis.shape[1], 1), np.array([0, 1, 2, 4]) * width
+    signs = np.zeros(3, dtype=bool)
+    products = Products(blocks.T @ left @ blocks, left[0] @ blocks, float(left[0, 0]), freedom, starts, signs)
     in_here, in_others, in_both = products.added(products.state())  # each (sizes,)
     double = in_others[:, None] + np.array([products.added(products.state([(1, s)]))[0] for s in range(len(SIZES))])
-    tables = in_both, double, in_others, in_here
-    same, own, absent, _ = softmax([logsumexp(table) - np.log(table.size) for table in tables]).tolist()
-    answer = True if same >= CREDIBLE else False if own + absent >= CREDIBLE else None
-    if units is None:
-        return (), (), same, answer
+    evidence = [logsumexp(odds) - np.log(odds.size) for odds in (in_both, double, in_others, in_here)]
+    same, apart, absent, _ = softmax(evidence).tolist()
+    answer = True if same >= CREDIBLE else False if apart + absent >= CREDIBLE else None
     elsewhere, inside = np.unravel_index(np.argmax(double), double.shape)
     apiece = products.state([(0, int(inside)), (1, int(elsewhere))])
     turn = root * units[:, None]
     deviations = np.sqrt(np.diag(turn @ apiece.covariance[:width, :width] @ turn.T) * apiece.variance)
-    return tuple((turn @ apiece.mean[:width]).tolist()), tuple(deviations.tolist()), same, answer
+    return InSession(name, tuple((turn @ apiece.mean[:width]).tolist()), tuple(deviations.tolist()), same, answer)

@@ -19,7 +19,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, as_frame, readonly
@@ -34,10 +33,9 @@ from identification.gap.average import Curve, PredictingModel
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
 from identification.gap.fit import Fit
-from identification.gap.likelihood import Products
 from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
-from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, Posterior, log_odds_of_sizes
+from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, Posterior
 from identification.information import spectrum
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.counting import joint_range
@@ -254,40 +252,6 @@ def as_calibration(fitted: Fit | PredictingModel, covariance: Array, freedom: Ar
     return Calibration(fitted.by_name, names, covariance, MappingProxyType(origin))
 
 
-class Trial(NamedTuple):
-    """One effect alone against the base model, an entry of `trials` (identification/files/README.md, "JSON keys").
-
-    f, p : F statistic and its p-value;  p_adjusted : 1 less the probability that it is missing
-    delta_bic : -2 log posterior odds against nothing
-    """
-
-    effect: str
-    f: float
-    p: float
-    p_adjusted: float
-    delta_bic: float
-
-
-def trials(posterior: Posterior, products: Products) -> tuple[Trial, ...]:
-    """Every effect alone against the base model, likeliest first; of a scanned setting only the best value.
-
-    products : of the whole problem, beside rows that are left out
-    """
-    blocks, shares = posterior.whole.blocks, defaultdict[str, float](float)
-    for one in posterior.explanations:
-        for key in {block.key for block in one.effects}:
-            shares[key] += one.probability  # that the effect is missing
-    whole = replace(products, freedom=posterior.whole.products.freedom)  # shifts of rows cost none
-    ratios = logsumexp(whole.added(whole.state()) + log_odds_of_sizes(())[1], axis=1)
-    total, best = sum(block.weight for block in blocks), dict[str, Trial]()
-    for k, block in enumerate(blocks):
-        if block.effect is not None:
-            odds = float(ratios[k] + np.log(block.weight / total))
-            trial = Trial(block.label, *products.f_test([k]), 1.0 - shares[block.key], -2.0 * odds)
-            best[block.key] = min(best.get(block.key, trial), trial, key=lambda one: one.delta_bic)
-    return tuple(sorted(best.values(), key=lambda one: (round(one.delta_bic, 9), one.effect)))
-
-
 # -- everything together -----------------------------------------------------------------------------------------------
 class Residuals(NamedTuple):
     """Residuals (m, d) [mm] of base and named model in all rows, and quantities (m,) to plot them against, by name."""
@@ -323,10 +287,9 @@ class Diagnosis(Documented):
     scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
     unexplained_rows : of rows that the best set does not explain either, but that come together and stay in
     gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
-    trials : test of every effect against the base model;  detectability : smallest detectable sizes in these data
+    detectability : smallest detectable sizes in these data
     misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
     cross_validation : for other postures, and for another interval of time
-    shapes : named waves whose order the range of their joint does not determine
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
     offered : the extended model beside the geometry alone, None where it was not judged (`validate.judged`)
@@ -344,7 +307,6 @@ class Diagnosis(Documented):
     scatter: tuple[Finding, ...]
     outlier_rows: tuple[int, ...]
     gap: Gap
-    trials: tuple[Trial, ...]
     detectability: Detectability
     residuals: Residuals
     sigma: float
@@ -354,7 +316,6 @@ class Diagnosis(Documented):
     cross_validation: tuple[Confirmation, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    shapes: tuple[Mapping[str, Any], ...] = ()
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
@@ -464,7 +425,6 @@ class Diagnosis(Documented):
             "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
             "classes": list(self.named.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
-            "shapes": [dict(shape) for shape in self.shapes],
             "replication": [effect.to_json() for effect in self.replication],
             "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
@@ -477,7 +437,6 @@ class Diagnosis(Documented):
             "rows": len(self.residuals.before),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
-            "trials": [trial._asdict() for trial in self.trials],
             "predicting": [spec.key for spec in self.predicting.specs],
             **unit_key(self.arm),
         }

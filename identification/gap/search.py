@@ -3,11 +3,11 @@
 The number K of missing blocks has the prior p(0) = 1/2 and p(K) ~ K^-`TAIL`: one effect is likelier than
 two, but where many are seen further ones are expected (a beta mixture of binomials has such a tail). Which ones they
 are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
-the odds `WRONG`; nor does the rest of the library, which is there with the odds `REST_ODDS`.
+the odds `WRONG`.
 
 What one robot lacks is of like sizes: the sizes of its K blocks are drawn around a common one, which may be any of
 `SIZES`, so p(s_1, .., s_K) = mean over c of prod_i p(s_i | c). Where many small effects are seen, a further small one
-is expected, and no huge one. The size of an outlying row, or of the rest of the library, says nothing about the others.
+is expected, and no huge one. The size of an outlying row says nothing about the others.
 
 A step takes a block x, or nothing, out of a set A of k blocks and puts one back, size included, or none. The climb
 takes the likeliest, as long as that is likelier. The walk takes each out with probability 1 / (k + 1) and draws with
@@ -25,7 +25,6 @@ from dataclasses import dataclass, replace
 from math import lgamma
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax, zeta
 
 from identification.arrays import Array
@@ -39,7 +38,6 @@ from identification.running import Tell
 
 TAIL = 3.0  # prior: p(K) ~ K^-TAIL, so p(2) / p(1) = 1/8, but p(15) / p(14) = 0.81: many effects suggest further ones
 WRONG = 0.0005  # prior odds of a row to be outlying: clean sessions of 60 rows seldom lose one, 15 sigma always show
-REST_ODDS = 0.1  # prior odds of the rest of the library: many small effects beside what can be named
 SPREAD = 1.5  # prior: octaves by which sizes differ from the common one; those of one effect alone scatter by that much
 STRAY = 0.2  # prior: share of blocks whose size has nothing to do with the others', such as a wrong payload
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
@@ -49,8 +47,7 @@ CREDIBLE = 0.9  # convention: probability of the credible set
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
-PASSES = 3  # effort: linearizations
-NOISES = 3  # effort: noise models that are searched
+PASSES = 3  # effort: linearizations, and passes of a climb
 
 _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 # derived: (S, S) p(s | c) of a size, by column, around a common one
@@ -65,14 +62,11 @@ class Search:
 
     def __init__(self, products: Products, blocks: Sequence[Block], total: float = 0.0) -> None:
         self.products, self._tables = products, dict[Key, Array]()
-        rows = np.array([b.row is not None for b in blocks], dtype=bool)
-        many = np.array([bool(b.parts) for b in blocks], dtype=bool)
-        self.plain = ~many  # (B,) False for blocks that explain a part of many others: the climb starts without them
-        self.counted = ~(rows | many)  # (B,) blocks that count among the K
+        self.counted = np.array([b.row is None for b in blocks], dtype=bool)  # (B,) that count among the K
         weights = np.array([b.weight for b in blocks])
         self.total = total or max(float(np.sum(weights[self.counted])), 1e-300)
         with np.errstate(divide="ignore"):
-            self._log_weights = np.log(np.select([rows, many], [WRONG, REST_ODDS], weights / self.total))
+            self._log_weights = np.log(np.where(self.counted, weights / self.total, WRONG))
         # pairs of blocks of which one contains the other: a family, and the same effect at one joint
         families = {b.key: k for k, b in enumerate(blocks) if b.family}
         pairs = {(families.get(b.key.partition(":")[0], k), k) for k, b in enumerate(blocks)}
@@ -91,52 +85,56 @@ class Search:
 
     def log_odds(self, state: State) -> float:
         """Log posterior odds of a set with its sizes against nothing missing."""
-        alike, others = self._sizes(state)
-        of_sizes = log_odds_of_sizes(alike)[0] - float(np.sum(np.log(self.products.limits[others])))
+        sizes = self._sizes(state)
+        of_sizes = log_odds_of_sizes(sizes)[0] - (len(state.pairs) - len(sizes)) * float(np.log(len(SIZES)))
         return state.ratio + state.signed + self.log_prior(state.blocks) + of_sizes
 
-    def _sizes(self, state: State) -> tuple[list[int], list[int]]:
-        """Numbers of the sizes of the blocks that count, and the other blocks."""
-        return [s for b, s in state.key if self.counted[b]], [b for b in state.blocks if not self.counted[b]]
+    def _sizes(self, state: State) -> list[int]:
+        """Numbers of the sizes of the blocks that count."""
+        return [size for block, size in state.key if self.counted[block]]
 
     def climb(self, start: State | None = None) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
-        nothing, others = self.products.state(), self.plain
-        tops = [start if start is not None and start.pairs else self._up(nothing, others), nothing]
+        nothing = self.products.state()
+        tops = [start if start is not None and start.pairs else self._up(nothing), nothing]
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
-                single = nothing.beside((block, int(np.argmax(table[block]))))
-                best = self._likeliest(self._each(single), others | True)
+                pair = single = nothing.beside((block, int(np.argmax(table[block]))))
+                best = self._likeliest(self._each(single))
                 pair = single if best is None else single.beside(best)
-                tops += [single, self._up(pair, others & False)]  # its sizes alone
+                tops += [single, self._exchanged(pair, block, block)]
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
-        return self._up(self._up(self._up(top, others), others), others | True)
+        for _ in range(PASSES):
+            top = self._up(top)
+        return top
 
-    def _up(self, state: State, allowed: NDArray[np.bool_]) -> State:
-        """Add the likeliest block as long as the set gets likelier; put the likeliest, or none, in the place of each.
-
-        allowed : (B,) blocks that may be added
-        """
+    def _up(self, state: State) -> State:
+        """Add the likeliest block as long as that is likelier; put the likeliest, or none, in the place of each."""
         for block in (None, *state.blocks):
-            if block in state.blocks:
-                left, own = state.without(block), allowed.copy()
-                own[block] = True
-                best = self._likeliest(self._each(left), own, block, np.isfinite(self.log_prior(left.blocks)))
-                if best != (block, dict(state.key)[block]):
-                    state = left.beside(best)
-            while (best := self._likeliest(self._each(state), allowed)) is not None:
+            state = state if block is None else self._exchanged(state, block)
+            while (best := self._likeliest(self._each(state))) is not None:
                 state = state.beside(best)
         return state
 
-    def _likeliest(
-        self, table: Array, allowed: NDArray[np.bool_], first: int | None = None, alone: bool = True
-    ) -> tuple[int, int] | None:
+    def _exchanged(self, state: State, block: int, only: int | None = None) -> State:
+        """The likeliest block, or none, in the place of one that is in the set;  only : what may be there"""
+        if block not in state.blocks:
+            return state
+        left, own = state.without(block), dict(state.key)[block]
+        table = self._each(left)
+        alone = np.isfinite(self.log_prior(left.blocks))
+        best = self._likeliest(
+            table if only is None else np.where(np.arange(len(table))[:, None] == only, table, -np.inf), block, alone
+        )
+        return state if best == (block, own) else left.beside(best)
+
+    def _likeliest(self, table: Array, first: int | None = None, alone: bool = True) -> tuple[int, int] | None:
         """The block that is likeliest in a table, and its likeliest size; None if it is likelier without any.
 
-        allowed : (B,) blocks that may be;  first : of those equally likely;  alone : whether the set may be without any
+        first : of those equally likely;  alone : whether the set may be without any
         """
-        odds = np.where(allowed, log_sums(table), -np.inf)
+        odds = log_sums(table)
         most = np.max(odds, initial=-np.inf)
         if most <= (ROUNDING if alone else -np.inf):
             return None
@@ -153,45 +151,45 @@ class Search:
 
     def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
         """The sets that matter, likeliest first, and how often each was drawn, from a set to start from."""
-        thin = 1 + len(top.places) // 64  # effort: moves for each draw, with the columns of the set
-        state, steps, visits = top, dict[Key, Array](), Counter[Key]()
-        draws, odds = Counter[Key](), dict[Key, float]()
-        for move in range(MOVES):
+        state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
+        moves = max(MOVES // (1 + len(top.places) // 64), 1)  # a move takes longer in larger sets
+        for _ in range(moves):
             taken = int(generator.integers(len(state.key) + 1))
             left = state.without(state.blocks[taken] if taken < len(state.key) else None)
-            visits[left.key] += 1
             if left.key not in steps:
-                each = self._each(left) - np.log(len(left.key) + 2)
                 stay = -np.log(len(left.key) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
-                every = np.append(each.ravel(), stay)
-                shares = np.exp(every - np.max(every))
-                steps[left.key] = shares / np.sum(shares)
+                steps[left.key] = softmax(np.append(self._each(left).ravel() - np.log(len(left.key) + 2), stay))
+            visits[left.key] += 1
             total = np.cumsum(steps[left.key])
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
             if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
                 state = left.beside(pair)
-            if move % thin == 0:
-                draws[key] += 1
-                odds[key] = self.log_odds(state)
-        return self._counted_up(visits, steps, odds), draws
-
-    def _counted_up(self, visits: Counter[Key], steps: dict[Key, Array], draws: dict[Key, float]) -> list[Weighed]:
-        """The sets, from the probabilities with which each was drawn."""
-        total, sets = defaultdict[Key, float](float), defaultdict[tuple[int, ...], list[tuple[float, Key]]](list)
+            draws[key] += 1
+        # the sets from the probabilities with which each was drawn, whatever its sizes; and of those drawn with theirs
+        sets, ways, share = (
+            defaultdict[tuple[int, ...], list[tuple[float, Key]]](list),
+            defaultdict[Key, list[int]](list),
+            0.0,
+        )
+        for key in draws:
+            ways[key].append(-1)
+            for block, size in key:
+                ways[tuple(pair for pair in key if pair[0] != block)].append(block * len(SIZES) + size)
         for key, count in visits.items():
-            shares = steps[key] * (count / visits.total())
-            total[key] += float(shares[-1])
-            for k in np.flatnonzero(shares[:-1] > 0.1 * LEAST).tolist():
-                at = bisect(key, pair := divmod(k, len(SIZES)))
-                total[(*key[:at], pair, *key[at:])] += float(shares[k])
-        # these draws have these odds together, and this share of the probability: of a single one, its frequency
-        share = sum(total[key] for key in draws)
-        evidence = float(logsumexp([*draws.values()]) - np.log(max(share, 1.0 / visits.total())))
-        for key, p in total.items():
-            sets[tuple(block for block, _ in key)].append((p, key))
-        listed = sorted((-sum(p for p, _ in of_sizes), max(of_sizes)[1]) for of_sizes in sets.values())
-        return [(key, float(np.log(-less)) + evidence) for less, key in listed if -less > LEAST]
+            chances, blocks = steps[key] * (count / moves), [block for block, _ in key]
+            share += float(np.sum(chances[ways[key]]))
+            sets[tuple(blocks)].append((float(chances[-1]), key))
+            table = chances[:-1].reshape(-1, len(SIZES))
+            of_blocks = np.sum(table, axis=1)
+            for block in np.flatnonzero(of_blocks > 0.1 * LEAST).tolist():
+                at, pair = bisect(blocks, block), (block, int(np.argmax(table[block])))
+                way = float(of_blocks[block]), (*key[:at], pair, *key[at:])
+                sets[(*blocks[:at], block, *blocks[at:])].append(way)
+        # what was drawn has these odds together, and this share of the probability
+        evidence = float(logsumexp([self.log_odds(self.products.state(key)) for key in draws]) - np.log(share))
+        listed = sorted((-sum(p for p, _ in found), max(found)[1]) for found in sets.values())
+        return [(key, float(np.log(-less)) + evidence) for less, key in listed if -less > LEAST], draws
 
     def _each(self, left: State) -> Array:
         """(B, S) log odds of a set with each further block in each size against the set; -inf where it may not be."""
@@ -204,8 +202,8 @@ class Search:
             if not chosen & self.givers:
                 others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
                 prior[list(others)] = -np.inf
-            alike = log_odds_of_sizes(self._sizes(left)[0])[1]
-            of_size = np.where(self.counted[:, None], alike, -np.log(self.products.limits)[:, None])
+            alike = log_odds_of_sizes(self._sizes(left))[1]
+            of_size = np.where(self.counted[:, None], alike, -np.log(len(SIZES)))
             self._tables[left.key] = self.products.added(left) + prior[:, None] + of_size
         return self._tables[left.key]
 
@@ -253,8 +251,7 @@ class Explanation:
     @property
     def outside(self) -> tuple[Block, ...]:
         """Its blocks outside the library."""
-        rest = tuple(b for b in self.blocks if b.effect is None and b.row is None)
-        return () if self.effects and all(b.parts for b in rest) else rest
+        return tuple(b for b in self.blocks if b.effect is None and b.row is None)
 
 
 @dataclass(frozen=True)
@@ -278,9 +275,6 @@ class Posterior:
     def best(self) -> Explanation:
         """The likeliest."""
         return self.explanations[0]
-
-
-Walked = tuple[NoiseModel, Linearized, list[Weighed], Counter[Key], float]  # the last: log odds of the noise, for none
 
 
 def posterior_of(
@@ -308,16 +302,17 @@ def posterior_of(
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
         # with the outlying rows of the set alone, which noise of another kind may need, too
         y, jacobian, base = library.as_base(here)
-        plain, prior, each = jacobian[:, :, base] / at.model.scales[base], np.array([n.prior for n in every]), []
+        plain, each = jacobian[:, :, base] / at.model.scales[base], []
         rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
         for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
             one = search.products.state(key)
             free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
-            likelihoods = log_likelihoods(every, y, free)
-            each.append(likelihoods - likelihoods[number] + search.log_odds(one) + prior)
+            likelihoods = log_likelihoods(every, y, free) + np.array([n.prior for n in every])
+            each.append(likelihoods - likelihoods[number] + every[number].prior + search.log_odds(one))
         scores = np.max(each, axis=0)
         order = np.argsort(-scores, kind="stable").tolist()
-        likely = [k for k in order if scores[k] > scores.max() + np.log(LEVEL)]
+        kinds = {every[k].name: k for k in reversed(order)}  # of each kind the likeliest
+        likely = sorted((k for k in kinds.values() if scores[k] > scores.max() + np.log(LEVEL)), key=order.index)
         best = int(np.argmax(np.where(np.arange(len(every)) == number, scores + ROUNDING, scores)))
         settled = [*chosen] == before and best == number
         if turn == PASSES:
@@ -334,29 +329,30 @@ def posterior_of(
             break
         library = wider
 
-    walked, end = [], at.on(rows)
-    for k in [number, *(k for k in likely if k != number)][:NOISES]:
+    end, walked = at.on(rows), list[tuple[NoiseModel, Linearized, list[Weighed], Counter[Key]]]()
+    for k in [number, *(k for k in likely if every[k].name != every[number].name)]:
         tell(f"sets of effects{', noise: ' + every[k].name if every[k].name else ''}")
         under = problem if k == number else linearized(library, at.on(every[k].rows), wrong)
-        walked.append((every[k], *_walked(under, _same_set(under, chosen), generator), float(each[0][k])))
+        near, sets, draws = _walked(under, _same_set(under, chosen), generator)
+        walked.append((every[k], near, [(key, odds + float(each[0][k])) for key, odds in sets], draws))
     mixture = _mixture(walked, problem, library, end)
-    if sum(one.probability for one in mixture.explanations if not all(map(_holds, one.blocks))) < LEVEL:
+
+    def held(block: Block) -> bool:
+        """Whether an arm file can have it, or its row be left out."""
+        return bool(block.effect or block.span or block.row is not None)
+
+    if sum(one.probability for one in mixture.explanations if not all(map(held, one.blocks))) < LEVEL:
         return mixture
     tell("what an arm file can have")
-    problem = problem.of([k for k, block in enumerate(problem.blocks) if _holds(block)])
+    problem = problem.of([k for k, block in enumerate(problem.blocks) if held(block)])
     top = Search(problem.products, problem.blocks).climb(_same_set(problem, chosen))
-    alone = [(every[number], *_walked(problem, top, generator), 0.0)]
-    return replace(mixture, writable=_mixture(alone, problem, library, end))
+    alone = (every[number], *_walked(problem, top, generator))
+    return replace(mixture, writable=_mixture([alone], problem, library, end))
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:
     """A set, label -> number of the size, as far as a problem has its blocks."""
     return problem.products.state([(problem.numbers[x], size) for x, size in chosen.items() if x in problem.numbers])
-
-
-def _holds(block: Block) -> bool:
-    """Whether an arm file can have a block, or its row be left out."""
-    return bool(block.effect or block.span or block.parts or block.row is not None)
 
 
 def _walked(
@@ -370,22 +366,21 @@ def _walked(
     return few, *Search(few.products, few.blocks, search.total).walk(start, generator)
 
 
-def _mixture(models: Sequence[Walked], whole: Linearized, library: Library, at: At) -> Posterior:
-    """All explanations of all noise models together."""
-    problems = tuple(problem for _, problem, *_ in models)
-    listed = [
-        (number, key, of_noise + log_odds)
-        for number, (_, _, sets, _, of_noise) in enumerate(models)
-        for key, log_odds in sets
-    ]
-    odds = np.array([one for *_, one in listed])
-    probabilities = np.exp(odds - logsumexp(odds))
+def _mixture(
+    models: Sequence[tuple[NoiseModel, Linearized, list[Weighed], Counter[Key]]],
+    whole: Linearized,
+    library: Library,
+    at: At,
+) -> Posterior:
+    """All explanations of all noise models together, from their log odds."""
+    every, problems, sets, draws = zip(*models, strict=True)
+    listed = [(number, key, odds) for number, weighed in enumerate(sets) for key, odds in weighed]
+    probabilities = softmax([odds for *_, odds in listed])
     explanations = []
     for k in np.argsort(-np.round(probabilities, 9), kind="stable").tolist():
         number, key, _ = listed[k]
         blocks = tuple(problems[number].blocks[b] for b, _ in key)
         explanations.append(Explanation(blocks, key, number, float(probabilities[k])))
-    every, draws = tuple(noise for noise, *_ in models), tuple(counted for *_, counted, _ in models)
     return Posterior(tuple(explanations), every, problems, draws, whole, library, at)
 
 

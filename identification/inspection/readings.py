@@ -40,7 +40,7 @@ ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
 def anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
-    tip = chain.settled & {TOOL} if chain.planar else frozenset[str]()
+    tip = chain.settled.difference(chain.frame_kinds) & {TOOL}
     return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument.unplaced))
 
 
@@ -178,7 +178,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     Raises `InputError` if the numbers of joints differ.
     """
     units = list(wrong_units(measurements, arm)[0])
-    if units or arm.chain.planar or _few(anywhere(arm), some_of_one_point(measurements)):
+    if units or not arm.chain.frame_kinds or _few(anywhere(arm), some_of_one_point(measurements)):
         return units
     # as it is drawn; with one measured point where it has several and the rows name none
     bare = replace(arm, chain=one_unnamed(arm.chain, measurements), effects=(), calibration=None)
@@ -551,7 +551,7 @@ def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, 
     """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
     the drawing: far from them a fit may end with frames turned over."""
     start = placed_model(model, measurements)
-    if start is model or (arm := model.arm).chain.planar or arm.calibration is not None:
+    if start is model or not (arm := model.arm).chain.frame_kinds or arm.calibration is not None:
         return start, {}
     rows = spread_rows(measurements, measurements.session_rows[0])  # later ones have another base
     left = rows.positions - start.position(rows.postures, conditions=rows.conditions)

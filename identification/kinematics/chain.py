@@ -113,6 +113,9 @@ class KinematicChain(ByValue):
     turning: ClassVar[tuple[int, ...]] = (0, 1, 2)  # numbers of the axes that a frame may turn about
     turn_names: ClassVar[tuple[str, ...]] = ("wx", "wy", "wz")  # of the parts of a rotation
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
+    # kinds of the parameters that say where it stands and what is measured on it, each a frame
+    frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
+    projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
     planar: ClassVar[bool] = False  # a `PlanarChain`
 
     def __post_init__(self) -> None:
@@ -125,7 +128,7 @@ class KinematicChain(ByValue):
     @property
     def positions_in_plane(self) -> bool:
         """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
-        return self.planar and self.instrument.reads_positions
+        return not self.frame_kinds and self.instrument.reads_positions
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
@@ -147,7 +150,7 @@ class KinematicChain(ByValue):
     @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
-        return not (self.planar or self.fixed)
+        return bool(self.frame_kinds) and not self.fixed
 
     @property
     def held(self) -> frozenset[str]:
@@ -422,6 +425,8 @@ class PlanarChain(KinematicChain):
     turning = (2,)
     turn_names = ("w",)
     base_shift = ("base_offset.x0", "base_offset.y0")
+    frame_kinds = ()
+    projection = None
     planar = True
 
     @property

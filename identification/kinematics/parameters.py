@@ -163,8 +163,8 @@ class ParameterSet(tuple[Parameter, ...]):
         return self.indices(JOINT_OFFSET)
 
     @property
-    def planar(self) -> bool:
-        """Whether length errors, joint offsets and effects are all there is: the parameters of a planar chain."""
+    def by_link(self) -> bool:
+        """Whether length errors, joint offsets and effects are all there is, as of a planar chain: a row a link."""
         return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(self.kinds)
 
     def vector(self, values: Mapping[str, float], default: float | None = None) -> Array:

@@ -172,11 +172,6 @@ class Model:
         """True if an effect depends on the postures measured before."""
         return "past" in self.needs
 
-    @property
-    def linear_in_links(self) -> bool:
-        """True if the tip is a complex linear function of l_j exp(i dtheta_j): nothing known, at most a base offset."""
-        return self.closed_form is not None and self.closed_form.exact
-
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.

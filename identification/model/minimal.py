@@ -39,7 +39,7 @@ def minimal(
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     arm, parameters = model.arm, model.parameters
-    if arm.chain.planar:
+    if not arm.chain.frame_kinds:
         raise InputError("minimal: a planar arm, allowed: a spatial one; the parameters of a planar arm are minimal")
     first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
     order = [k for kind in first for k in parameters.indices(kind)]

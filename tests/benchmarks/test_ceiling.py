@@ -26,7 +26,6 @@ from doe.discrimination.design import discrimination_design
 from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, simulator
 from doe.studies.blind.simulator import TrueArm, column, measure, session, shift, turn
-from identification.effects.formulas import RARE
 from identification.estimation import estimate
 from identification.model import Model
 
@@ -38,7 +37,6 @@ STIFFNESSES = 200
 PAIRS = {"encoder_eccentricity": "ab", "encoder_second_harmonic": "ab", "axes_skew": "ab", "transmission_ripple": "ab"}
 SAGGING = ("joint_compliance", "gravity_backlash", "link_bending")  # of one sign only
 NAMES = cells.LIBRARY_JOINT + cells.LIBRARY_WHOLE
-LOADS = {"payload_error": {"d": 1.0}, "gravity_tilt": {"angle": 1.0}}  # wrong loads, of one parameter
 ONE = ("lambda 6, m=50", "lambda 6, m=200", "lambda 6, discriminating plan", "lambda 8, m=50", "lambda 8, m=20")
 CELLS = [*(f"one, {cell}" for cell in (*ONE, "lambda 8, discriminating plan")), "two, lambda 8"]
 
@@ -70,7 +68,7 @@ def directions(bare: TrueArm, run: simulator.RowConditions, name: str, j: int | 
         each = [column(bare, run, ("joint_compliance", i + 1, {"c": 1.0})) for i in range(bare.n)]
         yield np.column_stack(each) @ np.random.default_rng(1).uniform(0.5, 1.5, (bare.n, STIFFNESSES))
     else:
-        values = LOADS.get(name) or cells.directions(bare, name, j, np.random.default_rng(0))
+        values = cells.directions(bare, name, j, np.random.default_rng(0))
         one = column(bare, run, (name, j, values))[:, None]
         yield one if name in SAGGING else np.hstack([one, -one])
 
@@ -90,19 +88,18 @@ def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, True
     plan = postures = planned(cell, seed // cells.SAME_ARM * cells.SAME_ARM)
     truth = cells.truth_of(spec, rng) if plan is None else cells.shared_truth(cell, seed)
     if postures is None:
-        postures = rng.uniform(truth.lower, truth.upper, (max(spec.m, truth.n + 4), truth.n))
+        postures = rng.uniform(truth.lower, truth.upper, (max(*spec.rows, truth.n + 4), truth.n))
     run = session(truth, postures, rng)
-    if spec.rare:
-        truth = replace(truth, modelled=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
     truth = replace(truth, effects=cells.hidden(spec, truth, run, rng))
     bare = replace(truth, effects=[])
     measured = cells.data_set(cell, seed, plan).measurements.positions  # the same noise
     miss = (measured - simulator.position(bare, run)).ravel() / truth.sigma
     basis = np.linalg.qr(simulator.base_jacobian(truth, run))[0]
     possible = []
-    for name in (*NAMES, *(LOADS if spec.rare else ())):
-        whole = name in (*cells.LIBRARY_WHOLE, *LOADS)
-        joints = [None] if whole else list(range(2 if name == "joint_coupling" else 1, truth.n + 1))
+    for name in NAMES:
+        joints = (
+            [None] if name in cells.LIBRARY_WHOLE else list(range(2 if name == "joint_coupling" else 1, truth.n + 1))
+        )
         for j in joints:
             parts = []
             for columns in directions(bare, run, name, j):
@@ -159,23 +156,6 @@ def test_names(cell: str) -> None:
     assert right > 0.9  # the classifier itself works
 
 
-@pytest.mark.parametrize("weight", [1.0, RARE])
-@pytest.mark.parametrize("name", LOADS)
-def test_names_of_wrong_loads(name: str, weight: float) -> None:
-    """Their prior beside the common effects is 1, or what the library says (`RARE`), which costs names."""
-    named, inside = Counter[str](), 0
-    for seed in range(COUNT // 2):
-        residual, possible, lam, _ = drawn(f"{name}, lambda 8", seed)
-        sets = posterior(residual, possible, lam, 1)
-        scores = {one.key: value + np.log(weight if one.key in LOADS else 1.0) for (one,), value in sets.items()}
-        best = max(scores, key=scores.__getitem__)
-        named[best.split(":")[0]] += 1
-        inside += scores[name] > scores[best] - 3.0
-    shares = {key: round(count / named.total(), 3) for key, count in named.most_common(4)}
-    print(f"\n{name}, prior {weight:g}: named {shares}, in the set {inside / named.total():.3f}")
-    assert inside > 0.9 * named.total()
-
-
 def palletizer(rng: np.random.Generator) -> TrueArm:
     """Four axes 2 mrad and 0.5 mm off, encoders 5 mrad."""
     half = np.pi / 2.0
@@ -198,7 +178,7 @@ def test_intervals_hold_the_best_fit_and_not_the_truth(m: int) -> None:
         rng = np.random.default_rng([8, seed])
         stiff = palletizer(rng)
         soft = replace(stiff, effects=[("joint_compliance", None, {"c": 1e-6 * rng.uniform(0.5, 1.5, stiff.n)})])
-        model = Model(cells.arm_of(cells.CellSpec(m, space=True), stiff, rng))
+        model = Model(cells.arm_of(stiff))
         fits = []
         for truth, rows in ((soft, m), (replace(stiff, sigma=0.0), 1000), (replace(soft, sigma=0.0), 1000)):
             run = session(truth, rng.uniform(truth.lower, truth.upper, (rows, truth.n)), rng)

@@ -326,7 +326,7 @@ def diagnosis_of_two_hundred_rows() -> tuple[float, str]:
     from doe.studies.blind.cells import CELLS, CellSpec, data_set
     from identification.gap.diagnose import diagnose
 
-    CELLS["speed"] = CellSpec(200, 8.0, effects=2, limits="paper")
+    CELLS["speed"] = CellSpec([200], lam=8.0, effects=2, links=(4, 4))
     data = data_set("speed", 1)
     return timed(lambda: diagnose(data.arm, data.measurements), 3)[1], "m = 200, 4 links, the whole library"
 

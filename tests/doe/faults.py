@@ -33,8 +33,7 @@ sigma_mm = 0.1
 STUDY = """arms = ["arm.toml"]
 plans = ["dft", "random"]
 runs = [6]
-replications = 600
-block = 50
+replications = 2000
 """
 
 

@@ -24,7 +24,6 @@ from doe.studies.blind.simulator import (
     gravity_loads,
     noise,
     off,
-    places,
     scaled_amplitudes,
     session,
     shift,
@@ -45,12 +44,10 @@ SPACE_WHOLE = (EVERY_JOINT, "thermal_growth", "base_drift", "base_rotation_drift
 OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")  # when the study began; two are inside by now
 SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}
 SPACE_OUTSIDE = ("bump", "cubic", "cable_pull", "axis_wobble")
-LOADS = ("payload_error", "gravity_tilt")
-RARE = ("joint_step", "link_step", "axis_tilt", "joint_hysteresis", "thermal_transient", "base_step", *LOADS)
 # not in the library, and in the plane no one effect of it explains half of them
 PHYSICS_WHOLE = ("gripper_play", "refraction", "two_warm_ups", "payload_swap", "warm_offset")
 PHYSICS = ("memory_hysteresis", "two_joint_cable", "gear_wear", "cross_talk", "stick_slip", *PHYSICS_WHOLE)
-OF_ARM = (*LIBRARY_WHOLE, "thermal_transient", "base_step", *LOADS, *PHYSICS_WHOLE, "step_drift")
+OF_ARM = (*LIBRARY_WHOLE, *PHYSICS_WHOLE, "step_drift")
 NOT_INSIDE = {*OUTSIDE, *SPACE_OUTSIDE, *PHYSICS} - set(SINCE_INSIDE)
 COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
 EXPLAINED = 0.5  # of the square of an effect outside the library, at most, by any one of it; in 20 draws or never
@@ -72,7 +69,7 @@ class DataSet:
     specs: tuple[EffectSpec, ...]  # the hidden effects as an arm file has them, to fit the true model
     wrong_rows: tuple[int, ...]  # outliers, counted from 1
     # parameter name -> true value of hidden effects and, in the plane, of the base [API units], to judge intervals;
-    # empty where the arm's maker is wrong about it or the library has no such effect
+    # empty where the library has no such effect
     values: Mapping[str, float]
     exact: Array | None  # (200, d) hold-out without noise [mm], where many effects are hidden or one outside
     reachable: float | None  # RMS [mm] from `exact` of a model with what is hidden, fitted to these data
@@ -83,25 +80,17 @@ class DataSet:
 class CellSpec:
     """What is drawn in a cell of the study; of the cells in cells.toml."""
 
-    m: int  # rows
+    rows: Sequence[int]  # one of them is the number of rows
+    number: int = 0  # of the cell, in the seeds of its data
     lam: float | None = None  # size of the hidden effects, None: nothing is hidden
     sizes: Sequence[float] = ()  # each lambda is drawn between these instead
     space: bool = False
     effects: int = 1  # how many are hidden, of different families
     noise: str = "white"  # see `noise`
-    limits: str = "full"  # some: narrow joints; paper: the paper's 4-link arm
     outside: bool = False  # the hidden effect is one that the library does not have
-    # what the arm file is wrong about: `masses` of the links (by up to 30 %), the mass of the `tool` (missing, a
-    # parameter), how the base leans (1 to 3 degrees, `tilt`), the `place` of the payload (see `loaded`)
-    wrong: str = ""
-    gravity: bool = False  # the hidden effect is one of gravity
     reported: bool = True  # in the full study; the others can be asked for by name
-    families: bool = True  # compliance in all joints at once among them
-    rare: str = ""  # the hidden effect is that rare one
-    order: float = 0.0  # a gear ripple of so many periods per turn
     many: str = ""  # see `many_effects`
-    rows: Sequence[int] = ()  # one of them is the number of rows instead
-    links: Sequence[int] = (2, 6)  # least and most
+    links: Sequence[int] = (2, 6)  # least and most, in the plane
     physics: str = ""  # the hidden effect is that one of `PHYSICS`
     reads: int = 1  # of each posture, one after another, with an error they share
     reflectors: int = 1  # measured points, taking turns
@@ -114,22 +103,13 @@ CELLS |= {f"space, {name}": CellSpec(**spec, space=True) for name, spec in TABLE
 
 
 # -- arms --------------------------------------------------------------------------------------------------------------
-def random_truth(rng: np.random.Generator, n: int | None = None, limits: str = "full") -> TrueArm:
-    """A planar arm of n links (None: 2 to 6), its lengths 1 mm and its encoders 8 mrad off."""
-    n = int(rng.integers(2, 7)) if n is None else n
+def random_truth(rng: np.random.Generator, n: int) -> TrueArm:
+    """A planar arm of n links, its lengths 1 mm and its encoders 8 mrad off."""
     lengths = np.round(rng.uniform(80.0, 400.0, n))
-    span, middle = np.full(n, 2 * np.pi), np.zeros(n)
-    if limits == "some":
-        span = np.concatenate([[2 * np.pi], rng.uniform(np.radians(120), np.radians(300), n - 1)])
-        middle = rng.uniform(-0.5, 0.5, n)
     masses, payload = lengths / 100.0 * rng.uniform(1.0, 5.0, n), float(rng.uniform(1.0, 12.0))
-    sigma = float(rng.choice([0.02, 0.05, 0.1, 0.2]))
-    if limits == "paper":
-        lengths, masses = np.array([260.0, 180.0, 120.0, 100.0]), np.array([12.0, 8.0, 5.0, 3.0])
-        payload, sigma = 10.0, 0.1
-    errors = rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.008, n)
-    reach = {"lower": middle - span / 2, "upper": middle + span / 2}
-    return TrueArm.planar(lengths, *errors, masses=masses, payload=payload, sigma=sigma, **reach)
+    loads: Values = {"masses": masses, "payload": payload, "sigma": float(rng.choice([0.02, 0.05, 0.1, 0.2]))}
+    errors, limit = (rng.normal(0.0, 1.0, n), rng.normal(0.0, 0.008, n)), np.full(n, np.pi)
+    return TrueArm.planar(lengths, *errors, lower=-limit, upper=limit, **loads)
 
 
 def random_six_axes(rng: np.random.Generator) -> TrueArm:
@@ -158,62 +138,46 @@ def random_six_axes(rng: np.random.Generator) -> TrueArm:
 def truth_of(spec: CellSpec, rng: np.random.Generator) -> TrueArm:
     """The arm of a data set."""
     if not spec.space:
-        n = 4 if spec.limits == "paper" else int(rng.integers(spec.links[0], spec.links[1] + 1))
-        return random_truth(rng, n, spec.limits)
+        return random_truth(rng, int(rng.integers(spec.links[0], spec.links[1] + 1)))
     truth = random_six_axes(rng)
-    truth = replace(truth, tools=truth.tools[: spec.reflectors])
-    if spec.wrong == "tilt":
-        return leaning(truth, rng)
-    if spec.wrong == "place":  # 5 to 20 kg hang 150 to 300 mm beside the measured point
-        phase = rng.uniform(0.0, 2.0 * np.pi)
-        away = rng.uniform(150.0, 300.0) * np.array([np.cos(phase), np.sin(phase), rng.uniform(-0.3, 0.6)])
-        return replace(truth, payload=float(rng.uniform(5.0, 20.0)), load=truth.tools[0] + away)
-    return truth
+    return replace(truth, tools=truth.tools[: spec.reflectors])
 
 
-def leaning(truth: TrueArm, rng: np.random.Generator) -> TrueArm:
-    """The arm on a base that leans by 1 to 3 degrees."""
-    angle, phase = np.radians(rng.uniform(1.0, 3.0)), rng.uniform(0.0, 2.0 * np.pi)
-    return replace(truth, gravity=turn(angle * np.array([np.cos(phase), np.sin(phase), 0.0])) @ truth.gravity)
-
-
-def arm_of(spec: CellSpec, truth: TrueArm, rng: np.random.Generator) -> Arm:
+def arm_of(truth: TrueArm) -> Arm:
     """The arm as its maker describes it, who in space does not know where base and reflectors are."""
-    masses = truth.masses * (rng.uniform(0.7, 1.3, truth.n) if spec.wrong == "masses" else 1.0)
     gravity = {
         "acceleration_m_s2": (-simulator.G * np.eye(truth.dimension)[-1]).tolist(),
-        "link_masses_kg": masses.tolist(),
+        "link_masses_kg": truth.masses.tolist(),
         "center_of_mass": [truth.center] * truth.n,
-        "payload_kg": 0.0 if spec.wrong == "tool" else truth.payload,
+        "payload_kg": truth.payload,
     }
     limits = {side: np.degrees(getattr(truth, side)).tolist() for side in ("lower", "upper")}
     tables = {"joint_limits_deg": limits, "measurement": {"sigma_mm": truth.sigma}, "gravity": gravity}
-    effects = [EffectSpec(e[0], e[1], {f"c{j}": c for j, c in enumerate(e[2]["c"], 1)}) for e in truth.modelled]
     if truth.in_plane:
-        return load_arm(tables | {"links_mm": truth.lengths.tolist()}).with_effects(*effects)
-    rows = [{"a_mm": a, "alpha_deg": float(np.degrees(alpha)), "d_mm": d} for a, alpha, d in truth.table.tolist()]
-    arm = load_arm(tables | {"kind": "spatial", "dh": rows})
-    arm = replace(arm, chain=replace(arm.chain, tools={str(k + 1): np.zeros(3) for k in range(len(truth.tools))}))
-    return arm.with_effects(*effects, *([EffectSpec("tool_mass")] if spec.wrong == "tool" else []))
+        arm = load_arm(tables | {"links_mm": truth.lengths.tolist()})
+    else:
+        rows = [{"a_mm": a, "alpha_deg": float(np.degrees(alpha)), "d_mm": d} for a, alpha, d in truth.table.tolist()]
+        arm = load_arm(tables | {"kind": "spatial", "dh": rows})
+        tools = {str(k + 1): np.zeros(3) for k in range(len(truth.tools))}
+        arm = replace(arm, chain=replace(arm.chain, tools=tools))
+    return arm.with_effects(*(EffectSpec(e[0], e[1], numbered(e[2])) for e in truth.modelled))
 
 
 def to_be_planned(cell: str, seed: int) -> tuple[Arm, int]:
     """Arm and number of postures of a cell whose plan is designed."""
     truth = shared_truth(cell, seed)
-    return arm_of(CELLS[cell], truth, np.random.default_rng(0)), max(CELLS[cell].m, truth.n + 4)
+    return arm_of(truth), max(*CELLS[cell].rows, truth.n + 4)
 
 
 def shared_truth(cell: str, seed: int) -> TrueArm:
     """The arm of SAME_ARM consecutive sets."""
-    rng = np.random.default_rng([20261122, list(CELLS).index(cell), seed // SAME_ARM])
-    return truth_of(CELLS[cell], rng)
+    return truth_of(CELLS[cell], np.random.default_rng([20261122, CELLS[cell].number, seed // SAME_ARM]))
 
 
 # -- data sets ---------------------------------------------------------------------------------------------------------
 def generator_of(cell: str, seed: int) -> np.random.Generator:
     """Of data set number `seed` of a cell."""
-    number, space = list(CELLS).index(cell), CELLS[cell].space
-    return np.random.default_rng([20261125, number - len(TABLE["plane"]), seed] if space else [20261121, number, seed])
+    return np.random.default_rng([20261125 if CELLS[cell].space else 20261121, CELLS[cell].number, seed])
 
 
 def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
@@ -231,16 +195,13 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
             postures = rng.uniform(truth.lower, truth.upper, (count // times // spec.reflectors, truth.n))
         return session(truth, np.repeat(postures, times * spec.reflectors, axis=0), rng, spec.reflectors)
 
-    m = int(rng.choice(spec.rows)) if spec.rows else max(spec.m, truth.n + 4)
+    m = max(int(rng.choice(spec.rows)) if len(spec.rows) > 1 else spec.rows[0], truth.n + 4)
     run = measured_at(planned, m, spec.reads)
-    if spec.rare in LOADS or spec.physics == "payload_swap":  # they only show through compliance that the model has
+    if spec.physics == "payload_swap":  # it only shows through compliance that the model has
         truth = replace(truth, modelled=[("joint_compliance", None, {"c": 1e-5 * rng.uniform(0.5, 1.5, truth.n)})])
-    if spec.space:  # in this order since the study began
-        fresh, arm = measured_at(None, FRESH, 1), arm_of(spec, truth, rng)
-        truth = replace(truth, effects=hidden(spec, truth, run, rng))
-    else:
-        truth = replace(truth, effects=hidden(spec, truth, run, rng))
-        fresh, arm = measured_at(None, FRESH, 1), arm_of(spec, truth, rng)
+    fresh = measured_at(None, FRESH, 1) if spec.space else None  # in this order since the study began
+    truth = replace(truth, effects=hidden(spec, truth, run, rng))
+    fresh = fresh or measured_at(None, FRESH, 1)
     outside = next((e for e in truth.effects if e[0] in NOT_INSIDE), None)
     inside = [e for e in truth.effects if e[0] not in NOT_INSIDE]
     error = noise(truth, run, rng, spec.noise)
@@ -252,7 +213,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
 
     def further(q: Array, directions: Array | None) -> Measurements:
         """The same session goes on, its first rows as they were."""
-        later, count = np.random.default_rng([20261123, list(CELLS).index(cell), seed, len(q)]), len(q)
+        later, count = np.random.default_rng([20261123, spec.number, seed, len(q)]), len(q)
         s = session(truth, np.vstack([data.postures, q]), later).s[m:] if directions is None else directions
         t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), later.normal(0.0, 1.0, count)
         later_rows = RowConditions(q, t, warm, s, np.full(count, truth.payload), np.zeros(count, dtype=int))
@@ -262,17 +223,21 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
 
     specs = []  # with their settings
     for name, joint, drawn in inside:
-        kept = {name: float(v) for name, v in drawn.items() if name in ("k", "at", "tau", "width_deg")}
+        kept = {name: float(v) for name, v in drawn.items() if name in ("k", "at")}
         specs.append(EffectSpec(name, joint, kept | ({"side": 1.0} if name == "base_step" else {})))
     exact = reachable = None
     if spec.many or outside or spec.reads > 1:  # by least squares of all that is hidden, to first order
-        exact, columns = simulator.position(truth, fresh), fitted_columns(truth, run)
+        # the geometry and an amplitude of each hidden effect
+        columns, at_fresh = (
+            np.column_stack([base_jacobian(truth, rows), *(column(truth, rows, effect) for effect in truth.effects)])
+            for rows in (run, fresh)
+        )
         scale = np.linalg.norm(columns, axis=0)
         wrong = np.linalg.lstsq(columns / scale, error.ravel(), rcond=1e-10)[0]
-        moved = fitted_columns(truth, fresh) / scale @ wrong
-        reachable = float(np.sqrt(truth.dimension * np.mean(moved**2)))
+        exact = simulator.position(truth, fresh)
+        reachable = float(np.sqrt(truth.dimension * np.mean((at_fresh / scale @ wrong) ** 2)))
     return DataSet(
-        arm,
+        arm_of(truth),
         data,
         simulator.recorded(truth, fresh, held_out) if truth.effects or spec.reads > 1 else None,
         tuple(key(e) for e in inside),
@@ -280,31 +245,31 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         place_of(outside) if outside else "time" if spec.noise == WALK else None,
         tuple(specs),
         tuple((np.flatnonzero(far) + 1).tolist()),
-        {} if spec.wrong or spec.rare or spec.outside or outside else values_of(truth),
+        {} if spec.outside or outside else values_of(truth),
         exact,
         reachable,
         further,
     )
 
 
-def fitted_columns(truth: TrueArm, run: RowConditions) -> Array:
-    """(m d, p) of the geometry and of an amplitude of each hidden effect."""
-    return np.column_stack([base_jacobian(truth, run), *(column(truth, run, effect) for effect in truth.effects)])
+def numbered(values: Values) -> dict[str, float]:
+    """Amplitudes of an effect, named as the library names its parameters: `v` of a drift is vx, vy; `c` c1, c2, .."""
+    named: dict[str, float] = {}
+    for name, value in ((name, value) for name, value in values.items() if name not in SHAPES):
+        ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
+        named |= {f"{name}{end}": float(part) for end, part in zip(ends, np.atleast_1d(value), strict=False)}
+    return named
 
 
 def values_of(truth: TrueArm) -> dict[str, float]:
-    """Parameter name -> true value, named as the library names its parameters [API units]; in space without those of
-    the geometry, which others say differently."""
+    """Parameter name -> true value [API units]; in space without the geometry, which others say differently."""
     values: dict[str, float] = {}
     if truth.in_plane:
         errors = zip(truth.links[:, 0] - truth.lengths, truth.offsets, strict=True)
         for j, (length, offset) in enumerate(errors, start=1):
             values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
     for effect in truth.effects:
-        for name, value in ((name, value) for name, value in effect[2].items() if name not in SHAPES):
-            ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
-            parts = zip(ends, np.atleast_1d(value), strict=False)
-            values |= {f"{key(effect)}.{name}{end}": float(part) for end, part in parts}
+        values |= {f"{key(effect)}.{name}": value for name, value in numbered(effect[2]).items()}
     return values
 
 
@@ -331,27 +296,20 @@ def place_of(effect: Drawn) -> str | None:
 # -- hidden effects ----------------------------------------------------------------------------------------------------
 def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
     """The effects of a data set."""
-    if spec.sizes and spec.many:
+    if spec.many:
         return many_effects(truth, run, spec.many, spec.sizes, rng)
-    if spec.sizes:
+    if spec.physics:
         return [physics_effect(truth, run, spec.physics, float(np.exp(rng.uniform(*np.log(spec.sizes)))), rng)]
     if spec.lam is None:
         return []
-    if spec.wrong == "place":
-        return loaded(truth, run, spec.lam, rng)
     names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
-    span, settings = base_jacobian(truth, run), {"k": spec.order} if spec.order else {}
     if spec.outside:
-        names, span = SPACE_OUTSIDE if spec.space else OUTSIDE, library_columns(truth, run)
-    elif spec.rare or spec.order:
-        names = (spec.rare or "transmission_ripple",)
-    elif spec.gravity:
-        names = (*(name for name in OF_GRAVITY if name in SPACE_JOINT), EVERY_JOINT)
+        names = SPACE_OUTSIDE if spec.space else OUTSIDE
+    span = library_columns(truth, run) if spec.outside else base_jacobian(truth, run)
     effects: list[Drawn] = []
     while len(effects) < spec.effects:
-        new = random_effect(names, truth, run, spec.lam, rng, span, **settings)
-        allowed = spec.families or new[0] != "joint_compliance" or new[1]
-        if allowed and family(new) not in map(family, effects):
+        new = random_effect(names, truth, run, spec.lam, rng, span)
+        if family(new) not in map(family, effects):
             effects.append(new)
     return effects
 
@@ -359,7 +317,6 @@ def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Ge
 def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Generator) -> Values:
     """A random direction in an effect's parameter space; scaled afterwards."""
     n, reach = truth.n, float(truth.lengths.sum())
-    span = 0.0 if joint is None else float(truth.upper[joint - 1] - truth.lower[joint - 1])
     shapes: dict[str, Values]  # all of them are drawn, of which one is used
     if not truth.in_plane and name in ("base_drift", "base_rotation_drift", "warm_offset"):
         direction = rng.normal(0.0, 1.0, 3)
@@ -384,46 +341,35 @@ def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Gene
             "payload_swap": {"d": sign, "at": (float(start), float(end))},
             "warm_offset": {"v": np.array([a, b])},
         }
-    elif name in RARE:
-        sign, phase, at = rng.choice([-1.0, 1.0]), rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.35, 0.35)
-        shapes = {
-            "thermal_transient": {"a": sign, "tau": float(np.exp(rng.uniform(np.log(0.05), np.log(0.5))))},
-            "joint_step": {"b": sign, "at": at},
-            "link_step": {"d": sign, "at": at},
-            "base_step": {"x": np.cos(phase), "y": np.sin(phase), "at": at},
-            "payload_error": {"d": sign},
-            "gravity_tilt": {"angle": sign},
-            "axis_tilt": {"square": 1.0, "beta": phase},
-            "joint_hysteresis": {"b": sign, "width_deg": float(np.degrees(span * rng.uniform(0.1, 0.4)))},
-        }
-    else:
-        phase = rng.uniform(0, 2 * np.pi)
-        a, b = np.cos(phase), np.sin(phase)
-        if name == "transmission_ripple":
-            return {"a": a, "b": b, "k": int(rng.integers(3, 65))}
-        if name == "free_ripple":
-            return {"a": a, "b": b, "k": rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5}
-        if name == "step_drift":
-            return {"x": a, "y": b, "at": rng.uniform(-0.3, 0.3)}
-        around = ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew", "axis_runout")
-        shapes = {one: {"a": a, "b": b} for one in around}
-        shapes |= {"base_offset": {"x0": a, "y0": b}, "base_drift": {"v": np.array([a, b])}}
-        if name not in shapes:
-            sign = rng.choice([-1.0, 1.0])
-            shapes = {
-                "joint_compliance": {"c": 1.0},
-                EVERY_JOINT: {"c": rng.uniform(0.5, 1.5, n)},
-                "gear_ratio": {"e": sign},
-                "joint_coupling": {"c": sign},
-                "backlash": {"b": sign},
-                "gravity_backlash": {"b": 1.0},
-                "link_bending": {"flexibility": 1.0},
-                "thermal_growth": {"a": sign},
-                "base_rotation_drift": {"w": sign},
-                "bump": {"h": sign, "at": rng.uniform(-2.0, 2.0), "width": rng.uniform(0.3, 0.6)},
-                "cubic": {"c": sign},
-                "cable_pull": {"c": sign},
-            }
+        return shapes[name]
+    phase = rng.uniform(0, 2 * np.pi)
+    a, b = np.cos(phase), np.sin(phase)
+    if name == "transmission_ripple":
+        return {"a": a, "b": b, "k": int(rng.integers(3, 65))}
+    if name == "free_ripple":
+        return {"a": a, "b": b, "k": rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5}
+    if name == "step_drift":
+        return {"x": a, "y": b, "at": rng.uniform(-0.3, 0.3)}
+    around = ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew", "axis_runout")
+    shapes = {one: {"a": a, "b": b} for one in around}
+    shapes |= {"base_offset": {"x0": a, "y0": b}, "base_drift": {"v": np.array([a, b])}}
+    if name in shapes:
+        return shapes[name]
+    sign = rng.choice([-1.0, 1.0])
+    shapes = {
+        "joint_compliance": {"c": 1.0},
+        EVERY_JOINT: {"c": rng.uniform(0.5, 1.5, n)},
+        "gear_ratio": {"e": sign},
+        "joint_coupling": {"c": sign},
+        "backlash": {"b": sign},
+        "gravity_backlash": {"b": 1.0},
+        "link_bending": {"flexibility": 1.0},
+        "thermal_growth": {"a": sign},
+        "base_rotation_drift": {"w": sign},
+        "bump": {"h": sign, "at": rng.uniform(-2.0, 2.0), "width": rng.uniform(0.3, 0.6)},
+        "cubic": {"c": sign},
+        "cable_pull": {"c": sign},
+    }
     return shapes[name]
 
 
@@ -439,22 +385,15 @@ def sized(truth: TrueArm, run: RowConditions, effect: Drawn, lam: float, span: A
 
 
 def random_effect(
-    names: Sequence[str],
-    truth: TrueArm,
-    run: RowConditions,
-    lam: float,
-    rng: np.random.Generator,
-    span: Array | None = None,
-    **settings: float,
+    names: Sequence[str], truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator, span: Array
 ) -> Drawn:
     """One effect, its type at random, then its joint, of size lambda as in `sized`."""
-    span = base_jacobian(truth, run) if span is None else span
     while True:
         name = str(rng.choice(names))
-        first, last = 2 if name in ("joint_coupling", "axis_tilt") else 1, truth.n - (name == "two_joint_cable")
+        first, last = 1 + (name == "joint_coupling"), truth.n - (name == "two_joint_cable")
         joint = None if name in OF_ARM else int(rng.integers(first, last + 1))
-        direction = directions(truth, name, joint, rng) | settings
-        if (effect := sized(truth, run, (name, joint, direction), lam, span)) is not None:
+        drawn = name, joint, directions(truth, name, joint, rng)
+        if (effect := sized(truth, run, drawn, lam, span)) is not None:
             return effect
 
 
@@ -497,24 +436,9 @@ def many_effects(
     return list(islice((effect for effect in every if effect is not None), most))
 
 
-def loaded(truth: TrueArm, run: RowConditions, lam: float, rng: np.random.Generator) -> list[Drawn]:
-    """Compliance in all joints, such that the payload's place adds lambda sigma off the compliance that would fit best
-    without it; and that place."""
-    assert truth.load is not None
-    c = rng.uniform(0.5, 1.5, truth.n)
-    effects = [("joint_compliance", j, {"c": float(one)}) for j, one in enumerate(c, start=1)]
-    elsewhere, plain = (
-        np.stack([column(arm, run, effect) for effect in effects], axis=1) for arm in (truth, replace(truth, load=None))
-    )
-    unseen = np.column_stack([base_jacobian(truth, run), plain])
-    size = lam * truth.sigma / np.linalg.norm(off(unseen, np.sum(elsewhere - plain, axis=1)))
-    place = dict(zip("xyz", (truth.load - truth.tools[0]).tolist(), strict=True))
-    return [("joint_compliance", None, {"c": size * c}), ("payload_place", None, place)]
-
-
-def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, **settings: float) -> Array:
-    """(m d, c) columns of each amplitude of an effect."""
-    values = directions(truth, name, joint, np.random.default_rng(0)) | settings
+def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, values: Values | None = None) -> Array:
+    """(m d, c) columns of each amplitude of an effect;  values : with its shapes, left out: drawn"""
+    values = values or directions(truth, name, joint, np.random.default_rng(0))
     columns, zero = [], scaled_amplitudes(values, 0.0)
     for amplitude in (key for key in values if key not in SHAPES):
         each = np.eye(np.size(values[amplitude])) if np.ndim(values[amplitude]) else [1.0]
@@ -539,26 +463,28 @@ def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rn
     explains least; effects with settings at several of them."""
     if not truth.in_plane:
         return random_effect((name,), truth, run, lam, rng, library_columns(truth, run))
-    *frames, tip = places(replace(truth, effects=[], modelled=[]), run)
+    n, base = truth.n, base_jacobian(truth, run)
+    # how the length and the angle of each link move the tip: (m, 2, n); a joint's angle turns all links beyond
+    along, across = np.moveaxis(base.reshape(-1, 2, n, 2), -1, 0)
+    lever = np.cumsum((across * truth.links[:, 0])[..., ::-1], axis=-1)[..., ::-1]
     torques = np.einsum("mji,ji->mj", gravity_loads(truth, run)[0], truth.home[:-1, :3, 2])
     steps = np.stack([1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)])
-    moves: list[list[Array]] = [[step[:, None] * axis for axis in np.eye(3)[:2]] for step in steps]
-    soft: list[Array] = []  # every joint at once
-    for j, (q, frame) in enumerate(zip(run.q.T, frames[1:], strict=True)):
-        arm = tip[:, :3, 3] - (frame[:, :3, :3] @ truth.points[j] + frame[:, :3, 3])
-        lever = np.cross(frame[:, :3, :3] @ truth.axes[j], arm)  # how the joint's angle moves the tip
+    moves = [lever * torques[:, None]]  # every joint at once
+    moves += [step[:, None, None] * np.eye(2) for step in steps]
+    for j, q in enumerate(run.q.T):
         widths = (truth.upper[j] - truth.lower[j]) * np.array([0.05, 0.1, 0.2, 0.4])
-        shapes = [[np.cos(k * q), np.sin(k * q)] for k in range(1, 65)]
-        shapes += [[q], [run.s[:, j]], [np.sign(torques[:, j])], [torques[:, j]], *steps[:, None]]
-        shapes += [*([run.q[:, j - 1]] for _ in range(j > 0)), *([wound_up(q, width)] for width in widths)]
-        soft.append(lever * torques[:, j, None])
-        moves += [[lever * shape[:, None] for shape in block] for block in shapes]
-        moves += [[(frame[:, :3, :3] @ truth.links[j]) * step[:, None]] for step in steps]
-    blocks = [np.stack([move[:, :2].ravel() for move in block], axis=1) for block in [soft, *moves]]
+        shapes = [np.column_stack([np.cos(k * q), np.sin(k * q)]) for k in range(1, 65)]
+        alone = [q, run.s[:, j], np.sign(torques[:, j]), torques[:, j], *steps, *(wound_up(q, each) for each in widths)]
+        shapes += [shape[:, None] for shape in (*alone, *([run.q[:, j - 1]] if j else []))]
+        moves += [lever[:, :, j, None] * shape[:, None] for shape in shapes]
+        moves += [(along[:, :, j] * step[:, None])[:, :, None] for step in steps]
+    blocks = [move.reshape(2 * len(run.q), -1) for move in moves]
     blocks += [probed(truth, run, whole, None) for whole in LIBRARY_WHOLE if whole != EVERY_JOINT]
-    blocks += [probed(truth, run, "thermal_transient", None, tau=tau) for tau in (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
-    blocks += [probed(truth, run, load, None) for load in LOADS] if truth.modelled else []
-    base, ends = base_jacobian(truth, run), np.cumsum([block.shape[1] for block in blocks])[:-1]
+    taus = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
+    blocks += [probed(truth, run, "thermal_transient", None, {"a": 1.0, "tau": tau}) for tau in taus]
+    loads = {"payload_error": {"d": 1.0}, "gravity_tilt": {"angle": 1.0}} if truth.modelled else {}
+    blocks += [probed(truth, run, load, None, values) for load, values in loads.items()]
+    ends = np.cumsum([block.shape[1] for block in blocks])[:-1]
     blocks = [np.linalg.qr(block)[0] for block in np.split(off(base, np.hstack(blocks)), ends, axis=1)]
     drawn: list[tuple[float, Drawn]] = []
     while not drawn or (drawn[-1][0] > EXPLAINED and len(drawn) < 20):

@@ -1,9 +1,8 @@
 """The blind study: how often is the diagnosis right about effects that were hidden from it?
 
 A simulator that shares no code with the models (plain numpy) draws arm, plan, noise and hidden effects and
-hands over what a user has: arm and measurements. What it hid is written to a separate table by separate tasks; the
-diagnoses are made and stored without it, and the two tables are joined only for scoring: rates with their Monte Carlo
-errors, the confusion matrix, reliability, and the bars.
+hands over what a user has: arm and measurements. What the diagnosis says of them is kept beside what is hidden, and
+scored: rates with their Monte Carlo errors, the confusion matrix, reliability, and the bars.
 
 Tasks are batches of data sets: keyed, resumable and on any workers, as in every study.
 """
@@ -13,9 +12,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
-from math import sqrt
+from math import inf, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +22,13 @@ import polars as pl
 
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.t_optimal import discriminate
-from doe.jobs import KEY, Key, Row, Workers, canonical, frame_of, parquet, run_tasks, tables
+from doe.jobs import Key, Row, RowTable, Workers, frame_of, parquet, run_tasks
 from doe.problem.problem import DesignProblem
-from doe.studies.blind.cells import CELLS, TABLE, DataSet, data_set, to_be_planned
+from doe.studies.blind.cells import CELLS, SAME_ARM, TABLE, DataSet, data_set, to_be_planned
 from identification import (
     Arm,
     Array,
+    Diagnosis,
     InputError,
     Model,
     Progress,
@@ -43,14 +42,13 @@ from identification import (
 )
 from identification.files.io import write_together
 
-BATCH = 10  # sets per task
+BATCH = SAME_ARM  # sets per task
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
-FURTHER_RUNS = (2, 8, 16)  # more postures for an ambiguous set
-PLANS, TRUTH, DIAGNOSES = "plans.parquet", "truth.parquet", "diagnoses.parquet"
+FURTHER_RUNS = (2, 8)  # more postures for an ambiguous set
+ROWS = "sets.parquet"
 NOTHING, OUTSIDE = "nothing", "outside the library"
 ALL, ALL_OUTSIDE = "all sets", "all outside the library"  # stand for a cell where a figure is of all of them together
 KEEPS = "confirmed with 3 x the reachable error"
-MEDIANS = ("error / geometry",)  # measures with single large values: the median of the sets
 OF_ALL = ("intervals, base", "intervals, effects", "contradiction")  # measures of all cells together
 OUTCOMES = ("met", "within its error", "missed")
 EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)  # bins of what is said with which probability
@@ -59,9 +57,7 @@ FOLLOWING = {  # where an effect of the library is that has no joint
     "temperature": ("thermal_growth",),
     "workspace": ("axes_skew", "measurement_scale"),
 }
-Planned = list[list[float]] | None  # postures [deg] of a batch's plan, None: random ones
 Judged = dict[str, Any]
-Said = Mapping[str, Any]  # a row of both tables: what was hidden in a data set, and what was said of it
 
 
 @dataclass(frozen=True)
@@ -71,11 +67,11 @@ class BlindStudy:
     tables : what is written as NAME.parquet: `cells` (cell, measure, value, standard_error, count); `bars` (the same
         rows with what is asked and how it came out); `confusion` (hidden, named: classes of effects, joints left out,
         count); `reliability` (from, to, said, right, count: bins of the probability with which something was said)
-    sets : one row per data set, hidden and named side by side;  failures : batches that could not be done
+    sets : data sets that were diagnosed;  failures : batches that could not be done
     """
 
     tables: dict[str, pl.DataFrame]
-    sets: pl.DataFrame
+    sets: int
     failures: int
 
     @property
@@ -92,7 +88,7 @@ class BlindStudy:
         counts = Counter(bars["outcome"]) if len(bars) else Counter[str]()
         outcomes = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
         failed = f"; {self.failures} batches failed" if self.failures else ""
-        return f"{len(self.sets)} blind data sets; bars: {outcomes or 'none'}{failed}"
+        return f"{self.sets} blind data sets; bars: {outcomes or 'none'}{failed}"
 
     __repr__ = __str__
 
@@ -113,7 +109,7 @@ def blind_study(
     cells : names of the simulators' cells, default those of the full study in the plane
     count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200; in space
         100
-    folder : where plans.parquet, truth.parquet, diagnoses.parquet and the tables of the result go
+    folder : where sets.parquet and the tables of the result go
 
     Raises `InputError` for an unknown cell.
     """
@@ -129,15 +125,8 @@ def blind_study(
             {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
             for first in range(0, total, BATCH)
         ]
-    run = partial(run_tasks, workers=workers, progress=progress)  # the seed is in the keys
-    with tables(folder, PLANS, TRUTH, DIAGNOSES, resume=resume, force=force) as (of_plans, of_truth, of_diagnoses):
-        made = run(plan, [key for key in keys if CELLS[key["cell"]].designed], of_plans)
-        plans = {row[KEY]: row.get("postures_deg") for row in made.iter_rows(named=True)}
-        truth, diagnoses = (
-            run(function, keys, table, payload=lambda key: plans.get(canonical(key)))
-            for function, table in ((hide, of_truth), (examine, of_diagnoses))
-        )
-        score = scored_table(truth, diagnoses)
+    with RowTable(folder and folder / ROWS, resume=resume, force=force) as table:
+        score = scored(run_tasks(examine, keys, table, workers, seed=seed, progress=progress))
         if folder is not None:
             files = {folder / f"{name}.parquet": parquet(table) for name, table in score.tables.items()}
             write_together(files, force=True)
@@ -150,101 +139,87 @@ def reported_cells(space: bool) -> list[str]:
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
-def _data_sets(key: Key, planned: Planned) -> Iterator[tuple[int, DataSet]]:
-    """Number and data of every set of a batch; the user's seed moves all of the simulator's numbers."""
-    postures = None if planned is None else np.radians(planned)
-    for k in range(key["first"], key["first"] + key["sets"]):
-        yield k, data_set(key["cell"], int(key["seed"]) * 1_000_000 + k, postures)
-
-
-def plan(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
-    """The postures that `armcal design --discriminating` gives for the arm of a batch."""
-    arm, runs = to_be_planned(key["cell"], int(key["seed"]) * 1_000_000 + key["first"])
-    best = discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan
-    return [{"postures_deg": np.degrees(best.postures).tolist()}]
-
-
-def hide(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None) -> list[Row]:
-    """What is hidden in each set of a batch, the held-out gap that knowing it would leave, and how well a model that
-    knows it does, and one of the geometry only."""
+def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
+    """What is hidden in each set of a batch, and what the diagnosis says of it; the user's seed moves all of the
+    simulator's numbers. Designed postures are those of `armcal design --discriminating`."""
+    first, planned = int(key["seed"]) * 1_000_000 + key["first"], None
+    if CELLS[key["cell"]].designed:
+        arm, runs = to_be_planned(key["cell"], first)
+        planned = discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
     rows = []
-    for number, data in _data_sets(key, planned):
-        inside = data.outside is None
-        fitted = partial(fitted_arm, data.arm, data.measurements, left_out=data.wrong_rows)
-        arm = fitted(specs=data.specs) if inside and data.holdout is not None else data.arm
-        rows.append(
-            {
-                "set": number,
-                "wrong_rows": list(data.wrong_rows),
-                "hidden": sorted(data.effects),
-                "outside": data.outside,
-                "place": data.place,
-                "gap_true_mm": gap(arm, data, data.holdout.positions) if inside and data.holdout is not None else None,
-                "error_true_mm": gap(arm, data, data.exact) if inside else None,
-                "error_geometry_mm": None if data.exact is None else gap(fitted(), data, data.exact),
-                "error_reachable_mm": data.reachable,
-                "parameters": list(data.values),
-                "values": list(data.values.values()),
-            }
-        )
-    return rows
-
-
-def examine(key: dict[str, Any], _: np.random.SeedSequence, planned: Planned = None) -> list[Row]:
-    """What the diagnosis says of each set of a batch, by its public results, and how well the model that it writes
-    does; an ambiguous set again after 2, 8 and 16 more postures."""
-    rows = []
-    for number, data in _data_sets(key, planned):
+    for k in range(key["sets"]):
+        data, number = data_set(key["cell"], first + k, planned), key["first"] + k
         diagnosis = diagnose(data.arm, data.measurements, data.holdout, seed=number)
-        arm, verdict = diagnosis.extended_arm(), diagnosis.verdict
-        chances, named = diagnosis.probabilities, diagnosis.named
-        low, high = zip(*named.limits_95.values(), strict=True)
-        probability = diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys)
-        row: Row = {
-            "set": number,
-            "verdict": verdict,
-            "named": sorted(named.keys),
-            "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
-            "probability": probability,
-            "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
-            "where": diagnosis.where,
-            "outlier_rows": list(diagnosis.outlier_rows),
-            "interval_of": list(named.limits_95),  # of base and effects [API units]
-            "low_95": list(low),
-            "high_95": list(high),
-            "gap_named_mm": diagnosis.gap.held_out_after,
-            "gap_promised_mm": diagnosis.gap.predicted,
-            "error_named_mm": gap(arm, data, data.exact),
-            "inside_tip": share_inside_tip(arm, data),
-            "confirmed": diagnosis.confirmed,
-            "contradictions": contradictions(diagnosis.to_json()),
-        }
-        for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and verdict == "ambiguous" else ():
+        row = {"set": number, **hidden_in(data), **answer(diagnosis), **errors(diagnosis.extended_arm(), data)}
+        for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and diagnosis.verdict == "ambiguous" else ():
             best = discriminate(data.arm, diagnosis, data.measurements, runs, seed=number)
             again = diagnose(data.arm, data.further(best.plan.postures, best.directions), seed=number)
             row |= {f"next_{runs}_verdict": again.verdict, f"next_{runs}_named": sorted(again.named.keys)}
-            row[f"next_{runs}_chance"] = best.chance
         rows.append(row)
     return rows
 
 
-def gap(arm: Arm, data: DataSet, positions: Array | None) -> float | None:
+def hidden_in(data: DataSet) -> Row:
+    """What is hidden in a data set, the held-out gap that knowing it would leave, and how well a model that knows it
+    does, and one of the geometry only."""
+    geometry = fitted_arm(data.arm, data.measurements, left_out=data.wrong_rows) if data.exact is not None else data.arm
+    true, inside = None, data.outside is None and data.holdout is not None
+    if inside:
+        true = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
+    return {
+        "wrong_rows": list(data.wrong_rows),
+        "hidden": sorted(data.effects),
+        "outside": data.outside,
+        "place": data.place,
+        "gap_true_mm": gap(true, data, None if data.holdout is None else data.holdout.positions),
+        "error_true_mm": gap(true, data, data.exact),
+        "error_geometry_mm": gap(geometry, data, data.exact),
+        "error_reachable_mm": data.reachable,
+        "parameters": list(data.values),
+        "values": list(data.values.values()),
+    }
+
+
+def answer(diagnosis: Diagnosis) -> Row:
+    """What a diagnosis says, by its public results."""
+    chances, named, verdict = diagnosis.probabilities, diagnosis.named, diagnosis.verdict
+    low, high = zip(*named.limits_95.values(), strict=True)
+    return {
+        "verdict": verdict,
+        "named": sorted(named.keys),
+        "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
+        "probability": diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys),
+        "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
+        "where": diagnosis.where,
+        "outlier_rows": list(diagnosis.outlier_rows),
+        "interval_of": list(named.limits_95),  # of base and effects [API units]
+        "low_95": list(low),
+        "high_95": list(high),
+        "gap_named_mm": diagnosis.gap.held_out_after,
+        "gap_promised_mm": diagnosis.gap.predicted,
+        "confirmed": diagnosis.confirmed,
+        "contradictions": contradictions(diagnosis.to_json()),
+    }
+
+
+def errors(arm: Arm, data: DataSet) -> Row:
+    """How far the model that the diagnosis writes is from the hold-out without noise, and the share of coordinates
+    there that are inside its 95 % intervals; None where they are not known."""
+    row: Row = {"error_named_mm": gap(arm, data, data.exact), "inside_tip": None}
+    if data.exact is not None and data.holdout is not None:
+        computed, half = predicted_95(arm, data.holdout)
+        row["inside_tip"] = None if half is None else float(np.mean(np.abs(data.exact - computed) <= half))
+    return row
+
+
+def gap(arm: Arm | None, data: DataSet, positions: Array | None) -> float | None:
     """RMS distance [mm] of a calibrated arm from positions at the hold-out's postures; None where there are none."""
-    if positions is None or data.holdout is None:
+    if arm is None or positions is None or data.holdout is None:
         return None
     return rms_distance(positions - Model(arm).position(data.holdout.postures, conditions=data.holdout.conditions))
 
 
-def share_inside_tip(arm: Arm, data: DataSet) -> float | None:
-    """Share of the hold-out's coordinates without noise that are inside the 95 % intervals which the covariance of the
-    arm's calibration gives there; None where they are not known."""
-    if data.exact is None or data.holdout is None:
-        return None
-    computed, half = predicted_95(arm, data.holdout)
-    return None if half is None else float(np.mean(np.abs(data.exact - computed) <= half))
-
-
-def contradictions(diagnosis: Said) -> list[str]:
+def contradictions(diagnosis: Mapping[str, Any]) -> list[str]:
     """Where verdict, effects and probabilities of a diagnosis (`Diagnosis.to_json`) contradict each other."""
     chance = dict(diagnosis["probabilities"])
     none, unknown, verdict = chance.pop("none"), chance.pop("unknown"), diagnosis["verdict"]
@@ -269,31 +244,31 @@ def contradictions(diagnosis: Said) -> list[str]:
 
 
 # -- the score of one data set -----------------------------------------------------------------------------------------
-def scored_set(row: Said) -> Judged:
-    """One data set: what was hidden, what was named, and in which respects that is right (None: not asked)."""
-    verdict, unknown, outside = row["verdict"], row["verdict"] == "unknown", row.get("outside") is not None
-    hidden, named = sorted(row["hidden"] or ()), sorted(row["named"] or ())
-    beyond = f"{OUTSIDE}, {row['place'] or row['outside']}" if outside else NOTHING
-    truth, answer = " + ".join(hidden), " + ".join(named)
+def scored_set(row: Mapping[str, Any]) -> Judged:
+    """One data set: classes of what was hidden and of what was named, and in which respects that is right (None, or
+    left out: not asked)."""
+    verdict, unknown, outside = row["verdict"], row["verdict"] == "unknown", row["outside"] is not None
+    hidden, named = row["hidden"] or [], row["named"] or []
+    true = "unknown" if outside else " + ".join(hidden) or "none"
+    exact, names = not unknown and named == hidden, verdict in ("named", "ambiguous")
     judged: Judged = {
         "cell": row["cell"],
-        "set": row["set"],
-        "hidden": truth or beyond,
-        "named": " + ".join(named + ([f"unknown, {row['where']}"] if unknown else [])) or NOTHING,
-        "hidden_class": _classes(hidden, OUTSIDE if outside else None),
-        "named_class": _classes(named, "unknown" if unknown else None),
+        "hidden": classes(hidden, OUTSIDE if outside else None),
+        "named": classes(named, "unknown" if unknown else None),
         "alarm": verdict != "none",
+        "contradiction": bool(row["contradictions"]),
+        # of nothing, the named set, or something outside the library
+        "said": row["probability"],
+        "right": true == (" + ".join(named) if names else verdict),
     }
-    exact = not unknown and named == hidden
     if hidden:
         judged["exact"] = exact
-        judged["class"] = judged["hidden_class"] == judged["named_class"]
-        judged["in the set"] = not unknown and truth in (row["candidates"] or ())
-        judged["size of the set"] = len(row["candidates"] or ()) or None
+        judged["class"] = judged["hidden"] == judged["named"]
+        judged["in the set"] = not unknown and true in (row["candidates"] or ())
+        judged["in the 90 % set"] = true in (row["credible_set"] or ())
+        judged["size of the 90 % set"] = len(row["credible_set"] or ())
     if outside:
         judged["no effect"] = verdict == "none"
-        # with such a probability no name should be said where the library has none
-        judged["named at 0.9"] = verdict in ("named", "ambiguous") and (row.get("probability") or 0.0) >= 0.9
     if outside and row["place"] is not None:  # an effect of the library is at its joint, or at what it follows
         right, places = set(row["place"].split(" or ")), [{row["where"]}] if unknown and row["where"] else []
         for name, _, joint in (key.partition(":") for key in named):
@@ -303,83 +278,62 @@ def scored_set(row: Said) -> Judged:
         judged["wrong place"] = any(not at & right for at in places)
     if row["wrong_rows"]:
         judged["outliers listed"] = set(row["wrong_rows"]) <= set(row["outlier_rows"] or ())
-    if row.get("probability") is not None:  # of nothing, the named set, or something outside the library
-        true = "unknown" if outside else truth or "none"
-        judged["said"] = row["probability"]
-        judged["right"] = true == (verdict if verdict in ("none", "unknown") else answer)
-        if hidden:
-            judged["in the 90 % set"] = true in row["credible_set"]
-            judged["size of the 90 % set"] = len(row["credible_set"])
 
-    values = dict(zip(row.get("parameters") or (), row.get("values") or (), strict=True))
-    limits = zip(row.get("interval_of") or (), row.get("low_95") or (), row.get("high_95") or (), strict=True)
+    values = dict(zip(row["parameters"] or (), row["values"] or (), strict=True))
+    limits = zip(row["interval_of"] or (), row["low_95"] or (), row["high_95"] or (), strict=True)
     held = {name: low <= values[name] <= high for name, low, high in limits if name in values}
-    of_base = [holds for name, holds in held.items() if name.startswith(("length_error:", "joint_offset:"))]
-    of_effects = [holds for name, holds in held.items() if not name.startswith(("length_error:", "joint_offset:"))]
-    shares = {"intervals, base": of_base, "intervals, effects": of_effects if hidden and exact else []}
-    if "contradictions" in row:
-        judged["contradiction"] = bool(row["contradictions"])
-    error, gap_named = row.get("error_named_mm"), row["gap_named_mm"]
-    if error is not None:  # the hold-out is known without noise
-        references = {f"error / {name}": row.get(f"error_{name}_mm") for name in ("true", "geometry", "reachable")}
-        judged |= {name: error / reference for name, reference in references.items() if reference}
-        judged["inside tip intervals"] = row.get("inside_tip")
-        if row.get("gap_promised_mm") and gap_named:
-            judged["promised / reached"] = row["gap_promised_mm"] / gap_named
-        if row.get("confirmed") and row.get("error_reachable_mm"):
-            judged[KEEPS] = error > 3.0 * row["error_reachable_mm"]
+    base = {name for name in held if name.startswith(("length_error:", "joint_offset:"))}
+    shares = {"intervals, base": [held[name] for name in base]}
+    shares["intervals, effects"] = [held[name] for name in held.keys() - base] if hidden and exact else []
+    if row["error_named_mm"] is not None:  # the hold-out is known without noise
+        ratios = {f"error / {name}": ("error_named_mm", f"error_{name}_mm") for name in ("true", "geometry")}
+        ratios["promised / reached"] = "gap_promised_mm", "gap_named_mm"
+        judged |= {name: row[top] / row[below] for name, (top, below) in ratios.items() if row[top] and row[below]}
+        judged["inside tip intervals"] = row["inside_tip"]
+        if row["confirmed"] and row["error_reachable_mm"]:
+            judged[KEEPS] = row["error_named_mm"] > 3.0 * row["error_reachable_mm"]
         if not outside:
             judged |= {"false names": float(len(set(named) - set(hidden))), "false unknown": unknown}
             shares |= {"effects named": [name in named for name in hidden], "intervals, all": list(held.values())}
     judged |= {name: float(np.mean(right)) for name, right in shares.items() if right}
-    if gap_named and row.get("gap_true_mm"):
-        judged["gap / true"] = gap_named / row["gap_true_mm"]
-    if row.get("next_2_verdict") is not None:  # the same set with further postures, where it was ambiguous
-        judged["next_0 right"] = exact
-        for way in (f"next_{runs}" for runs in FURTHER_RUNS):
-            again = sorted(row[f"{way}_named"] or ())
-            judged[f"{way} right"] = row[f"{way}_verdict"] in ("named", "ambiguous") and again == hidden
-            judged[f"{way} class"] = _classes(again, None) == judged["hidden_class"]
-            judged[f"{way} predicted"] = row.get(f"{way}_chance")
+    if row["gap_named_mm"] and row["gap_true_mm"]:
+        judged["gap / true"] = row["gap_named_mm"] / row["gap_true_mm"]
+    for way in (f"next_{runs}" for runs in FURTHER_RUNS):  # the same set with further postures, where it was ambiguous
+        if row.get(f"{way}_verdict") is not None:
+            judged[f"{way} right"] = row[f"{way}_verdict"] in ("named", "ambiguous") and row[f"{way}_named"] == hidden
     return judged
 
 
-def _classes(keys: Sequence[str], besides: str | None) -> str:
+def classes(keys: Sequence[str], besides: str | None) -> str:
     """Classes of effects, joints left out; `nothing` for none."""
-    effects = library()
-    names = sorted(
-        effects[name].family if name in effects else name for name in (key.partition(":")[0] for key in keys)
-    )
-    return " + ".join([*names, *([besides] if besides else [])]) or NOTHING
+    names = [name for name, _, _ in (key.partition(":") for key in keys)]
+    families = sorted(library()[name].family if name in library() else name for name in names)
+    return " + ".join([*families, *([besides] if besides else [])]) or NOTHING
 
 
 # -- all of them -------------------------------------------------------------------------------------------------------
-def scored_table(truth: pl.DataFrame, diagnoses: pl.DataFrame) -> BlindStudy:
-    """Join the table of truths and that of diagnoses."""
-    failures = sum(int((frame["status"] != "done").sum()) for frame in (truth, diagnoses))
-    hidden = {(row["cell"], row["set"]): row for row in truth.iter_rows(named=True) if row["status"] == "done"}
-    done = [row for row in diagnoses.iter_rows(named=True) if row["status"] == "done"]
-    sets = [scored_set({**row, **hidden[at]}) for row in done if (at := (row["cell"], row["set"])) in hidden]
+def scored(rows: pl.DataFrame) -> BlindStudy:
+    """The score of the rows of all sets."""
+    sets = [scored_set(row) for row in rows.iter_rows(named=True) if row["status"] == "done"]
     of_cells: dict[str, list[Judged]] = {}
     for judged in sets:
         of_cells.setdefault(judged["cell"], []).append(judged)
-    beyond = [s for s in sets if s["hidden_class"] == OUTSIDE and "error / geometry" in s]
+    beyond = [s for s in sets if s["hidden"] == OUTSIDE and "error / geometry" in s]
     if len({s["cell"] for s in beyond}) > 1:
         of_cells[ALL_OUTSIDE] = beyond
-    cells = [row for cell, judged in of_cells.items() for row in _measures(judged, cell)]
-    cells += [*calibration(sets), *(row for row in _measures(sets, ALL) if row["measure"] in OF_ALL)]
+    cells = [row for cell, judged in of_cells.items() for row in measures(judged, cell)]
+    cells += [*calibration(sets), *(row for row in measures(sets, ALL) if row["measure"] in OF_ALL)]
     figures = {(row["cell"], row["measure"]): row for row in cells}
     bars = []
-    for cell, measure, sign, asked in (
-        (cell, *bar.rsplit(maxsplit=2)) for cell, bars in TABLE["bars"].items() for bar in bars
-    ):
+    for cell, bar in ((cell, bar) for cell, bars in TABLE["bars"].items() for bar in bars):
+        measure, sign, asked = bar.rsplit(maxsplit=2)
         if (row := figures.get((cell, measure))) is not None:
             outcome = outcome_of(row["value"], row["standard_error"], sign, float(asked))
             bars.append({**row, "asked": f"{sign} {float(asked):g}", "outcome": outcome})
-    pairs = Counter((s["hidden_class"], s["named_class"]) for s in sets)
+    pairs = Counter((s["hidden"], s["named"]) for s in sets)
     confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
-    every = {"cells": cells, "bars": bars, "confusion": confusion, "reliability": reliability(sets)}
-    return BlindStudy({name: frame_of(rows) for name, rows in every.items()}, frame_of(sets), failures)
+    tables = {"cells": cells, "bars": bars, "confusion": confusion, "reliability": reliability(sets)}
+    return BlindStudy({name: frame_of(table) for name, table in tables.items()}, len(sets), len(rows) - len(sets))
 
 
 def outcome_of(value: float, error: float, sign: str, asked: float) -> str:
@@ -388,26 +342,26 @@ def outcome_of(value: float, error: float, sign: str, asked: float) -> str:
     return OUTCOMES[0] if short <= 0.0 else OUTCOMES[1] if short <= 2.0 * error else OUTCOMES[2]
 
 
-def _measures(sets: Sequence[Judged], cell: str) -> Iterator[Judged]:
-    """Mean and standard error of everything that was judged in a cell; of `MEDIANS` the median."""
-    texts = ("cell", "set", "hidden", "named", "hidden_class", "named_class")
-    for measure in dict.fromkeys(name for row in sets for name in row if name not in texts):
+def measures(sets: Sequence[Judged], cell: str) -> Iterator[Judged]:
+    """Mean and standard error of everything that was judged in a cell; of errors relative to geometry's, of which
+    single ones are large, the median."""
+    for measure in dict.fromkeys(name for row in sets for name in row if name not in ("cell", "hidden", "named")):
         values = [row[measure] for row in sets if row.get(measure) is not None]
         if not values:
             continue
-        mean, n = float(np.mean(values)), len(values)
+        mean, n, error = float(np.mean(values)), len(values), inf
         if isinstance(values[0], bool):
-            error = _of_share(mean, n)
-        elif measure in MEDIANS:  # half the width of the interval that holds the median in 0.68 of cases
+            error = of_share(mean, n)
+        elif measure == "error / geometry":  # half the width of the interval that holds the median in 0.68 of cases
             mean = float(np.median(values))
             ranks = np.clip(0.5 * n + 0.5 * sqrt(n) * np.array([-1.0, 1.0]) - 0.5, 0, n - 1)
-            error = 0.5 * float(np.ptp(np.interp(ranks, np.arange(n), np.sort(values)))) if n > 1 else float("inf")
-        else:
-            error = float(np.std(values, ddof=1)) / sqrt(n) if n > 1 else float("inf")
+            error = 0.5 * float(np.ptp(np.interp(ranks, np.arange(n), np.sort(values)))) if n > 1 else inf
+        elif n > 1:
+            error = float(np.std(values, ddof=1)) / sqrt(n)
         yield {"cell": cell, "measure": measure, "value": mean, "standard_error": error, "count": n}
 
 
-def _of_share(share: float, count: int) -> float:
+def of_share(share: float, count: int) -> float:
     """Standard error of a share; never claims to be certain: at least that of half a set."""
     return sqrt(max(share * (1.0 - share), 0.25 / count) / count)
 
@@ -431,5 +385,5 @@ def calibration(sets: Sequence[Judged]) -> Iterator[Judged]:
         rows = reliability(sets, edges)
         if total := sum(row["count"] for row in rows):
             value = sum(row["count"] / total * abs(row["said"] - row["right"]) for row in rows)
-            error = sqrt(sum((row["count"] / total * _of_share(row["right"], row["count"])) ** 2 for row in rows))
+            error = sqrt(sum((row["count"] / total * of_share(row["right"], row["count"])) ** 2 for row in rows))
             yield {"cell": ALL, "measure": measure, "value": value, "standard_error": error, "count": total}

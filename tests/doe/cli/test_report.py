@@ -32,7 +32,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Folder:
         folder.write("ident.json", folder.armcal("identify arm.toml data.csv --out cal.toml --json").out)
         folder.simulated("other.csv", seed=5)
         folder.write("valid.json", folder.armcal("validate cal.toml other.csv --json").out)
-        done = folder.armcal("diagnose arm.toml data.csv --holdout other.csv --out extended.toml --report gap.html --json")
+        done = folder.armcal(
+            "diagnose arm.toml data.csv --holdout other.csv --out extended.toml --report gap.html --json"
+        )
         folder.write("diag.json", done.out)
     return folder
 

@@ -26,7 +26,7 @@ from doe.problem.problem import DesignProblem
 from doe.report import design as report
 from doe.solvers import solve
 from doe.solvers.solver import Budget
-from doe.studies.blind.cells import CELLS, arm_of, truth_of
+from doe.studies.blind.cells import arm_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
 from identification.arm import Arm, Gravity
 from identification.arrays import Array
@@ -103,9 +103,10 @@ def likeness_of_sag(truth: TrueArm, postures: np.ndarray) -> float:
 
 
 def test_links_that_bend_and_joints_that_twist_are_told_apart_better_than_by_random_postures() -> None:
-    cell = "one, lambda 6, 4 links"
-    truth = truth_of(CELLS[cell], np.random.default_rng(1))
-    arm = arm_of(CELLS[cell], truth, np.random.default_rng(0))
+    limit, exact = np.full(4, np.pi), np.zeros(4)
+    loads = {"masses": np.array([12.0, 8.0, 5.0, 3.0]), "payload": 10.0, "sigma": 0.1}
+    truth = TrueArm.planar(np.array([260.0, 180.0, 120.0, 100.0]), exact, exact, lower=-limit, upper=limit, **loads)
+    arm = arm_of(truth)
     found = discrimination_design(DesignProblem.of(Model(arm)), arm, 36, starts=1)
     generator = np.random.default_rng(3)
     random = [likeness_of_sag(truth, generator.uniform(arm.lower, arm.upper, (36, 4))) for _ in range(20)]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.jobs import Key, RowTable, call, seed_of
+from doe.jobs import Key, call, seed_of
 
 Rows = list[dict[str, Any]]
 
@@ -28,10 +28,10 @@ def slow_draw(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
     return [{**row, "process": os.getpid()} for row in draw(key, seed)]
 
 
-def die_once(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
-    """As `draw`, but the first process that reaches the key's marked task is killed."""
-    if key.get("mark") and not Path(key["mark"]).exists():
-        Path(key["mark"]).touch()
+def die(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
+    """As `draw`, but task 9 kills its process, and the first one that reaches the key's marked task is killed."""
+    if key["task"] == 9 or (key["mark"] and not Path(key["mark"]).exists()):
+        Path(key["mark"] or os.devnull).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return draw(key, seed)
 
@@ -45,13 +45,11 @@ def mixed(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
 
 
 def stop_at_three(key: dict[str, Any], seed: np.random.SeedSequence, how: str) -> Rows:
-    """As `draw`, but task 3 raises, is stopped by Ctrl-C, or kills its process every time."""
+    """As `draw`, but task 3 raises or is stopped by Ctrl-C."""
     if key["task"] == 3 and how == "raises":
         raise ValueError("three is\nnot allowed")
     if key["task"] == 3 and how == "interrupt":
         raise KeyboardInterrupt
-    if key["task"] == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
     return draw(key, seed)
 
 
@@ -86,11 +84,6 @@ def call_from_here(queue: Any) -> None:
     queue.put(call(hang, 0.0, seconds=60.0).status)
 
 
-def fill_memory(megabytes: int) -> int:
-    """Touches that much memory."""
-    return int(np.ones(megabytes * 2**17).size)
-
-
 def crash() -> None:
     """Dies of a signal."""
     os.kill(os.getpid(), signal.SIGSEGV)
@@ -105,9 +98,3 @@ def drawn(keys: list[Key], seed: int = 0) -> list[float]:
     """The values that `draw` gives for the keys."""
     draws = [float(np.random.default_rng(seed_of(key, seed)).standard_normal()) for key in keys]
     return [value + part for value in draws for part in range(2)]
-
-
-def kept(path: Path, column: str) -> list[Any]:
-    """A column of what a run left, continued and closed again."""
-    with RowTable(path, resume=True) as table:
-        return [row[column] for rows in table.rows.values() for row in rows]

@@ -68,9 +68,11 @@ def test_loss_is_of_efficiency() -> None:
 def test_profile_by_hand() -> None:
     profile = performance_profile(ROWS)
     # instance 0: a in 1 s is the fastest, b takes twice as long; instance 1: only a solves it
-    assert [curve.tolist() for curve in profile["a", 1]] == [[1.0], [1.0]]
-    assert [curve.tolist() for curve in profile["b", 1]] == [[2.0], [0.5]]
-    assert profile["c", 1][0].size == 0
+    assert {solver: profile[solver, 1].tolist() for solver in "abc"} == {
+        "a": [1.0, 1.0],
+        "b": [2.0, np.inf],
+        "c": [np.inf, np.inf],
+    }
 
 
 def test_rows_without_any_success_have_tables_and_pictures() -> None:
@@ -88,15 +90,15 @@ def test_judged_by_the_problem() -> None:
     theta = np.exp(1j * np.cumsum(postures, axis=1))
     hermitian = theta.conj().T @ theta / 5
     assert honest["value"] == pytest.approx(2.0 * np.linalg.slogdet(hermitian)[1], abs=1e-10)  # 2 log det H
-    assert (honest["correct"], honest["violation"]) == (True, 0.0)
+    assert honest["correct"]
     assert not evaluated(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]
     other = replace(PROBLEM, kept=postures)  # the solver worked on another problem
-    found = evaluated(PROBLEM, 5, score(other, Plan(postures[::-1] * 0.5)))
-    assert found["claimed"] != pytest.approx(found["value"], abs=1e-6)
+    claimed = score(other, Plan(postures[::-1] * 0.5))
+    found = evaluated(PROBLEM, 5, claimed)
+    assert claimed.value != pytest.approx(found["value"], abs=1e-6)
     assert not found["correct"]
     postures[2, 1] = LIMITS[1] + 1e-6
-    found = evaluated(PROBLEM, 5, score(PROBLEM, Plan(postures)))
-    assert (found["violation"], found["correct"]) == (pytest.approx(1e-6), False)
+    assert not evaluated(PROBLEM, 5, score(PROBLEM, Plan(postures)))["correct"]
 
 
 @pytest.fixture
@@ -104,7 +106,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares the start of a process per run where the test is not about that."""
 
     def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outcome:
-        return Outcome(function(*arguments), "done", None, 0.1, 100.0)
+        return Outcome(function(*arguments), "done", None, 0.1)
 
     monkeypatch.setattr("doe.studies.comparison.call", call)
 
@@ -118,7 +120,6 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(
         rows = compare(comparison, table)
     assert rows["status"].to_list() == ["done"] * 2
     assert rows["correct"].all()
-    assert (rows["peak_memory_mb"] > 20.0).all()
     assert len(set(rows["value"])) == 2
     with RowTable(path, resume=True) as table:
         assert compare(comparison, table).equals(rows)

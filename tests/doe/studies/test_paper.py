@@ -164,7 +164,7 @@ def test_pictures() -> None:
 
 
 def test_verb(tmp_path: Path) -> None:
-    options = ["paper", "--out", str(tmp_path / "paper"), "--replications", "100", "--workers", "1"]
+    options = ["paper", "--out", str(tmp_path / "paper"), "--replications", "1000", "--workers", "1"]
     done = CliRunner().invoke(command, [*options, "--json"])
     assert done.exit_code == 0, done.output
     answer = json.loads(done.stdout)
@@ -178,4 +178,4 @@ def test_verb(tmp_path: Path) -> None:
     for number in ("3", "1000000000"):
         few = CliRunner().invoke(command, ["paper", "--out", str(tmp_path / "few"), "--replications", number])
         assert few.exit_code == 2
-        assert f"--replications: found {number}, allowed for the paper: 100 to 100,000" in few.output
+        assert f"--replications: found {number}, allowed for the paper: 1,000 to 100,000" in few.output

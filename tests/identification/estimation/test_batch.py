@@ -61,17 +61,17 @@ def same(model: Model, fits: Solution, rows: list[Measurements], among: list[int
 @pytest.mark.parametrize(("name", "spread"), [(name, 2.0 * (k % 2)) for k, name in enumerate(EFFECTS)])
 def test_equals_single_fits_and_scipy(name: str, spread: float) -> None:
     model, postures = Model(arm(*EFFECTS[name])), plan(30)
-    positions = batch(model, postures, 1500, spread)  # more than one chunk
-    among = [*range(5), *range(1495, 1500)]
+    positions = batch(model, postures, 700, spread)  # more than one chunk
+    among = [*range(3), *range(697, 700)]
     rows = [Measurements(postures, positions[k]) for k in among]
-    same(model, estimate_batch(model, postures, positions), rows, among, 2)
+    same(model, estimate_batch(model, postures, positions), rows, among, 1)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_on_plans_of_their_own(name: str) -> None:
     model = Model(arm(*EFFECTS[name]))
-    postures = np.random.default_rng(9).uniform(-np.pi, np.pi, (900, 25, 4))  # more than one chunk
-    positions, among = each(model, postures), [0, 1, 2, 897, 898, 899]
+    postures = np.random.default_rng(9).uniform(-np.pi, np.pi, (820, 25, 4))  # more than one chunk
+    positions, among = each(model, postures), [0, 1, 818, 819]
     rows = [Measurements(postures[k], positions[k]) for k in among]
     same(model, estimate_each(model, postures, positions), rows, among, 1)
 

@@ -135,8 +135,6 @@ BUMP = 1e-4 * np.exp(-0.5 * (ANGLES / 0.1) ** 2)
 @pytest.mark.parametrize(
     ("error", "shape"),
     [
-        (1e-4 * (np.mod(5.0 * ANGLES / (2.0 * np.pi) + 0.1, 1.0) - 0.5), "sawtooth, 5 per turn, over -180 to 180 deg"),
-        (np.where(np.radians(40.5) < ANGLES, 2e-4, -2e-4), "step of 0.023 deg at 40 deg over -180 to 180 deg"),
         (np.zeros(361), "smooth curve over -180 to 180 deg"),
         (BUMP, "in part waves: "),
     ],

@@ -11,7 +11,6 @@ from scipy.special import logsumexp, softmax
 
 from identification.arm import Arm, EffectSpec
 from identification.documents.diagnosis import findings
-from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES
 from identification.gap.replication import SAME, Replication, replications
@@ -69,7 +68,7 @@ def test_what_returns_and_what_does_not(
     for there, size in zip(one.sessions, sizes, strict=True):
         errors = (np.radians(there.values) - [size.real, size.imag]) / np.radians(there.deviations)
         assert np.all(np.abs(errors) < 5.0)
-    told = {"shape": None, "misfit": None, "replication": [one.to_json()], "shapes": ()}
+    told = {"shape": None, "misfit": None, "replication": [one.to_json()]}
     assert findings(told) == [f"{'Replicates' if answer else 'Does not replicate'} across sessions: {one.effect}."]
 
 
@@ -130,50 +129,3 @@ def test_one_session_has_nothing_to_compare() -> None:
     rows = Rows.of(data)
     fitted = fit(Model(Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1),))), rows)
     assert replications(fitted, data.session_names, ("gear_ratio:1",)) == ()
-
-
-def bumpy(number: int, sign: float, width: float) -> Measurements:
-    """Two bumps in the error of joint 2, which turns by `width` to both sides."""
-    generator = np.random.default_rng(20 + number)
-    q = generator.uniform(-np.pi, np.pi, (70, 2))
-    q[:, 1] *= width / np.pi
-    bent, turn = q.copy(), BASES[number]
-    for center in (-0.6, 0.5):
-        bent[:, 1] += sign * 0.004 * np.exp(-0.5 * ((q[:, 1] - center) / 0.2) ** 2)
-    z = np.exp(1j * turn[0]) * (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1) + turn[1]
-    return Measurements(q, np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (70, 2)))
-
-
-@pytest.mark.parametrize(("sign", "answer"), [(1.0, True), (-1.0, False)])
-def test_a_curve_returns_where_both_sessions_have_measured(sign: float, answer: bool) -> None:
-    """One session covers a part of the angles of the other; its curve has another level there."""
-    data = pooled_sessions({"wide": bumpy(0, 1.0, np.pi), "narrow": bumpy(1, sign, 1.2)})
-    diagnosis = diagnose(Arm(LENGTHS), data)
-    curve = next((r for r in diagnosis.replication if r.effect == "joint_error_curve:2"), None)
-    if answer:
-        assert curve is not None
-        assert curve.to_json()["sessions"][0]["parameters"] == []
-    assert (curve.replicates if curve else False) is answer
-
-
-@pytest.mark.parametrize("sides", [(1.0, -1.0), (1.0, 0.5)])
-def test_a_curve_is_open_without_common_angles(sides: tuple[float, float]) -> None:
-    """A bump at angles of joint 2 that the second session never has."""
-    generator = np.random.default_rng(30)
-    q = generator.uniform(-np.pi, np.pi, (80, 2))
-    q[:, 1] = np.repeat(sides, 40) * np.where(q[:, 1] > 0.0, 1.0, 0.9)
-    bent = q.copy()
-    bent[:40, 1] += 0.004 * (q[:40, 1] > 0.95)
-    z = (LENGTHS * np.exp(1j * np.cumsum(bent, axis=1))).sum(axis=1)
-    data = Measurements(
-        q,
-        np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (80, 2)),
-        session=np.repeat(["one", "two"], 40),
-    )
-    fitted = fit(Model(with_sessions(Arm(LENGTHS), data)), Rows.of(data))
-    lever = LENGTHS[1] * np.exp(1j * np.sum(q, axis=1)) * 1j
-    waves = lever[:, None] * np.cos(np.outer(q[:, 1], np.arange(1, 5))) / np.arange(1, 5) / 100.0
-    columns = np.stack([waves.real, waves.imag], axis=1)
-    (one,) = replications(fitted, data.session_names, (), {"joint_error_curve:2": (2, columns, 1)})
-    assert one.replicates is None
-    assert [there.probability for there in one.sessions] == [0.25, 0.25]

@@ -1,4 +1,4 @@
-"""The verdict follows from the probabilities, whatever they are; what each effect alone is worth."""
+"""The verdict follows from the probabilities, whatever they are."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 from doe.studies.blind.study import contradictions
-from identification.arm import Arm, EffectSpec
+from identification.arm import EffectSpec
 from identification.documents.diagnosis import likely as likely_in_words
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.diagnose import diagnose
-from identification.gap.result import Candidate, Diagnosis, Probabilities, Trial
+from identification.gap.result import Candidate, Diagnosis, Probabilities
 from identification.gap.search import CREDIBLE, MOST
-from identification.measurements import Measurements
-from identification.model import Model
 from tests.identification.gap.test_diagnose import diagnosed
 
 
@@ -85,7 +82,7 @@ def diagnosis_with(found: Diagnosis, likely: Probabilities) -> Diagnosis:
     named = candidates[0] if candidates else candidate(())
     place = likely.place if likely.verdict == "unknown" else None
     said = {"verdict": likely.verdict, "candidates": candidates, "named": named, "where": place}
-    return replace(found, probabilities=likely, predicting=named, shapes=(), curves=(), **said)
+    return replace(found, probabilities=likely, predicting=named, curves=(), **said)
 
 
 def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
@@ -110,28 +107,3 @@ def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
         line = likely_in_words(said)
         for title, p in found.probability.items():
             assert p < 0.005 or f"{title} {p:.2f}" in line
-
-
-PLAIN = Arm([300.0, 200.0, 150.0], sigma=0.05)
-
-
-def backlash(data: Measurements) -> Trial:
-    found = diagnose(PLAIN, data)
-    (one,) = (trial for trial in found.trials if trial.effect == "backlash:2")
-    assert [c.delta_bic for c in found.candidates[:1]] == [0.0]
-    assert "-0.0" not in str(found).split()
-    return one
-
-
-def test_a_row_that_is_left_out_is_not_in_the_trials() -> None:
-    """One row that is 3 mm off would drown what every effect gains alone."""
-    rng = np.random.default_rng(3)
-    model, q = Model(PLAIN.with_effects(EffectSpec("backlash", 2))), rng.uniform(-2.5, 2.5, (60, 3))
-    bare = Measurements(q, np.zeros((60, 2)), np.arange(60.0))
-    exact = model.position(q, model.parameters.vector({"backlash:2.b": 6e-4}), bare.conditions)
-    data = replace(bare, positions=exact + 0.05 * rng.standard_normal((60, 2)))
-    off = data.positions.copy()
-    off[11] += [2.5, -1.6]
-    whole, spoiled = backlash(data), backlash(replace(data, positions=off))
-    assert spoiled.f == pytest.approx(whole.f, rel=0.2)
-    assert spoiled.delta_bic == pytest.approx(whole.delta_bic, rel=0.2)

@@ -95,10 +95,10 @@ def test_found_again(effect: str, names: tuple[str, ...]) -> None:
 def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
     """No effect of the library: the axis of joint 3 leans by 0.3 mrad and goes round twice a turn, 0.25 mm at the tip
     against noise of 0.05 mm."""
-    cell, generator = CellSpec(60, space=True), np.random.default_rng(9)
+    cell, generator = CellSpec([60], space=True), np.random.default_rng(9)
     truth = replace(truth_of(cell, generator), sigma=0.05, effects=[("axis_wobble", 3, {"c": 3e-4})])
     run = session(truth, generator.uniform(truth.lower, truth.upper, (60, 6)), generator)
-    found = diagnose(arm_of(cell, truth, generator), measure(truth, run, generator))
+    found = diagnose(arm_of(truth), measure(truth, run, generator))
     assert (found.verdict, found.where) == ("unknown", "joint:3")
     assert found.shape == "tilt or shift across the axis"
 
@@ -108,12 +108,12 @@ def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
 def test_a_heavy_load_beside_the_reflector(said: bool) -> None:
     """15 kg hang 240 mm from the reflector: the load's place is named, beside the compliance through which it shows,
     and its three coordinates hold the truth; an arm file that says where has nothing to name but the compliance."""
-    cell, generator = CellSpec(100, 8.0, space=True), np.random.default_rng(8)
+    cell, generator = CellSpec([100], space=True), np.random.default_rng(8)
     truth = truth_of(cell, generator)
     away, compliance = np.array([180.0, -120.0, 100.0]), [("joint_compliance", None, {"c": np.full(6, 4e-6)})]
     truth = replace(truth, payload=15.0, sigma=0.05, load=truth.tools[0] + away, effects=compliance)
     run = session(truth, generator.uniform(truth.lower, truth.upper, (100, 6)), generator)
-    data, arm = measure(truth, run, generator), arm_of(cell, truth, generator)
+    data, arm = measure(truth, run, generator), arm_of(truth)
     assert arm.gravity is not None
     if said:
         arm = replace(arm, gravity=replace(arm.gravity, payload_at=truth.load))
