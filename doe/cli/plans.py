@@ -57,23 +57,16 @@ class CriterionOptions:
 def design_problem(
     arm: Arm,
     wanted: CriterionOptions,
-    seed: int = 0,
     *,
     keep: Path | None = None,
     candidates: Path | None = None,
-    apart: float | None = None,
-    uncertain: str | None = None,
+    repeats: bool = False,
 ) -> DesignProblem:
-    """The problem that the options describe;  apart : smallest distance of two postures [rad], left out: the default
-
-    Raises `InputError` for files and names that do not fit.
-    """
-    import numpy as np
-
+    """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     from doe.criteria import NAMES, criterion
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
-    from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem, tip_jacobians
+    from doe.problem.uncertain import missing_effects, robust_problem, tip_jacobians
     from identification import Model, load_plan
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
@@ -91,12 +84,10 @@ def design_problem(
             listed_candidates(DesignProblem.of(model, choices=choices), choices)
         except InputError as error:  # none is within limits and constraints
             raise InputError(f"{candidates}: {error}") from None
-    if apart is not None:
-        restrictions["minimum_distance"] = apart
+    if repeats:
+        restrictions["minimum_distance"] = 0.0
     problem = DesignProblem.of(model, **restrictions)
     if wanted.robust:
-        if uncertain is not None:
-            raise InputError("--uncertain: found with --robust, allowed: one of them")
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
         problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
@@ -113,9 +104,7 @@ def design_problem(
             test_jacobians=None if poses is None else tip_jacobians(problem, poses),
         )
         problem = replace(problem, criterion=chosen)
-    if uncertain is None:
-        return problem
-    return ensemble_problem(problem, prior_draws(model, 5, np.random.default_rng(seed)), uncertain)
+    return problem
 
 
 def written(contents: Mapping[Path | None, str | tuple[Any, ...]], force: bool, what: str = "") -> list[str]:
@@ -168,8 +157,6 @@ def design_files(
     keep: Path | None = None,
     candidates: Path | None = None,
     repeats: bool = False,
-    minimum_distance_deg: float | None = None,
-    uncertain: str | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
     package_dir: tuple[Path, ...] = (),
@@ -191,11 +178,7 @@ def design_files(
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
-    minimum_distance_deg : Postures differ by this in some joint (1 deg).
-    uncertain : average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.
-    picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.driving import check_approach, drive, with_approach
@@ -215,9 +198,7 @@ def design_files(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
         )
     signs = () if loaded.counting is None else loaded.counting.sign
-    apart = 0.0 if repeats else None if minimum_distance_deg is None else math.radians(minimum_distance_deg)
-    known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
-    problem = design_problem(loaded, criterion, seed, apart=apart, **known)
+    problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach, signs)
     if criterion.robust and solver in (None, "fedorov"):
         problem = with_choices(problem)
@@ -272,8 +253,6 @@ def score_files(
     seconds : Time budget of the bound [s], which may be cut.
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
-    picture : Draw the postures (.png, .svg, .pdf).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
@@ -344,8 +323,6 @@ def advise_files(
     only : Estimate only these, as `identify --only`.
     target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
-    picture : Write the curve as .png, .svg or .pdf.
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
@@ -404,7 +381,6 @@ def relax_files(
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
@@ -532,7 +508,6 @@ def program_files(
     speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
     settle : Seconds from the arrival to the measurement, up to 300.
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     out : Write the program, which takes the name of the file.
     """
     from doe.program.program import program
@@ -583,7 +558,6 @@ def discriminate_files(
     payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
     seconds : Time budget of the choice, after the diagnosis [s].
     out : Write the next postures (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
@@ -644,7 +618,6 @@ def report_files(
     edited; it is one file that needs no network.
 
     out : Write the page.
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes

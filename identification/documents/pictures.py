@@ -48,7 +48,8 @@ def dots(axes: Axes, x: Array, pairs: Pairs) -> None:
     for (values, name), color in zip(pairs, (BEFORE, AFTER), strict=True):
         axes.plot(x, values, ".", color=color, **style)
         axes.plot([], [], ".", color=color, label=name)
-    axes.locator_params(axis="y", nbins=6)
+    if axes.get_yscale() == "linear":
+        axes.locator_params(axis="y", nbins=6)
 
 
 # -- signed errors of joints -------------------------------------------------------------------------------------------
