@@ -159,7 +159,7 @@ def test_sessions_of_a_spatial_arm() -> None:
     there = parts["a"].conditions
     left = parts["a"].positions - stands.position(parts["a"].postures, conditions=there)
     assert np.abs(left).max() < 1e-5
+    points = replace(parts["b"], positions=parts["b"].positions[:, :3], orientations=None)
     with pytest.warns(UserWarning, match="left out: orientations"):
-        points = replace(parts["b"], positions=parts["b"].positions[:, :3], orientations=None)
         mixed = pooled_sessions({"a": parts["a"], "b": points})
     assert mixed.dimension == 3
