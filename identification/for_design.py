@@ -204,19 +204,6 @@ class ArmModel(Model):
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
         return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
 
-    @property
-    def covariance(self) -> Array | None:
-        """(p, p) of the calibration, None: it has none of these parameters."""
-        calibration = self.arm.calibration
-        same = calibration is not None and calibration.parameter_names == self.names
-        return calibration.covariance if calibration is not None and same else None
-
-    @property
-    def machining(self) -> tuple[float, float, float]:
-        """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
-        nothing else is known."""
-        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
-
     def only(self, words: Sequence[str]) -> ArmModel:
         """The same of which only these parameters are estimated, see `identification.reuse.only`."""
         from identification.reuse import only

@@ -62,18 +62,16 @@ def design_problem(
     keep: Path | None = None,
     candidates: Path | None = None,
     apart: float | None = None,
-    uncertain: str | None = None,
 ) -> DesignProblem:
     """The problem that the options describe;  apart : smallest distance of two postures [rad], left out: the default
 
     Raises `InputError` for files and names that do not fit.
     """
-    import numpy as np
 
     from doe.criteria import NAMES, criterion
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
-    from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem, tip_jacobians
+    from doe.problem.uncertain import missing_effects, robust_problem, tip_jacobians
     from identification import Model, load_plan
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
@@ -95,8 +93,6 @@ def design_problem(
         restrictions["minimum_distance"] = apart
     problem = DesignProblem.of(model, **restrictions)
     if wanted.robust:
-        if uncertain is not None:
-            raise InputError("--uncertain: found with --robust, allowed: one of them")
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
         problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
@@ -113,9 +109,7 @@ def design_problem(
             test_jacobians=None if poses is None else tip_jacobians(problem, poses),
         )
         problem = replace(problem, criterion=chosen)
-    if uncertain is None:
-        return problem
-    return ensemble_problem(problem, prior_draws(model, 5, np.random.default_rng(seed)), uncertain)
+    return problem
 
 
 def written(contents: Mapping[Path | None, str | tuple[Any, ...]], force: bool, what: str = "") -> list[str]:
@@ -169,7 +163,6 @@ def design_files(
     candidates: Path | None = None,
     repeats: bool = False,
     minimum_distance_deg: float | None = None,
-    uncertain: str | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
     package_dir: tuple[Path, ...] = (),
@@ -192,7 +185,6 @@ def design_files(
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
     minimum_distance_deg : Postures differ by this in some joint (1 deg).
-    uncertain : average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
@@ -216,7 +208,7 @@ def design_files(
         )
     signs = () if loaded.counting is None else loaded.counting.sign
     apart = 0.0 if repeats else None if minimum_distance_deg is None else math.radians(minimum_distance_deg)
-    known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
+    known: dict[str, Any] = {"keep": keep, "candidates": candidates}
     problem = design_problem(loaded, criterion, seed, apart=apart, **known)
     problem = with_approach(problem, approach, signs)
     if criterion.robust and solver in (None, "fedorov"):

@@ -20,6 +20,7 @@ of a pair that is always near, as both neighbours of a short link, a quarter of 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -411,24 +412,18 @@ def drawn_touch(one: Any, other: Any, frames: Array, fine: float = 4.0) -> bool:
     """Whether surfaces of two bodies come within `fine` [mm] of each other in one of the frames (m, n + 2, 4, 4)."""
     from scipy.spatial import cKDTree  # takes longer to load than all else here
 
-    moved, still = (spread_over(body.triangles, fine) for body in (one, other))
+    moved, still = one.faces(10.0 * fine), other.faces(fine).mean(axis=1)
     if not len(moved) or not len(still):
         return True  # nobody knows
-    tree = cKDTree(still)
-    for relative in np.linalg.inv(frames[:, other.joint]) @ frames[:, one.joint]:
-        points = moved @ relative[:3, :3].T + relative[:3, 3]
-        around = np.all((points > tree.mins - 2.0 * fine) & (points < tree.maxes + 2.0 * fine), axis=1)
-        if np.isfinite(tree.query(points[around], distance_upper_bound=1.2 * fine)[0]).any():
-            return True
-    return False
+    tree, relative = cKDTree(still), np.linalg.inv(frames[:, other.joint]) @ frames[:, one.joint]
 
+    def near(points: Array, frame: Array, away: float) -> tuple[NDArray[np.bool_], Array]:
+        placed = points @ frame[:3, :3].T + frame[:3, 3]
+        return np.all((placed > tree.mins - away) & (placed < tree.maxes + away), axis=1), placed
 
-def spread_over(triangles: Array, longest: float) -> Array:
-    """(N, 3) points of triangles (t, 3, 3), such that every point of the surface is within 0.58 `longest` of one."""
-    edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2).max(axis=1, initial=0.0)
-    parts, points = np.ceil(edges / longest).astype(int), [np.empty((0, 3))]
-    for count in np.unique(np.maximum(parts, 1)).tolist():
-        corners = [(i, j, count - i - j) for i in range(count + 1) for j in range(count + 1 - i)]
-        chosen = triangles[np.maximum(parts, 1) == count]
-        points.append((np.array(corners) / count @ chosen).reshape(-1, 3))
-    return np.concatenate(points)
+    ever = np.any([near(moved.mean(axis=1), frame, 12.0 * fine)[0] for frame in relative], axis=0)
+    points = replace(one, triangles=moved[ever]).faces(fine).mean(axis=1)
+    around = (near(points, frame, 2.0 * fine) for frame in relative)
+    return any(
+        np.isfinite(tree.query(placed[rows], distance_upper_bound=1.2 * fine)[0]).any() for rows, placed in around
+    )

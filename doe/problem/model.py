@@ -63,8 +63,7 @@ class Offers(Protocol):
         tip_jacobian : (k, n) -> (k, P, c, p) derivative of the positions of P points [mm], their x, y and z first; else
             what is measured
     Models that may be wrong
-        covariance : (p, p) of the values, None: not known;  complete : whether nothing is missing in the model
-        machining : usual errors of lengths [mm] and angles [rad], and a usual lever [mm]
+        complete : whether nothing is missing in the model
         missing_effects : names or None, order of the fastest wave -> what the model may lack, for `with_effects`
         with_effects : that -> the model with it, (name -> standard deviation) of its parameters, and a function: the
             mean square of the tip's distance at postures (k, n) that no plan can lower [mm^2]
@@ -88,9 +87,7 @@ class Offers(Protocol):
     tied_postures: Callable[..., Array]
     plan_columns: Callable[[Array], Mapping[str, Sequence[str]]]
     tip_jacobian: Callable[[ArrayLike], Array]
-    covariance: Array | None
     complete: bool
-    machining: tuple[float, float, float]
     missing_effects: Callable[[Sequence[str] | None, float], Any]
     with_effects: Callable[[Any], tuple[Any, Mapping[str, float], Callable[[Array], float]]]
     rival_effects: Callable[[], tuple[Any, ...]]

@@ -25,10 +25,6 @@ from doe.problem.constraints import constraints_of
 from identification import Arm, Array, InputError, Model, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
-PEAK = 15.0 / 8.0
-SHORTEST = 0.5  # [s] of a move: a controller needs some time, and points of a trajectory different ones
-LONGEST_SETTLE = 300.0  # [s] a FANUC waits 327 s at most
-FITS = 1e-4  # [deg, mm] by which a row may miss limits and constraints: what rounding of a file does
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
 
 
@@ -50,8 +46,8 @@ LANGUAGES = {
     "fanuc": Language("fanuc.ls.j2", "deg", "mm", 6, 9),
     "ros": Language("ros.yaml.j2", "rad", "m", 99, 99),
 }
-UNITS = {"rad": np.radians(1.0), "deg": 1.0, "m": 1e-3, "mm": 1.0}  # of [deg] and [mm]
-DIGITS = {"rad": 9, "deg": 6, "m": 9, "mm": 6}  # 1e-7 deg and 1e-6 mm: nothing is lost, and no exponent is needed
+# of [deg] and [mm], and digits: to 1e-7 deg and 1e-6 mm nothing is lost, and no exponent is needed
+UNITS = {"rad": (np.radians(1.0), 9), "deg": (1.0, 6), "m": (1e-3, 9), "mm": (1.0, 6)}
 
 
 class Move(NamedTuple):
@@ -109,8 +105,8 @@ def program(
     least = 6 if robot == "ur" else 1
     if not least <= n <= language.most:
         raise InputError(f"--robot {robot}: {n} joints, allowed: {least} to {language.most}")
-    if not 0.0 <= settle <= LONGEST_SETTLE:
-        raise InputError(f"--settle: {settle:g} s, allowed: 0 to {LONGEST_SETTLE:g}")
+    if not 0.0 <= settle <= 300.0:  # a FANUC waits 327 s at most
+        raise InputError(f"--settle: {settle:g} s, allowed: 0 to 300")
     shown = replace(plan, joint_types=arm.joint_types).units
     slides = np.array([unit == "mm" for unit in shown])
     if robot == "ur" and slides.any():
@@ -121,7 +117,7 @@ def program(
     units = [language.length if slide else language.angle for slide in slides]
     order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
     inner, outer = order[: language.arm], order[language.arm :]
-    positions = [[decimal(x * UNITS[u], DIGITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
+    positions = [[decimal(x, *UNITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
     arrivals, departures = schedule(columns, slides, ~via, speed, settle, limits_in_units(arm))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
@@ -132,8 +128,8 @@ def program(
         "title": SPECIAL.sub("?", f"armcal program: {arm.name}, {planned}, {rest}"),
         "robot": robot,
         "speed": speed,
-        "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0 * UNITS[language.angle], 6),
-        "settle": decimal(settle, 3),
+        "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0, UNITS[language.angle][0], 6),
+        "settle": decimal(settle, 1.0, 3),
         "names": [SPECIAL.sub("_", joint.name) or f"joint_{j}" for j, joint in enumerate(arm.chain.joints, 1)],
         "units": [units[j] for j in inner],
         "external_units": [units[j] for j in outer],
@@ -154,8 +150,8 @@ def program(
 def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
     """Raises `InputError` for the first row beyond a joint limit or a constraint; a way-point need not be seen, and
     where bodies are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
-    columns, (low, high) = in_units(arm, postures), limits_in_units(arm)
-    for row, j in np.argwhere((columns < low - FITS) | (columns > high + FITS))[:1]:
+    columns, (low, high), rounding = in_units(arm, postures), limits_in_units(arm), 1e-4  # [deg, mm] in a file
+    for row, j in np.argwhere((columns < low - rounding) | (columns > high + rounding))[:1]:
         found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
         raise InputError(f"{found}, allowed: {low[j]:.7g} to {high[j]:.7g}")
     constraints = constraints_of(Model(arm))
@@ -182,9 +178,9 @@ def limits_in_units(arm: Arm) -> Array:
     return np.where([unit == "mm" for unit in Plan(ends, joint_types=arm.joint_types).units], ends, np.degrees(ends))
 
 
-def decimal(value: float, digits: int) -> str:
-    """A number without an exponent and without -0; at least one digit behind the point."""
-    text = f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0")
+def decimal(value: float, unit: float, digits: int) -> str:
+    """A number in a unit, without an exponent and without -0; at least one digit behind the point."""
+    text = f"{round(float(value) * unit, digits) + 0.0:.{digits}f}".rstrip("0")
     return f"{text}0" if text.endswith(".") else text
 
 
@@ -198,7 +194,7 @@ def schedule(
     first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
     ways = np.abs(np.vstack([first, np.diff(columns, axis=0)]))
     fastest = np.where(slides, FULL_SPEED[1], FULL_SPEED[0]) * speed / 100.0
-    moving = np.maximum(PEAK * (ways / fastest).max(axis=1), SHORTEST)
+    moving = np.maximum(15.0 / 8.0 * (ways / fastest).max(axis=1), 0.5)  # no controller knows a move without duration
     departures = np.cumsum(moving + settle * measured)
     arrivals = departures - settle * measured
     return np.ceil(arrivals * 1000.0).astype(int).tolist(), np.ceil(departures * 1000.0).astype(int).tolist()

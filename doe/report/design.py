@@ -140,16 +140,14 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    worst, missing = design.worst_deviations, problem.missing
-    over = "" if worst is None else ", mean over the draws of the arm and worst of them"
-    columns: dict[str, Array] = {}
-    for which, deviations in (("", mean), ("worst ", worst)):
-        if deviations is not None and deviations.by_link:
-            columns[f"{which}length [mm]"] = deviations.length
-            columns[f"{which}orientation [deg]"] = np.degrees(deviations.orientation)
-            columns[f"{which}joint offset [deg]"] = np.degrees(deviations.joint_offset)
-        elif deviations is not None:
-            columns[f"{which}std"] = deviations.values * [p.to_file for p in deviations.parameters]
+    missing = problem.missing
+    columns = {"std": mean.values * [p.to_file for p in mean.parameters]}
+    if mean.by_link:
+        angles = {
+            "orientation [deg]": np.degrees(mean.orientation),
+            "joint offset [deg]": np.degrees(mean.joint_offset),
+        }
+        columns = {"length [mm]": mean.length} | angles
     weak = [
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
@@ -161,7 +159,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
     values = zip(names, *columns.values(), strict=True)
     rows = [[name, *(number(v, 5) for v in figures)] for name, *figures in values if name]
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
-    title = f"Expected standard deviations {condition} (sigma = {sigma:g} mm{over})"
+    title = f"Expected standard deviations {condition} (sigma = {sigma:g} mm)"
     table = Sheet(["link" if mean.by_link else "parameter", *columns], rows, title)
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]

@@ -58,7 +58,6 @@ VALUES = {
     "draws": "2 1",
     "grid": "2 3 9",
     "minimum_distance_deg": "1 30 0 1e4",
-    "uncertain": "average worst best",
     "target_mm": "0.1 0.02 -1",
     "method": "linear gauss_newton none",
     "payloads": "0,5 0 5,-1",
@@ -92,7 +91,6 @@ VALUES = {
 }
 # options that another one asks for
 NEEDS = {
-    "design.draws": ("--uncertain", "average"),
     "design.loss": ("--discriminating", ""),
     **dict.fromkeys(("design.missing", "relax.missing", "relax.runs", "score.missing"), ("--robust", "")),
     "relax.robust": ("--runs", "12"),
@@ -104,7 +102,7 @@ NEEDS = {
 }
 OF_SPATIAL = {"identify.urdf", "identify.parameters"}  # options of one kind of arm alone
 OF_PLANAR = {"design.discriminating"}
-RARE = {"cluster": 100, "uncertain": 20, "missing": 20}
+RARE = {"cluster": 100, "missing": 20}
 RARE |= dict.fromkeys(("resume", "seed", "robust", "minimum_distance_deg"), 12)
 PICTURES = ["out.png", "out.svg", "new.png", "out.pdf"]
 WRITTEN = ["out.csv", "out.toml", "out.urdf", "out.png", "out.html", "out.svg", "out"]

@@ -141,7 +141,6 @@ CASES: list[Case] = [
             # the joints to choose turn by 240, 160, 180 deg: room for 2 x 1 x 1 postures 200 deg apart
             ("8 --minimum-distance-deg 200", "runs; 8 postures 200 deg apart; at most 2"),
             ("8 --discriminating --criterion A", "criterion; A; discriminating; D"),
-            ("8 --discriminating --uncertain average", "criterion; average; D"),
             ("8 --test-poses plan.csv", "--test-poses; criterion D; criterion I"),
             ("8 --subset length_error:1", "--subset; criterion D; criterion Ds"),
             ("8 --criterion Ds", "subset; none; at least one"),
@@ -150,7 +149,6 @@ CASES: list[Case] = [
             ("8 --candidates far.csv", "far.csv; 0 of 1"),
             ("5 --missing backlash", "--missing; --robust"),
             ("5 --robust --missing gear", "'gear'"),
-            ("5 --robust --uncertain worst", "--uncertain; --robust"),
             ("5 --robust --discriminating", "--discriminating; --robust"),
             ("8 --picture p.gif", "p.gif; .png, .svg, .pdf"),
         )

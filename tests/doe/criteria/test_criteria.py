@@ -11,7 +11,6 @@ from doe.bounds.certificate import ApproximateDesign
 from doe.criteria import (
     NAMES,
     A,
-    Average,
     Criterion,
     D,
     Ds,
@@ -19,7 +18,6 @@ from doe.criteria import (
     E,
     I,
     PowerMean,
-    Worst,
     criterion,
     information_matrix,
     inverses,
@@ -243,18 +241,6 @@ def test_a_column_that_is_rounding_beside_the_others_is_none() -> None:
     rows = np.random.default_rng(0).normal(size=(20, 4))
     rows[:, 2] *= 6e-17
     assert D().value(rows.T @ rows) == -np.inf
-
-
-def test_of_several_arms_one_that_is_not_identified_is_enough() -> None:
-    generator = np.random.default_rng(0)
-    good, bad = generator.normal(size=(12, 4)), generator.normal(size=(12, 3)) @ generator.normal(size=(3, 4))
-    both = np.zeros((8, 8))
-    both[:4, :4], both[4:, 4:] = good.T @ good, bad.T @ bad
-    for phi in (Average(2), Worst(2, 20.0), Worst(2)):
-        assert phi.value(both) == -np.inf
-    both[4:, 4:] = good.T @ good
-    for phi in (Average(2), Worst(2, 20.0), Worst(2)):
-        assert np.isfinite(phi.value(both))
 
 
 @pytest.mark.parametrize("phi", criteria(8).values(), ids=criteria(8))

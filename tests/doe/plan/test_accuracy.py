@@ -22,7 +22,6 @@ from doe.plan.accuracy import (
 )
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import (
-    EnsembleModel,
     average_error,
     missing_effects,
     robust_problem,
@@ -186,7 +185,6 @@ def test_too_few_runs_have_no_error() -> None:
 
 def test_where_no_sizes_are_known_there_is_none() -> None:
     assert TipErrors.of(DesignProblem.of(Model(Arm([300.0, 200.0])))) is None
-    assert TipErrors.of(replace(PLAIN, model=EnsembleModel(PLAIN.model, np.zeros((1, 4))))) is None
     assert TipErrors.of(WIDE) is None
 
 
