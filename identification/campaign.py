@@ -44,7 +44,7 @@ from identification.workflow import dh_lines
 
 # a command -> keys that its JSON object alone has
 KEYS = {
-    "diagnose": ("verdict", "candidates", "gap", "trials"),
+    "diagnose": ("verdict", "candidates", "gap", "probabilities"),
     "validate": ("refit", "rows", "rms_nominal_mm"),
     "identify": ("parameters", "rms_before_mm", "rms_after_mm"),
     "design": ("criterion", "runs", "efficiency", "certified_optimal"),
