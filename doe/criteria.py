@@ -1,5 +1,5 @@
 """Criteria of optimality. Every one is MAXIMISED and is a concave function of the information matrix: sums of
-log-determinants of principal submatrices (D, D_s, D*, and D of several arms), weighted sums of variances (A, I), and
+log-determinants of principal submatrices (D, D_s, D*), weighted sums of variances (A, I), and
 means of eigenvalues (Kiefer's, E). The bounds follow from the tangent at c M, c chosen best (doe/README.md,
 "Equivalence theorem").
 """
@@ -100,12 +100,7 @@ class Criterion(ABC):
 
     @property
     def smooth(self) -> Criterion:
-        """What gradient methods climb: another one where the criterion has no second derivatives."""
-        return self
-
-    @property
-    def surrogate(self) -> Criterion:
-        """What many postures are compared by: another one where the criterion is slow to compute."""
+        """What searches climb and compare postures by: another one where the criterion has no second derivatives."""
         return self
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
@@ -154,7 +149,6 @@ class D(Criterion):
         for sign, rows in self.terms(information.shape[-1]):
             root = np.linalg.inv(np.linalg.cholesky(ridged(information[..., rows[:, None], rows])))
             parts = jacobians if len(rows) == jacobians.shape[-1] else jacobians[..., rows]
-            parts = parts[:, :, parts.any(axis=(0, 1, 3))]  # coordinates of other arms add nothing
             s, c, d, p = parts.shape
             whitened = (parts.reshape(s, c * d, p) @ np.swapaxes(root, -1, -2)).reshape(s, c, d, p)
             small = np.eye(d) + whitened @ np.swapaxes(whitened, -1, -2)
@@ -209,90 +203,6 @@ class DStar(D):
         return np.where(np.isneginf(log_determinants(information)), -np.inf, super().value(information))
 
 
-@dataclass(frozen=True)
-class Average(D):
-    """log det M = sum_k log det M_k of K arms measured together (`doe.problem.uncertain`): M is block diagonal.
-
-    Its efficiency, exp((value - bound) / p) with p of all arms together, is the geometric mean of the arms'.
-    count : K blocks on the diagonal of M
-    """
-
-    count: int
-    name = "average"
-
-    def terms(self, parameters: int) -> list[Term]:
-        return [(1.0, rows) for rows in np.split(np.arange(parameters), self.count)]
-
-
-@dataclass(frozen=True)
-class Worst(Criterion):
-    """min_k log det M_k, or with a finite `sharpness` t -(1/t) log sum_k exp(-t log det M_k): smooth, concave, below
-    the smallest by at most log(K) / t.
-
-    The gradient is block diagonal, of s_k M_k^-1, with weights s_k the greater, the worse; that of the minimum is taken
-    at t = 200. Solvers climb t = 20.
-
-    count : K blocks on the diagonal of M;  sharpness : t
-    """
-
-    count: int
-    sharpness: float = np.inf
-    name, power = "worst", 0
-
-    @property
-    def smooth(self) -> Criterion:
-        return Worst(self.count, 20.0) if np.isinf(self.sharpness) else self
-
-    surrogate = smooth
-
-    def degree(self, parameters: int) -> float:
-        return parameters / self.count
-
-    def value(self, information: Array) -> Array:
-        return self._minimum(D().value(self._blocks(information)))
-
-    def values_after_adding(self, information: Array, jacobians: Array) -> Array:
-        """A singular M_k counts as nearly so."""
-        each, parts = self._blocks(information), np.split(jacobians, self.count, axis=-1)
-        gains = [D().values_after_adding(m, b) for m, b in zip(each, parts, strict=True)]
-        return self._minimum(D().value(ridged(each))[..., None] + gains)
-
-    def _minimum(self, each: Array) -> Array:
-        """(...) of (K, ...)."""
-        lowest = each.min(axis=0)
-        if np.isinf(self.sharpness):
-            return np.asarray(lowest)
-        safe = np.where(np.isfinite(lowest), lowest, 0.0)
-        with np.errstate(invalid="ignore"):
-            total = np.sum(np.exp(-self.sharpness * (each - safe)), axis=0)
-        return np.where(np.isfinite(lowest), safe - np.log(total) / self.sharpness, -np.inf)
-
-    def _weights(self, information: Array) -> Array:
-        """(K, ...) s_k."""
-        turns, sizes = np.linalg.slogdet(self._blocks(information))
-        each = sizes + np.log(turns)  # of a complex matrix too, see `curvature`
-        raised = np.exp(-min(self.sharpness, 200.0) * (each - np.real(each).min(axis=0)))
-        return np.asarray(raised / raised.sum(axis=0))
-
-    def gradient(self, information: Array) -> Array:
-        weights, each = self._weights(information), np.linalg.inv(self._blocks(information))
-        total, size = np.zeros_like(information), each.shape[-1]
-        for k in range(self.count):
-            rows = slice(k * size, (k + 1) * size)
-            total[..., rows, rows] = weights[k, ..., None, None] * each[k]
-        return total
-
-    def upper_bound(self, information: Array, largest: float) -> float:
-        """Tangent of sum_k s_k log det M_k, which no design's smallest log det exceeds: its value + largest - p / K."""
-        mean = self._weights(information) @ D().value(self._blocks(information))
-        return float(mean + largest - len(information) / self.count)
-
-    def _blocks(self, information: Array) -> Array:
-        """(K, ..., p/K, p/K) those on the diagonal."""
-        rows = np.split(np.arange(information.shape[-1]), self.count)
-        return np.stack([information[..., each[:, None], each] for each in rows])
-
-
 # -- variances ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class InverseTrace(Criterion):
@@ -306,10 +216,8 @@ class InverseTrace(Criterion):
         """(p, p) W."""
 
     def value(self, information: Array) -> Array:
-        inverse = inverses(information)
-        none = np.isinf(inverse[..., 0, 0])
-        finite = np.where(none[..., None, None], 0.0, inverse)
-        return np.where(none, -np.inf, -np.sum(finite * self.weight(information.shape[-1]), axis=(-2, -1)))
+        inverse, none = _finite_inverses(information)
+        return np.where(none, -np.inf, -np.sum(inverse * self.weight(information.shape[-1]), axis=(-2, -1)))
 
     def gradient(self, information: Array) -> Array:
         inverse = np.linalg.inv(information)
@@ -382,9 +290,8 @@ class PowerMean(Criterion):
     name, power = "power_mean", 1
 
     def value(self, information: Array) -> Array:
-        inverse = inverses(information)
-        none = np.isinf(inverse[..., 0, 0])
-        return np.where(none, -np.inf, self._of(np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse)))
+        inverse, none = _finite_inverses(information)
+        return np.where(none, -np.inf, self._of(inverse))
 
     def _of(self, inverse: Array) -> Array:
         scale = np.trace(inverse, axis1=-2, axis2=-1)
@@ -413,7 +320,7 @@ class E(Criterion):
 
     Not invariant to units (lengths in mm, angles times link length). Not differentiable where the eigenvalue is
     multiple, which an optimum usually is: the gradient, v v^T of its eigenvector, is one of many there. Solvers climb
-    the power mean of k = 32, within p^(1/k) of it, 7 % for p = 8, and compare postures by that of k = 8.
+    the power mean of k = 32, within p^(1/k) of it, 7 % for p = 8.
     """
 
     name, power = "E", 1
@@ -422,15 +329,9 @@ class E(Criterion):
     def smooth(self) -> Criterion:
         return PowerMean(32)
 
-    @property
-    def surrogate(self) -> Criterion:
-        return PowerMean(8)
-
     def value(self, information: Array) -> Array:
-        inverse = inverses(information)
-        none = np.isinf(inverse[..., 0, 0])
-        finite = np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse)
-        return np.where(none, -np.inf, 1.0 / np.linalg.eigvalsh(finite)[..., -1])
+        inverse, none = _finite_inverses(information)
+        return np.where(none, -np.inf, 1.0 / np.linalg.eigvalsh(inverse)[..., -1])
 
     def gradient(self, information: Array) -> Array:
         vector = np.linalg.eigh(information)[1][..., 0]
@@ -473,3 +374,10 @@ def inverses(information: Array) -> Array:
     lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
     return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])
+
+
+def _finite_inverses(information: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(..., p, p) inverses, the unit matrix where M is singular; and (...) where it is."""
+    inverse = inverses(information)
+    none = np.isinf(inverse[..., 0, 0])
+    return np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse), none

@@ -18,7 +18,6 @@ from doe.criteria import D
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, expected_deviations, plan_jacobians
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import EnsembleModel
 from identification import Array, InputError, Plan, Status, spectrum
 
 BEST_KNOWN = "best known"  # what a plan is of which no bound says that it is optimal
@@ -65,7 +64,7 @@ class Design:
         parameters = self.problem.model.parameters
         jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
         ones = np.ones(len(parameters))
-        return spectrum(jacobians, ones).identifiability(parameters.names, ones).combinations
+        return spectrum(jacobians, ones).combinations(parameters.names, ones)
 
     @cached_property
     def outside(self) -> tuple[int, ...]:
@@ -130,15 +129,8 @@ class Design:
 
     @cached_property
     def deviations(self) -> ExpectedDeviations | None:
-        """Expected standard deviations with the arm's sigma, the mean over the draws of an uncertain arm."""
+        """Expected standard deviations with the arm's sigma."""
         return expected_deviations(self.problem, self.plan.postures, self.plan.weights)
-
-    @cached_property
-    def worst_deviations(self) -> ExpectedDeviations | None:
-        """The largest over the draws of an uncertain arm; None for a known arm, or without sigma."""
-        if not isinstance(self.problem.model, EnsembleModel):
-            return None
-        return expected_deviations(self.problem, self.plan.postures, self.plan.weights, np.max)
 
     @property
     def expected_error(self) -> dict[str, float | None] | None:
@@ -150,7 +142,7 @@ class Design:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
-        worst, postures = self.worst_deviations, {"postures_deg": self.plan.displayed.tolist()}
+        postures: dict[str, Any] = {"postures_deg": self.plan.displayed.tolist()}
         if "mm" in self.plan.units:
             postures = {"postures": self.plan.displayed.tolist(), "joint_units": list(self.plan.units)}
         return {
@@ -171,7 +163,6 @@ class Design:
             "table_1_max_residual": _number(self.table_1_max_residual),
             "std": _deviations_json(self.deviations),
             "expected_error_mm": self.expected_error,
-            **({} if worst is None else {"std_worst_draw": _deviations_json(worst)}),
             "solver": self.solver,
             "status": self.status.name,
             "starts": self.starts,

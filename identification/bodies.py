@@ -13,8 +13,45 @@ import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
+from identification.kinematics.frames import rotation_to_z
 
 CLEARANCE = 20.0  # [mm] usual smallest distance of two bodies: what cables, covers and a calibration of old are off by
+
+
+def revolved(radii: Array, heights: Array, sides: int = 32) -> Array:
+    """(t, 3, 3) faces of what (k,) radii at heights (k,), from the top down, draw around z."""
+    turn = np.linspace(0.0, 2.0 * np.pi, sides + 1)
+    ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(sides + 1)], axis=1)
+    grid = radii[:, None, None] * ring + heights[:, None, None] * np.array([0.0, 0.0, 1.0])
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    return np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
+
+
+def brick(half: Array) -> Array:
+    """(12, 3, 3) faces of a box around the origin of half sizes (3,)."""
+    faces = []
+    for normal in np.concatenate([np.eye(3), -np.eye(3)]):
+        across = np.roll(normal, 1)
+        over = np.cross(normal, across)
+        a, b, c, d = (normal + u * across + v * over for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+        faces += [[a, b, c], [a, c, d]]
+    return np.array(faces) * half
+
+
+def cut(triangles: Array, longest: float) -> Array:
+    """The surface of triangles (t, 3, 3) in faces (f, 3, 3) without a longer edge: halved in the middle of the longest
+    one, again and again."""
+    done = [np.empty((0, 3, 3))]
+    while len(triangles):
+        edges = triangles - triangles[:, [1, 2, 0]]
+        lengths = np.einsum("tij,tij->ti", edges, edges)
+        large = lengths.max(axis=1) > longest**2
+        done.append(triangles[~large])
+        triangles, first = triangles[large], lengths[large].argmax(axis=1)
+        a, b, c = (triangles[np.arange(len(first)), (first + k) % 3] for k in range(3))
+        middle = 0.5 * (a + b)
+        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(done)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +78,23 @@ class Body(ByValue):
             object.__setattr__(self, name, readonly(getattr(self, name), *shape))
         if self.joint and len(self.boxes):
             raise InputError(f"body {self.name}: boxes move with joint {self.joint}, allowed: capsules that cover them")
+
+    def looks(self) -> Array:
+        """(t, 3, 3) what it looks like: its own triangles, or else those of its pieces."""
+        if len(self.triangles):
+            return self.triangles
+        faces, polar = [np.empty((0, 3, 3))], np.linspace(0.0, np.pi, 14)
+        for start, end, radius in zip(self.capsules[:, :3], self.capsules[:, 3:6], self.capsules[:, 6], strict=True):
+            half = 0.5 * np.linalg.norm(end - start)
+            turn = rotation_to_z((end - start) / (2.0 * half)) if half > 1e-9 else np.eye(3)
+            heights = radius * np.cos(polar) + np.where(polar < 0.5 * np.pi, half, -half)
+            faces.append(revolved(radius * np.sin(polar), heights) @ turn.T + 0.5 * (start + end))
+        faces += [brick(box[12:]) @ box[3:12].reshape(3, 3).T + box[:3] for box in self.boxes]
+        return np.concatenate(faces)
+
+    def faces(self, longest: float) -> Array:
+        """(f, 3, 3) what it looks like in faces without a longer edge: every point is within 0.58 of it of a center."""
+        return cut(self.triangles, longest)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from identification.documents.identification import (
 )
 from identification.documents.pictures import Compared, workspace_arrows
 from identification.errors import InputError
-from identification.estimation.result import CorrectedValue, corrected_values
+from identification.estimation.result import corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table, read_table
 from identification.files.io import read_text
@@ -44,7 +44,7 @@ from identification.workflow import dh_lines
 
 # a command -> keys that its JSON object alone has
 KEYS = {
-    "diagnose": ("verdict", "candidates", "gap", "trials"),
+    "diagnose": ("verdict", "candidates", "gap", "probabilities"),
     "validate": ("refit", "rows", "rms_nominal_mm"),
     "identify": ("parameters", "rms_before_mm", "rms_after_mm"),
     "design": ("criterion", "runs", "efficiency", "certified_optimal"),
@@ -202,7 +202,7 @@ class Campaign:
             return [*worse, Action("See what all measurements together say, each file as a session:", pooled)]
         if self.results["diagnose"]:
             last = [*self.results["diagnose"].values()][-1]
-            model, *rows = last.get("files") or [arm, data[0]]  # of earlier versions the object has no names of files
+            model, *rows = last["files"]
             return diagnosis_actions(last, model, rows)
         look, hold, use = calibrated_actions(arm, data[0], self.chosen or "calibrated.toml")
         if self.calibrated or self.results["identify"] or self.results["validate"]:
@@ -251,17 +251,8 @@ class Campaign:
             arm, closed = self.calibrated[name], name != self.chosen
             corrected = corrected_values(arm)
             rows, places = dh_lines(arm, corrected, Path(name))
-            expected = expected_elsewhere(getattr(arm.calibration, "provenance", {}))
-            sections.append(corrected_section(f"Corrected values: {name}", corrected, expected, folded=closed))
+            sections.append(corrected_section(f"Corrected values: {name}", corrected, folded=closed))
             sections += [Section(part.title, part.parts, closed) for part in dh_sections(rows, places, name)]
-        for name, data in ({} if self.calibrated else self.results["identify"]).items():
-            values, dh = (
-                [CorrectedValue(**row) for row in data.get(key, ())] for key in ("corrected_values", "dh_table")
-            )
-            title, expected = f"Corrected values: {name}", expected_elsewhere(data)
-            if values:  # earlier versions have none
-                sections.append(corrected_section(title, values, expected))
-            sections += dh_sections(dh, data.get("dh_places", ()), name)
         sections += [self.test_section(rows) for rows in self.tests]
         for drawn in [*self.arms.values()][:1]:
             show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
@@ -317,15 +308,6 @@ class Campaign:
 def fitted_to(arm: Arm) -> list[str]:
     """Hashes of the files that a calibrated arm was fitted to, empty: it does not say."""
     return [] if arm.calibration is None else data_hashes(arm.calibration.provenance)
-
-
-def expected_elsewhere(data: Mapping[str, Any]) -> str:
-    """What a fit promises where nothing was measured; files of earlier versions do not say."""
-    if data.get("expected_tip_mm") is None or data.get("expected_tip_measured_mm") is None:
-        return ""
-    inside, anywhere = (number(data[key]) for key in ("expected_tip_measured_mm", "expected_tip_mm"))
-    tip = f"{inside} mm at the tip at postures like those measured, {anywhere} mm over the joint limits (RMS)"
-    return f"Expected error if the model is right: {tip}."
 
 
 def commanded_in_words(name: str, commands: Table) -> str:

@@ -35,7 +35,6 @@ from identification.simulate import servo_shift
 from identification.workspace import PostureCondition
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
-SEEDS = 32  # random postures per target, where one start is not enough
 QUICK = 20  # iterations from each: 99 of 100 seeds that reach a target have reached it, the others creep along limits
 NEAR, MISSED, BEYOND = 1.0, 2.0, 1e9  # ranks from which a goal is reached nearly, not for constraints, not at all
 BEND = 1e-7  # [rad] of a joint, for derivatives by differences
@@ -396,7 +395,7 @@ def _within_limits(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
     arm, (k, n) = task.model.arm, task.near.shape
     task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
     postures, rank = task.near.copy(), np.full(k, np.inf)
-    seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, n))  # always the same
+    seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, n))  # always the same, 32 of them at first
     redundant = task.conditions.orientation is None and n > task.goals.shape[1]
 
     def take(rows: Index, ends: Array, ranks: Array) -> None:
@@ -410,7 +409,7 @@ def _within_limits(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
     for first in (True, False) if redundant else (False,):
         if not (rest := np.flatnonzero(rank >= (NEAR if first or not redundant else BEYOND))).size:
             break
-        part, starts = task.at(rest), np.broadcast_to(seeds[:SEEDS], (len(rest), SEEDS, n))
+        part, starts = task.at(rest), np.broadcast_to(seeds[:32], (len(rest), 32, n))
         if first:  # most seeds reach most goals: the six whose linear steps to them end nearest
             origin = Task(task.model, np.zeros((256, task.goals.shape[1])), seeds, Conditions())
             gaps, jacobians = origin.gaps(seeds, np.arange(256))
@@ -424,7 +423,7 @@ def _within_limits(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
     missed = missed[np.argsort(rank[missed], kind="stable")]
     for start in range(0, len(missed), 32):  # effort: those missed by least with the other seeds, while it helps
         rows = missed[start : start + 32]
-        take(rows, *_tried(task.at(rows), np.broadcast_to(seeds[SEEDS:], (len(rows), 256 - SEEDS, n))))
+        take(rows, *_tried(task.at(rows), np.broadcast_to(seeds[32:], (len(rows), 224, n))))
         if np.all(rank[rows] >= MISSED):
             break
     return postures, rank

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import RenderableType
 
-    from identification.errors import InputError
 
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
@@ -130,7 +129,6 @@ class Answer:
     data : the object of --json;  shown : documents and lines for people;  result : what both are of, for Python
     exit_code : 0 done, 1 the job failed
     warnings : doubts that `shown` has too, for those who read `data`
-    failure : why files that were asked for are not there, beside an answer that holds all the same
     """
 
     data: dict[str, Any]
@@ -138,7 +136,6 @@ class Answer:
     result: Any = None
     exit_code: int = 0
     warnings: Sequence[str] = ()
-    failure: InputError | None = None
 
     def rendered(self, width: int) -> Iterator[RenderableType]:
         """What a terminal of this many characters shows (rich), from the top."""

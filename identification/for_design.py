@@ -17,7 +17,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -25,7 +26,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
-from identification.bodies import Cell
 from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
@@ -33,15 +33,13 @@ from identification.kinematics.frames import pose
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.placed import led_to_contact, of_positions, tip_jacobian
-from identification.workspace import WorkspaceConstraint, circle_across
+from identification.workspace import circle_across
 
 if TYPE_CHECKING:
     from identification.arm import Arm
     from identification.gap.detectability import Detectability
     from identification.gap.library_prior import LibraryPrior
 
-OFF_AXIS = 100.0  # [mm] of a measured point that is not known: beside the flange of most arms
-BATCH, BATCHES = 4000, 10  # effort: random postures that are led to the surface at once, and how often
 CHOICES = 2000  # postures that touch to choose from, as for robust designs
 TOUCHES = 1e-6  # [mm] how near is on the surface
 
@@ -54,15 +52,7 @@ class ArmModel(Model):
         """d, coordinates per posture, point by point."""
         return self.arm.chain.coordinates * self.points_read
 
-    @property
-    def lower(self) -> Array:
-        """(n,) joint limits [rad, mm]."""
-        return self.arm.lower
-
-    @property
-    def upper(self) -> Array:
-        """(n,) joint limits [rad, mm]."""
-        return self.arm.upper
+    lower, upper = property(attrgetter("arm.lower")), property(attrgetter("arm.upper"))  # (n,) limits [rad, mm]
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
@@ -76,20 +66,9 @@ class ArmModel(Model):
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------
-    @property
-    def constraints(self) -> Sequence[WorkspaceConstraint]:
-        """Those of the arm file."""
-        return self.arm.constraints
-
-    @property
-    def space(self) -> int:
-        """2 in the plane, 3 in space."""
-        return self.arm.dimension
-
-    @property
-    def cell(self) -> Cell | None:
-        """Bodies of the arm and around it; None: nothing is known of any."""
-        return self.arm.cell
+    constraints = property(attrgetter("arm.constraints"))  # those of the arm file
+    space = property(attrgetter("arm.dimension"))  # 2 in the plane, 3 in space
+    cell = property(attrgetter("arm.cell"))  # bodies of the arm and around it; None: nothing is known of any
 
     @property
     def joint_axes(self) -> Array:
@@ -140,10 +119,11 @@ class ArmModel(Model):
             reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
             raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
-        for _ in range(BATCHES):
-            anywhere = generator.uniform(lower, upper, (BATCH, len(chain)))
+        batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often
+        for _ in range(batches):
+            anywhere = generator.uniform(lower, upper, (batch, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
-            target = np.arange(BATCH, dtype=float) % targets if targets else None
+            target = np.arange(batch, dtype=float) % targets if targets else None
             q = led_to_contact(self, anywhere, chain.instrument.touched, units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
@@ -151,7 +131,7 @@ class ArmModel(Model):
             if len(kept) == CHOICES:
                 break
         if len(kept) < 100:  # with fewer a plan has no choice
-            reason = f"touched within limits and constraints at {len(kept)} of {BATCH * BATCHES} random postures led to"
+            reason = f"touched within limits and constraints at {len(kept)} of {batch * batches} random postures led to"
             side = ", its normal on the side of the arm" if "normal" in chain.instrument.keys else ""
             raise InputError(f"instrument: the {chain.instrument.kind} is {reason} it, allowed: one within reach{side}")
         what = f"{len(kept)} random postures that touch the {chain.instrument.kind} as the arm is best known"
@@ -203,19 +183,6 @@ class ArmModel(Model):
             return tip_jacobian(self, postures)[:, None]
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
         return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
-
-    @property
-    def covariance(self) -> Array | None:
-        """(p, p) of the calibration, None: it has none of these parameters."""
-        calibration = self.arm.calibration
-        same = calibration is not None and calibration.parameter_names == self.names
-        return calibration.covariance if calibration is not None and same else None
-
-    @property
-    def machining(self) -> tuple[float, float, float]:
-        """Standard deviations of lengths [mm] and angles [rad] of such arms, and the lever [mm] of an angle of which
-        nothing else is known."""
-        return self.arm.machining.translation, self.arm.machining.rotation, float(np.mean(self.arm.chain.levers))
 
     def only(self, words: Sequence[str]) -> ArmModel:
         """The same of which only these parameters are estimated, see `identification.reuse.only`."""
@@ -281,10 +248,7 @@ class ArmModel(Model):
             conditions = Conditions.in_order(postures, ordered.remembers)
             return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
-        def preflight(postures: Array) -> Detectability:
-            return detectability(arm, postures)
-
-        return base, design_model(model), tuple(bases), weights, by_order, preflight
+        return base, design_model(model), tuple(bases), weights, by_order, partial(detectability, arm)
 
     def detectability(self, postures: Array) -> Detectability:
         """What measuring postures (m, n) could show of every effect of the library."""
@@ -343,10 +307,10 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     names = [name for name, place in chain.tools.items() if not np.any(place)]
     if TOOL in chain.settled or not names:
         return chain
-    beside = ", ".join(names) if len(chain.tools) > 1 else "the measured point"
-    warnings.warn(f"tool: {beside} is not known, {OFF_AXIS:g} mm beside the last axis is assumed", stacklevel=2)
+    beside, away = ", ".join(names) if len(chain.tools) > 1 else "the measured point", 100.0  # [mm] as of most flanges
+    warnings.warn(f"tool: {beside} is not known, {away:g} mm beside the last axis is assumed", stacklevel=2)
     axis = chain.end[:3, :3].T @ chain.joints[-1].axis
     across, other = circle_across(axis)
     turns = 2.0 * np.pi * np.arange(len(names)) / len(names)
-    places = OFF_AXIS * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
+    places = away * (np.cos(turns)[:, None] * across + np.sin(turns)[:, None] * other)
     return replace(chain, tools={**chain.tools, **dict(zip(names, places, strict=True))})

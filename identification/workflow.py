@@ -104,7 +104,6 @@ def init_files(
     dh : A spatial arm from N Denavit-Hartenberg rows.
     base_link : Of the URDF file; left out: its root.
     tip_link : Of the URDF file; left out: tool0, tcp .. or the end with the most joints.
-    package_dir : Folder in which packages of the URDF's meshes are, which are copied; may be repeated.
     instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     """
@@ -168,8 +167,6 @@ def check_files(
     turn the other way, swapped columns, other zeros, mirrored frames, and what can and cannot be found from these data.
 
     The exit code is 0 also where something is to be put right first: a script reads `ok` of --json.
-
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     import numpy as np
 
@@ -344,7 +341,7 @@ def identify_files(
                 held = replace(held, earlier=reuse.earlier(old, model, rows))
             except InputError as error:
                 raise InputError(f"{prior_from}: {error}") from None
-        return with_repeats_doubted(estimation.estimate_with_prior(model, rows, held, sigma=sigma), rows)
+        return with_repeats_doubted(estimation.estimate(model, rows, prior=held, sigma=sigma), rows)
 
     # the fit, and what is doubtful about it
     progress(0, None, f"fitting {len(measurements)} rows")
@@ -493,29 +490,29 @@ def _write_calibrated(
     from identification.reuse import with_data_of, with_held
     from identification.sessions import SESSIONS, without_sessions
 
-    refusal, wanted = "", [name for name in names if name is not None]
+    out, urdf = names
+    refusal = ""
     if fit.not_identifiable:
         refusal = "not every parameter is estimable from the data"
     elif fit.status is Status.implausible and not force:
         refusal = "the fit is implausible; --force writes it all the same"
-    if refusal or not wanted:
-        return [f"{name} was not written: {refusal}" for name in wanted], bool(wanted)
-    out, urdf = names
-    files: dict[PathLike, str | bytes] = {}
+    if refusal:
+        lines = [f"{name} was not written: {refusal}" for name in names if name is not None]
+        return lines, bool(lines)
+    files, lines = dict[PathLike, str | bytes](), list[str]()
     if out is not None:
         kinds = fit.model.arm.joint_types
         calibration = with_held(fit.calibration().about(set(fit.names) - hidden), kept[0], kinds)
         calibration = without_sessions(with_data_of(calibration, kept[1], kinds))
         effects = [spec for spec in fit.model.arm.effects if spec.name != SESSIONS]
         files |= _calibrated_file(path, effects, calibration, out)
+        lines.append(f"calibrated arm written to {out}")
     if fit.geometry is not None and urdf is not None:
         files[urdf] = corrected_urdf(path, fit.geometry.real)
+        lines.append(f"corrected URDF file written to {urdf}")
+        if left_out := ", ".join(effect.label for effect in fit.model.effects):
+            lines.append(f"a URDF file has no effects: {left_out} left out")
     write_together(files, force=force)
-    what = {out: "calibrated arm", urdf: "corrected URDF file"}
-    lines = [f"{what.get(Path(name), 'nominal URDF file')} written to {name}" for name in files]
-    if urdf is not None and fit.model.effects:
-        left_out = ", ".join(effect.label for effect in fit.model.effects)
-        lines.append(f"a URDF file has no effects: {left_out} left out")
     return lines, False
 
 
@@ -569,40 +566,31 @@ def diagnose_files(
         meaning = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
         warnings.warn(f"{curves}: {meaning}; armcal compensate writes commands as the controller counts", stacklevel=2)
     names = [*map(str, (arm, *data))]
-    shown = [diagnosis.document(names, out)]
-    answer = Answer(result | {"files": names}, shown, diagnosis, warnings=doubts)
     files: dict[PathLike, str | bytes] = {}
-    try:
-        if out is not None and diagnosis.confirmed is False and not force:
-            warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
-        elif out is not None:
-            model = diagnosis.extended_arm(diagnosis.named if named_only else None)
-            assert model.calibration is not None  # a diagnosis has one
-            files |= _calibrated_file(arm, model.effects, model.calibration, out)
-        if curves is not None:
-            files[curves] = curves_text(diagnosis.curves)
-        if report is not None:
-            nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
-            read = [arm, *data, *([] if holdout is None else [holdout])]
-            files[report] = page(diagnosis.document(names, out, nominal), read)
-        write_together(files, force=force)
-    except InputError as error:  # the diagnosis is shown all the same
-        answer.shown = [replace(answer.shown[0], actions=())]
-        answer.failure = error
-        return answer
-    answer.shown = [answer.shown[0].plus(*(f"written: {path}" for path in files))]
-    return answer
+    if out is not None and diagnosis.confirmed is False and not force:
+        warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
+    elif out is not None:
+        model = diagnosis.extended_arm(diagnosis.named if named_only else None)
+        assert model.calibration is not None  # a diagnosis has one
+        files |= _calibrated_file(arm, model.effects, model.calibration, out)
+    if curves is not None:
+        files[curves] = curves_text(diagnosis.curves)
+    if report is not None:
+        nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
+        read = [arm, *data, *([] if holdout is None else [holdout])]
+        files[report] = page(diagnosis.document(names, out, nominal), read)
+    write_together(files, force=force)
+    document = diagnosis.document(names, out).plus(*(f"written: {path}" for path in files))
+    return Answer(result | {"files": names}, [document], diagnosis, warnings=doubts)
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
-@declares("armcal validate calibrated.toml other_session.csv --picture transfer.png")
+@declares("armcal validate calibrated.toml other_session.csv")
 def validate_files(
     model: Path,
     data: Path,
     *,
     refit: Literal["base", "offsets", "none"] = "base",
-    picture: Picture | None = None,
-    force: bool = False,
 ) -> Answer:
     """How well a calibrated model predicts other measurements.
 
@@ -611,7 +599,6 @@ def validate_files(
     refitted in each session.
 
     refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
-    picture : Draw residuals against time and over the workspace (PNG, SVG, PDF).
     """
     from identification.documents.identification import is_better, validation_actions
     from identification.files.arm import load_arm
@@ -624,10 +611,6 @@ def validate_files(
     beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     result = validation.to_json()
     actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
-    if picture is not None:
-        from identification.documents.pictures import validation_figure
-
-        write_together({picture: validation_figure(validation)}, force)
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 
@@ -651,7 +634,6 @@ def compensate_files(
     targets that need joint angles outside those of the identification, where the model extrapolates.
 
     out : Write the joint commands (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm

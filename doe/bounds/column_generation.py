@@ -4,8 +4,9 @@
              price     find postures with tr(G F(q)) above tr(G M)            (a stage)
              purge     drop postures that need not carry weight
 
-Cheap stages come first; the last one decides. The loop ends when no posture improves the design. The certificate at the
-end is of the plan that is reported, proven by `doe.bounds.branch_and_bound` where the model allows.
+Pricing goes from cheap stages to thorough ones; the loop ends when the last finds no posture that improves the design.
+The certificate at the end is of the plan that is reported, proven by `doe.bounds.branch_and_bound` where the model
+allows.
 
 `relax`: optimal weights over candidate postures, by column generation or as one convex program. The value and the bound
 are recomputed from the weights, whoever computed them; a solver's own numbers are not used.
@@ -25,15 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from doe.bounds.branch_and_bound import maximum, sensitivity_polynomial, trigonometric_jacobian
 from doe.bounds.certificate import ApproximateDesign
-from doe.bounds.weights import (
-    POWERS,
-    interior_point_weights,
-    multiplicative_weights,
-    proper_weights,
-    solve_program,
-    sparsest,
-)
-from doe.criteria import Criterion
+from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
 from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives, Walls
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
@@ -41,17 +34,11 @@ from doe.problem.problem import DesignProblem, PriorInformation, Stop, informati
 from identification import Array, InputError, JobError, Status, nearest, newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
-# largest sensitivity of all that was visited
-Price = Callable[[Array, float, Array], tuple[Array, float]]
-# a pricing, used until the gap it finds is below a goal (relative), and how many stages to go back when it found
-# something: a cheaper search refines what a thorough one found
-Stage = tuple[Price, float, int]
+# largest sensitivity of all that was visited; with the gap (relative) up to which it need not be asked again
+Stage = tuple[Callable[[Array, float, Array], tuple[Array, float]], float]
 
 SAMPLE = 20_000  # of very many candidates, which are priced first
-EXACT = 1e-14  # gap of the weights on a working set: rounding
-ROUGHEST = 1e-2  # gap to which weights are multiplicative, for hundreds of parameters
 SAME = 1e-7  # [rad] postures nearer than this are one
-LAST = 2.0  # [s] that a pass over the candidates may take after the time has ended, however short the search was
 # candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
 LARGEST = {"clarabel": 20_000, "scs": 100_000}
 
@@ -232,19 +219,18 @@ def column_generation(
 
     tolerance : gap max g - tr(G M), relative to tr(G M), at which to stop
     runs : number of new runs, needed where the problem keeps measured postures
-    stop : asked after every pricing; the bound is then that of the weights so far, after a pass over all candidates,
+    stop : asked before every pricing; the bound is then that of the weights so far, after a pass over all candidates,
         unless that takes longer than the search did, and than 2 s
     Raises JobError where the candidates do not identify all parameters.
     """
     began, prior = perf_counter(), problem.prior.per_new_run(runs)
-    tolerance, count = _attainable(problem, tolerance), 6 * problem.parameters
-    rough = tolerance >= ROUGHEST and problem.criterion.name in POWERS
-    if rough:
-        # candidates that are weighted at once: four million entries of their Jacobians, 2000 candidates at least
-        count = max(2000, 4_000_000 // (problem.model.dimension * problem.parameters))
-    goal, solved = (2.0 * tolerance,) * 2 if rough else (tolerance, 10.0 * tolerance)
+    rough = tolerance >= 1e-2 and problem.criterion.name != "E"  # for hundreds of parameters
+    # E-optimal weights come from a semidefinite program, which is less accurate than Newton's method
+    goal = 2.0 * tolerance if rough else max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
+    # rough weights are of many candidates at once: four million entries of their Jacobians, 2000 candidates at least
+    most = max(2000, 4_000_000 // (problem.model.dimension * problem.parameters)) if rough else 6 * problem.parameters
     everything, start = CandidateSet(problem, candidates, prior), candidates
-    stages: list[Stage] = [(everything.price, goal, 0)]
+    stages: list[Stage] = [(everything.price, goal)]
     if len(candidates) > 4 * SAMPLE:
         goal = max(goal, 1e-6) if problem.many_parameters else goal  # a pass takes seconds
         start = well_spread(candidates, SAMPLE)
@@ -256,14 +242,14 @@ def column_generation(
             few[0] = CandidateSet(problem, candidates[best], prior)
             return few[0].price(gradient, level, near)
 
-        stages = [(lambda *request: few[0].price(*request), goal, 0), (whole, goal, 1)]
-    design, _ = generate_columns(problem, prior, well_spread(start, count), stages, stop)
+        stages = [(lambda *request: few[0].price(*request), goal), (whole, goal)]
+    design, _ = generate_columns(problem, prior, well_spread(start, most), stages, tolerance, stop)
     now = perf_counter()
-    end = now + max(LAST, now - began)
+    end = now + max(2.0, now - began)
     g = everything.sensitivities(design.gradient, lambda: perf_counter() > end and stop())
     settings = {"candidates": len(candidates), "rigorous": True, "solver": "column_generation"}
-    cut, seconds = stop(), perf_counter() - began
-    return design.certified(float(g.max()), max(solved, goal), cut=cut, seconds=seconds, **settings)
+    solved, seconds = goal if rough else 10.0 * goal, perf_counter() - began
+    return design.certified(float(g.max()), solved, cut=stop(), seconds=seconds, **settings)
 
 
 def continuous_design(
@@ -281,40 +267,38 @@ def continuous_design(
     proven by branch and bound and `bound.rigorous` is True; else the largest sensitivity is the best of a multistart.
     tolerance : relative gap at which to stop;  proof : relative gap that branch and bound must prove, 0: do not try
     also : (k, n) postures from which the multistart starts as well
-    stop : asked after every pricing; the bound is then that of the weights so far, after a thorough search
+    stop : asked before every pricing; the bound is then that of the weights so far, after a thorough search
     """
-    began, prior = perf_counter(), problem.prior.per_new_run(runs)
-    tolerance, many = _attainable(problem, tolerance), problem.many_parameters
-    everything = ContinuousSet(problem, prior, also)
+    began, prior, many = perf_counter(), problem.prior.per_new_run(runs), problem.many_parameters
+    tolerance = max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
+    everything, generator = ContinuousSet(problem, prior, also), np.random.default_rng(0)
 
-    def price(generator: Generator | None) -> Price:
+    def price(gradient: Array, level: float, near: Array, dice: Generator | None = None) -> tuple[Array, float]:
         """A cheap multistart, or with a generator a thorough one."""
+        postures, values = everything.best(gradient, near, dice, stop)
+        # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
+        reach = 0.2 * np.sqrt(max(values[0] / level - 1.0, 0.0))  # [rad], the root of the relative gap
+        apart = distinct(problem.comparable(postures), reach)
+        return _best(postures[apart], values[apart], level, 10 * problem.parameters, 0.0)
 
-        def best(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-            postures, values = everything.best(gradient, near, generator, stop)
-            # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
-            reach = 0.2 * np.sqrt(max(values[0] / level - 1.0, 0.0))  # [rad], the root of the relative gap
-            apart = distinct(problem.comparable(postures), reach)
-            return _best(postures[apart], values[apart], level, 10 * problem.parameters, 0.0)
+    def climb_from_anywhere(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
+        return price(gradient, level, near, generator)
 
-        return best
-
-    climb, thorough = price(None), price(np.random.default_rng(0))
-    stages: list[Stage] = [(climb, tolerance, 0), (thorough, tolerance, 1)]
-    start = also
-    if not many:
+    stages: list[Stage] = [(climb_from_anywhere, tolerance)]
+    if not many:  # from the landmarks on to all postures at a gap of 1e-4
         landmarks = CandidateSet(problem, everything.starts, prior)
         start = well_spread(landmarks.postures, 6 * problem.parameters)
-    elif start is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
+        stages = [(landmarks.price, 1e-4), (price, tolerance), *stages]
+    elif also is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
         anywhere = random_postures(problem, 3 * problem.parameters, np.random.default_rng(0))
         start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
-    # from the landmarks on to all postures at a gap of 1e-4
-    first = [(thorough, tolerance, 0)] if many else [(landmarks.price, 1e-4, 0), *stages]
-    design, gap = generate_columns(problem, prior, start, first, stop)
-    last = np.random.default_rng(0) if stop() and not many else None
-    best = everything.best(design.gradient, design.plan.postures, last)[1][0]
+    else:
+        start = also
+    design, gap = generate_columns(problem, prior, start, stages, tolerance, stop)
+    best = everything.best(design.gradient, design.plan.postures, generator if stop() and not many else None)[1][0]
     largest, rigorous, goal = max(design.level + gap, float(best)), False, max(tolerance, proof)
-    jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints else None
+    provable = proof > 0.0 and not problem.constraints and not stop()
+    jacobians = trigonometric_jacobian(problem) if provable else None
     for _ in range(20):  # attempts, each with a posture that was missed
         if jacobians is None or stop():
             break
@@ -328,26 +312,28 @@ def continuous_design(
         if top.value <= design.level + close:
             largest = top.upper
             break
-        design, gap = generate_columns(problem, prior, np.concatenate([tried, top.posture[None]]), stages, stop)
+        start = np.concatenate([tried, top.posture[None]])
+        design, gap = generate_columns(problem, prior, start, stages[-2:], tolerance, stop)
         largest = design.level + gap
     settings = {"rigorous": rigorous, "solver": "column_generation"}
     return design.certified(largest, 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
 
 
-def _attainable(problem: DesignProblem, tolerance: float) -> float:
-    """E-optimal weights come from a semidefinite program, which is less accurate than Newton's method."""
-    return max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
-
-
-# -- the loop ----------------------------------------------------------------------------------------------------------
 def generate_columns(
-    problem: DesignProblem, prior: PriorInformation, start: Array, stages: Sequence[Stage], stop: Stop = never
+    problem: DesignProblem,
+    prior: PriorInformation,
+    start: Array,
+    stages: Sequence[Stage],
+    tolerance: float,
+    stop: Stop = never,
 ) -> tuple[ApproximateDesign, float]:
-    """Optimal weights, and the gap (absolute) that the last pricing, of the last stage unless `stop` said so, found.
+    """Optimal weights, and the gap (absolute) that the last stage found; -inf where `stop` came first.
 
+    tolerance : of the gap, for which weights are as accurate as needed
     Raises `JobError` where the postures to start from (k, n) do not identify all parameters.
     """
     criterion, comparable = problem.criterion, problem.comparable
+    accuracy = EXACT if tolerance <= 1e-6 else tolerance * (1e-4 if tolerance < 1e-2 else 1.0)
     postures, jacobians = start, problem.scaled_jacobians(start)
     weights = np.full(len(jacobians), 1.0 / len(jacobians))
     equal = prior.mixture(jacobians, weights)
@@ -356,53 +342,32 @@ def generate_columns(
             "approximate design: the information matrix is singular on these postures, the parameters cannot all "
             "be identified; drop an effect or allow more postures"
         )
-    last = stages[-1][1] if stages else EXACT
-    # of the weights: exact for a fine gap of the postures, else relative to it
-    accuracy = EXACT if last <= 1e-6 else (0.5 if last >= 2.0 * ROUGHEST else 1e-4) * last
-    if stop():  # before the first weights, which take seconds where parameters are many: equal ones prove a bound too
-        gradient = criterion.gradient(equal)
-    else:
-        weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy, stop)
-    current, gap, smallest = 0, np.inf, np.inf
+    gradient, gap, smallest = criterion.gradient(equal), -np.inf, np.inf  # equal weights prove a bound too
     for _ in range(200):
-        (price, goal, back), level = stages[current], float(np.sum(gradient * prior.mixture(jacobians, weights)))
-        offers, largest = price(gradient, level, postures)
-        gap = largest - level
-        if stop():
+        if stop():  # weights take seconds where parameters are many
+            gap = -np.inf
             break
-        new = [np.abs(comparable(postures) - offer).max(axis=1).min() > SAME for offer in comparable(offers)]
-        if gap > goal * abs(level) and any(new):  # else rounding leaves the gap
-            # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
-            if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
-                carrying = sparsest(jacobians, weights) > 0.0
-                postures, jacobians = postures[carrying], jacobians[carrying]
-            postures = np.concatenate([postures, offers])
-            jacobians = np.concatenate([jacobians, problem.scaled_jacobians(offers)])
-            once = np.sort(distinct(comparable(postures)))
-            postures, jacobians = postures[once], jacobians[once]
-            smallest, current = min(smallest, gap), current - back
-        elif current == len(stages) - 1:
-            break
-        else:
-            current, smallest = current + 1, np.inf
-            continue
         weights, gradient = optimal_weights(jacobians, criterion, prior, accuracy, stop)
+        level = float(np.sum(gradient * prior.mixture(jacobians, weights)))
+        for price, goal in stages:
+            offers, largest = price(gradient, level, postures)
+            gap = largest - level
+            new = [np.abs(comparable(postures) - offer).max(axis=1).min() > SAME for offer in comparable(offers)]
+            if gap > goal * abs(level) and any(new):  # else rounding leaves the gap
+                break
+        else:
+            break
+        # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
+        if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
+            weights = sparsest(jacobians, weights)
+            postures, jacobians, weights = postures[weights > 0.0], jacobians[weights > 0.0], weights[weights > 0.0]
+        smallest, offers = min(smallest, gap), offers[new]
+        offers = offers[distinct(comparable(offers))]
+        postures = np.concatenate([postures, offers])
+        jacobians = np.concatenate([jacobians, problem.scaled_jacobians(offers)])
+        weights = np.concatenate([weights, np.zeros(len(offers))])
     dual = gradient if criterion.name == "E" else None
     return ApproximateDesign.heaviest_first(problem, prior, postures, sparsest(jacobians, weights), dual), gap
-
-
-def optimal_weights(
-    jacobians: Array, criterion: Criterion, prior: PriorInformation, accuracy: float = EXACT, stop: Stop = never
-) -> tuple[Array, Array]:
-    """Weights (k,) for scaled Jacobians (k, d, p), and (p, p) G there, by the method that the criterion allows."""
-    if accuracy >= ROUGHEST and criterion.name in POWERS:
-        return multiplicative_weights(jacobians, criterion, prior, accuracy, stop)
-    if criterion.name != "E":
-        return interior_point_weights(jacobians, criterion, prior, accuracy)
-    weights, status, gradient = solve_program(prior.information(information_of_each(jacobians)), criterion)
-    if weights is None or gradient is None:
-        raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
-    return proper_weights(weights), gradient  # of the dual: E has no gradient of its own
 
 
 # -- the door ----------------------------------------------------------------------------------------------------------
@@ -442,7 +407,6 @@ def relax(
         weights, solver_status, dual = solve_program(each, problem.criterion, solver)
         if weights is None:
             raise JobError(f"{solver}: status {solver_status} on {len(chosen)} candidates, no weights; {larger}")
-        weights = proper_weights(weights)
         statuses = {"optimal": Status.converged, "optimal_inaccurate": Status.almost_solved}
         statuses["user_limit"] = Status.iteration_limit
         carried = np.where(weights > 1e-7, weights, 0.0)  # interior points give every posture a little

@@ -27,7 +27,7 @@ from doe.criteria import Criterion, InverseTrace, log_determinants
 from doe.problem.problem import PriorInformation, Stop, information_of_each, never
 from identification import Array, InputError, JobError
 
-POWERS = {"D": 1.0, "A": 0.5, "I": 0.5}
+EXACT = 1e-14  # gap of the weights: rounding
 # of each solver, tried in turn: Clarabel fails on some programs with its own scaling of the rows, on others without it
 SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
     "clarabel": ({"equilibrate_enable": False}, {}),
@@ -35,8 +35,22 @@ SETTINGS: dict[str, tuple[dict[str, Any], ...]] = {
 }
 
 
+def optimal_weights(
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, accuracy: float = EXACT, stop: Stop = never
+) -> tuple[Array, Array]:
+    """Weights (k,) for scaled Jacobians (k, d, p), and (p, p) G there, by the method that criterion and gap allow."""
+    if criterion.name == "E":  # no gradient of its own: that of the dual
+        weights, status, gradient = solve_program(prior.information(information_of_each(jacobians)), criterion)
+        if weights is None or gradient is None:
+            raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
+        return weights, gradient
+    if accuracy >= 1e-2:
+        return multiplicative_weights(jacobians, criterion, prior, accuracy, stop)
+    return interior_point_weights(jacobians, criterion, prior, accuracy)
+
+
 def interior_point_weights(
-    jacobians: Array, criterion: Criterion, prior: PriorInformation, tolerance: float = 1e-14
+    jacobians: Array, criterion: Criterion, prior: PriorInformation, tolerance: float = EXACT
 ) -> tuple[Array, Array]:
     """Weights (k,) for scaled Jacobians (k, d, p), to a gap of `tolerance` times tr(G M) where rounding allows; and
     (p, p) G there."""
@@ -84,29 +98,18 @@ def multiplicative_weights(
     jacobians: Array, criterion: Criterion, prior: PriorInformation, gap: float, stop: Stop = never
 ) -> tuple[Array, Array]:
     """(k,) weights for scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M); and
-    (p, p) G there. For D, A and I."""
+    (p, p) G there. Not for E."""
     weights, rows = np.full(len(jacobians), 1.0 / len(jacobians)), jacobians.reshape(-1, jacobians.shape[2])
+    power = 1.0 if criterion.power == 0 else 0.5
     for _ in range(2000):
         information = prior.mixture(jacobians, weights)
         gradient = criterion.gradient(information)
         each = np.einsum("ia,ia->i", rows @ gradient, rows).reshape(len(jacobians), -1).sum(axis=1)
         if prior.mixed(each, gradient).max() <= (1.0 + gap) * float(np.sum(gradient * information)) or stop():
             break
-        weights = weights * each ** POWERS[criterion.name]
+        weights = weights * each**power
         weights /= weights.sum()
     return np.where(weights > 1e-6 * weights.max(), weights, 0.0), gradient  # the others are left out
-
-
-def proper_weights(weights: Array) -> Array:
-    """A solver's weights made into a design: negative ones (rounding) to zero, sum to one.
-
-    Raises InputError where nothing positive is left.
-    """
-    clipped = np.maximum(np.asarray(weights, dtype=float), 0.0)
-    total = float(clipped.sum())
-    if not np.isfinite(total) or total <= 0.0:
-        raise InputError(f"weights: their sum is {total}, allowed: finite weights >= 0 that sum to one")
-    return clipped / total
 
 
 def sparsest(jacobians: Array, weights: Array) -> Array:
@@ -131,7 +134,7 @@ def sparsest(jacobians: Array, weights: Array) -> Array:
 def solve_program(
     posture_information: Array, criterion: Criterion, solver: str = "clarabel"
 ) -> tuple[Array | None, str, Array | None]:
-    """Clarabel's weights (N,) for F_i (N, p, p), None if it returned none; its own name for its status; and for E
+    """A solver's weights (N,) for F_i (N, p, p), None if it returned none; its own name for its status; and for E
     (p, p) G >= 0 of unit trace from the dual: any such G bounds the smallest eigenvalue, lambda_min(N) <= tr(G N)."""
     import cvxpy as cp
 
@@ -174,10 +177,12 @@ def solve_program(
             program.solve(solver=solver.upper(), **settings)
             status = str(program.status)
             break
-    if weights.value is None or not np.all(np.isfinite(weights.value)):
+    found = np.maximum(np.zeros(n) if weights.value is None else weights.value, 0.0)  # rounding leaves negative ones
+    if not 0.0 < found.sum() < np.inf:
         return None, status, None
+    found = found / found.sum()
     if floor is None:
-        return np.asarray(weights.value), status, None
+        return found, status, None
     values, vectors = np.linalg.eigh(root.T @ (floor.dual_value + floor.dual_value.T) @ root)
     positive = np.maximum(values, 0.0)
-    return np.asarray(weights.value), status, (vectors * (positive / positive.sum())) @ vectors.T
+    return found, status, (vectors * (positive / positive.sum())) @ vectors.T

@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter
@@ -57,23 +56,16 @@ class CriterionOptions:
 def design_problem(
     arm: Arm,
     wanted: CriterionOptions,
-    seed: int = 0,
     *,
     keep: Path | None = None,
     candidates: Path | None = None,
-    apart: float | None = None,
-    uncertain: str | None = None,
+    repeats: bool = False,
 ) -> DesignProblem:
-    """The problem that the options describe;  apart : smallest distance of two postures [rad], left out: the default
-
-    Raises `InputError` for files and names that do not fit.
-    """
-    import numpy as np
-
+    """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     from doe.criteria import NAMES, criterion
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
-    from doe.problem.uncertain import ensemble_problem, missing_effects, prior_draws, robust_problem, tip_jacobians
+    from doe.problem.uncertain import missing_effects, robust_problem, tip_jacobians
     from identification import Model, load_plan
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
@@ -91,12 +83,10 @@ def design_problem(
             listed_candidates(DesignProblem.of(model, choices=choices), choices)
         except InputError as error:  # none is within limits and constraints
             raise InputError(f"{candidates}: {error}") from None
-    if apart is not None:
-        restrictions["minimum_distance"] = apart
+    if repeats:
+        restrictions["minimum_distance"] = 0.0
     problem = DesignProblem.of(model, **restrictions)
     if wanted.robust:
-        if uncertain is not None:
-            raise InputError("--uncertain: found with --robust, allowed: one of them")
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
         problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
@@ -113,27 +103,13 @@ def design_problem(
             test_jacobians=None if poses is None else tip_jacobians(problem, poses),
         )
         problem = replace(problem, criterion=chosen)
-    if uncertain is None:
-        return problem
-    return ensemble_problem(problem, prior_draws(model, 5, np.random.default_rng(seed)), uncertain)
+    return problem
 
 
-def written(contents: Mapping[Path | None, str | tuple[Any, ...]], force: bool, what: str = "") -> list[str]:
-    """Write the files that were asked for, all or none, pictures among them; the lines that report the texts.
-
-    contents : file -> its text, or a picture: the name of a function of doe/report/figures.py, and its arguments; None:
-        not asked for
-    what : the text is
-    """
-
-    def draw(name: str, *of: Any) -> Figure:
-        from doe.report import figures  # matplotlib takes longer to load than a small design
-
-        picture: Figure = getattr(figures, name)(*of)
-        return picture
-
+def written(contents: Mapping[Path | None, str | Figure], force: bool, what: str) -> list[str]:
+    """Write the files that were asked for (None: not), all or none; the lines that report the texts, of `what`."""
     wanted = {path: content for path, content in contents.items() if path is not None}
-    write_together({path: c if isinstance(c, str) else partial(draw, *c) for path, c in wanted.items()}, force=force)
+    write_together(wanted, force=force)
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
@@ -168,8 +144,6 @@ def design_files(
     keep: Path | None = None,
     candidates: Path | None = None,
     repeats: bool = False,
-    minimum_distance_deg: float | None = None,
-    uncertain: str | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
     package_dir: tuple[Path, ...] = (),
@@ -191,11 +165,8 @@ def design_files(
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
-    minimum_distance_deg : Postures differ by this in some joint (1 deg).
-    uncertain : average or worst: a plan for an arm known only by a prior (default) or by its calibration covariance.
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.plan.accuracy import tip_beside_random
     from doe.plan.driving import check_approach, drive, with_approach
@@ -215,9 +186,7 @@ def design_files(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
         )
     signs = () if loaded.counting is None else loaded.counting.sign
-    apart = 0.0 if repeats else None if minimum_distance_deg is None else math.radians(minimum_distance_deg)
-    known: dict[str, Any] = {"keep": keep, "candidates": candidates, "uncertain": uncertain}
-    problem = design_problem(loaded, criterion, seed, apart=apart, **known)
+    problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach, signs)
     if criterion.robust and solver in (None, "fedorov"):
         problem = with_choices(problem)
@@ -245,7 +214,12 @@ def design_files(
     data |= driven.to_json()
     extra += driven.in_words()
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
-    extra += written({out: text, picture: ("plan_figure", loaded, design.plan.postures)}, force, "plan")
+    files: dict[Path | None, str | Figure] = {out: text}
+    if picture is not None:
+        from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
+
+        files[picture] = plan_figure(loaded, design.plan.postures)
+    extra += written(files, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
@@ -253,7 +227,7 @@ def design_files(
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
-@verb("armcal score arm.toml plan.csv --picture plan.png")
+@verb("armcal score arm.toml plan.csv")
 def score_files(
     arm: Path,
     plan: Path,
@@ -261,9 +235,7 @@ def score_files(
     seconds: Seconds = 20.0,
     robust: bool = False,
     missing: Names | None = None,
-    picture: Picture | None = None,
     package_dir: tuple[Path, ...] = (),
-    force: bool = False,
 ) -> Answer:
     """Judge a plan of your own against the bound.
 
@@ -272,8 +244,6 @@ def score_files(
     seconds : Time budget of the bound [s], which may be cut.
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
-    picture : Draw the postures (.png, .svg, .pdf).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
@@ -316,12 +286,11 @@ def score_files(
         data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
-    written({picture: ("plan_figure", loaded, judged.postures)}, force)
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
-@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
 def advise_files(
     arm: Path,
     *,
@@ -329,9 +298,7 @@ def advise_files(
     only: tuple[Names, ...] = (),
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
-    picture: Picture | None = None,
     package_dir: tuple[Path, ...] = (),
-    force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Answer:
@@ -344,8 +311,6 @@ def advise_files(
     only : Estimate only these, as `identify --only`.
     target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
-    picture : Write the curve as .png, .svg or .pdf.
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
@@ -372,7 +337,6 @@ def advise_files(
         enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
-    written({picture: ("advice_figure", advice)}, force)
     return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 
@@ -404,7 +368,6 @@ def relax_files(
     runs : Number of measurements m, for --robust and spatial arms.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
@@ -532,7 +495,6 @@ def program_files(
     speed : Speed of the joint moves, in percent of 120 deg/s and 1 m/s, or of the controller's own.
     settle : Seconds from the arrival to the measurement, up to 300.
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     out : Write the program, which takes the name of the file.
     """
     from doe.program.program import program
@@ -583,7 +545,6 @@ def discriminate_files(
     payloads : Payloads to choose from [kg], as 0,5,10; left out: the arm's own.
     seconds : Time budget of the choice, after the diagnosis [s].
     out : Write the next postures (CSV).
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
@@ -644,7 +605,6 @@ def report_files(
     edited; it is one file that needs no network.
 
     out : Write the page.
-    package_dir : Folder in which packages of the URDF's meshes are; may be repeated.
     """
     from doe.report.design import design_verdict, plan_section
     from doe.report.page import hashes

@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 
 PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
+EVERYWHERE = {  # options that mean the same wherever they are
+    "force": "Overwrite existing files.",
+    "package_dir": "Folder in which packages of the URDF's meshes are; may be repeated.",
+}
 LONGEST_LINE = 1000  # characters of a message
 
 
@@ -117,7 +121,7 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
     of Python, with `Written` and `Picture` for files to write and `Folder` for where, or `Annotated` with a type of
     click or what makes the value of a word, words of the option (`--name`), a range of whole numbers, or what it stands
     for in the help (`NAMES`). The docstring's first line stands in `armcal --help`; lines `name : ..` say what an
-    option is for, but for `force`, which means the same everywhere.
+    option is for, but for those of `EVERYWHERE`.
 
     Adds --json, --seed, --quiet and the example. A function with a parameter `seed`, `progress`, `page` or
     `constraints` is given the seed, a callback for its progress, what makes a page of a document and of files that were
@@ -170,9 +174,6 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
                     answer = function(**values)
                 for sentence in answer.warnings if as_json else ():
                     warnings.warn(sentence, UserWarning, stacklevel=2)
-            if answer.failure is not None:
-                say(str(answer.failure))
-                answer.exit_code = answer.failure.exit_code
             shown(answer, as_json)
             sys.stdout.flush()
             sys.exit(answer.exit_code)
@@ -195,7 +196,7 @@ def documented(thing: Any) -> tuple[str, dict[str, str]]:
                 name, helps[match[1]] = match[1], match[2]
             else:
                 helps[name] += f" {line.strip()}"
-    return "\n\n".join(paragraphs), {"force": "Overwrite existing files."} | helps
+    return "\n\n".join(paragraphs), {**EVERYWHERE, **helps}
 
 
 def declared(name: str, hint: Any, default: Any, help_text: str | None) -> click.Parameter:

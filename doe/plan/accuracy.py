@@ -12,7 +12,6 @@ missing from it: root mean square over poses and over arms that the prior may gi
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,7 +24,6 @@ from doe.problem.model import offers
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import (
-    EnsembleModel,
     average_error,
     missing_effects,
     robust_problem,
@@ -94,33 +92,23 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
 
 
 def expected_deviations(
-    problem: DesignProblem, postures: Array, weights: Array | None = None, judge: Callable[..., Array] = np.mean
+    problem: DesignProblem, postures: Array, weights: Array | None = None
 ) -> ExpectedDeviations | None:
     """What the plan will give with the model's sigma; None without one or if the plan is not enough.
 
     weights : (m,) of an approximate design, for m runs shared out by them; None: one run per posture
-    judge : of several arms, each judged by its own block of the Jacobian, the mean, or the worst (`np.max`) of each
-        deviation
     """
-    model, sigma = problem.model, problem.model.sigma
-    if sigma is None:
+    parameters, sigma = problem.model.parameters, problem.model.sigma
+    decomposed = spectrum(plan_jacobians(problem, postures, weights), np.ones(len(parameters)))
+    if sigma is None or decomposed.rank < len(parameters):
         return None
-    count, model = (len(model.draws), model.model) if isinstance(model, EnsembleModel) else (1, model)
-    stacked, d, parameters = plan_jacobians(problem, postures, weights), model.dimension, model.parameters
-    p, offsets = len(parameters), parameters.joint_offsets.tolist()
-    sums, values, orientations = np.tri(len(offsets)), [], []  # dtheta_j = dq_1 + ... + dq_j
-    for k in range(count):
-        decomposed = spectrum(stacked[:, k * d : (k + 1) * d, k * p : (k + 1) * p], np.ones(p))
-        if decomposed.rank < p:
-            return None
-        per_scale = sigma / parameters.scales
-        matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
-        orientation = np.zeros(problem.joints)
-        turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
-        orientation[[(parameters[j].joint or 0) - 1 for j in offsets]] = np.sqrt(np.diag(turned))
-        values.append(np.sqrt(np.diag(matrix)))
-        orientations.append(orientation)
-    return ExpectedDeviations(parameters, judge(values, axis=0), judge(orientations, axis=0))
+    per_scale = sigma / parameters.scales
+    matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
+    offsets, orientation = parameters.joint_offsets.tolist(), np.zeros(problem.joints)
+    sums = np.tri(len(offsets))  # dtheta_j = dq_1 + ... + dq_j
+    turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
+    orientation[[(parameters[j].joint or 0) - 1 for j in offsets]] = np.sqrt(np.diag(turned))
+    return ExpectedDeviations(parameters, np.sqrt(np.diag(matrix)), orientation)
 
 
 def observability(problem: DesignProblem, postures: Array) -> dict[str, float]:
@@ -204,12 +192,16 @@ class TipErrors:
         return cls(problem, wide, tip_jacobians(wide, poses))
 
     @cached_property
-    def _weighed(self) -> tuple[Array, Array]:
+    def _points(self) -> Array:
         """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
-        they are no distance; and (P, P) the mean of its squares."""
+        they are no distance."""
         k, points, _, p = self.targets.shape
-        targets = np.asarray(self.targets[:, :, :3].reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
-        return targets, information_matrix(targets) / k
+        return np.asarray(self.targets[:, :, :3].reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
+
+    @cached_property
+    def _weight(self) -> Array:
+        """(P, P) mean of the squares of that."""
+        return information_matrix(self._points) / len(self._points)
 
     def _information(self, postures: Array) -> tuple[Array, Array]:
         """(P, P) sum of B^T B of the plan and of what is measured already, without any prior; and (p, p) the posterior
@@ -223,8 +215,7 @@ class TipErrors:
         posterior = inverses(self._information(postures)[0] + np.diag(self.wide.precisions))
         if np.isinf(posterior[0, 0]):
             return np.inf
-        variance = (self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weighed[1])
-        return float(np.sqrt(variance + self.wide.beyond))
+        return float(np.sqrt((self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weight) + self.wide.beyond))
 
     def missing(self, postures: Array) -> float:
         """The same without the effects, which are there: the fit takes up of each what the geometry can, and the tip
@@ -233,19 +224,19 @@ class TipErrors:
         p, wide, (information, posterior) = self.problem.parameters, self.wide, self._information(postures)
         if np.isinf(posterior[0, 0]):
             return np.inf
-        weight, sigma, noise = self._weighed[1], (self.problem.model.sigma or 0.0) ** 2, (wide.model.sigma or 0.0) ** 2
+        sigma, noise = (self.problem.model.sigma or 0.0) ** 2, (wide.model.sigma or 0.0) ** 2
         spread = sigma * posterior + (noise - sigma) * posterior @ information[:p, :p] @ posterior
         lacking = np.concatenate([posterior @ information[:p, p:], -np.eye(wide.parameters - p)])
-        sizes = noise / wide.precisions[p:]  # squared, in scaled parameters
-        bias = float(np.sum(np.einsum("ap,ab,bp->p", lacking, weight, lacking, optimize=True) * sizes))
-        return float(np.sqrt(np.sum(spread * weight[:p, :p]) + bias + wide.beyond))
+        squares = np.sum(lacking * (self._weight @ lacking), axis=0)  # of the tip's error, per scaled parameter
+        bias = float(squares @ (noise / wide.precisions[p:]))
+        return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
 
     def of_plan(self, postures: Array) -> TipError:
         """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
         p = self.problem.parameters
         if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
             return TipError(with_prior=self.with_prior(postures))
-        posterior, targets = self._information(postures)[1], self._weighed[0][..., :p]
+        posterior, targets = self._information(postures)[1], self._points[..., :p]
         right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
         mean, largest = float(np.sqrt(right.mean())), float(np.sqrt(right.max()))
         if self.wide.parameters == p:
@@ -265,21 +256,25 @@ class ExpectedTip:
     random: Array
     fit: str
 
+    better = property(lambda self: float(np.mean(self.random > self.plan)))
+    median = property(lambda self: float(np.median(self.random)))
+
     def to_json(self) -> dict[str, Any]:
         """Key `expected_tip` (identification/files/README.md, "JSON keys")."""
-        figures = {"plan_mm": self.plan, "random_median_mm": float(np.median(self.random))}
+        figures = {"plan_mm": self.plan, "random_median_mm": self.median}
         finite = {name: value if np.isfinite(value) else None for name, value in figures.items()}
-        better = float(np.mean(self.random > self.plan))
-        return finite | {"better_than": better, "random_plans": len(self.random), "fit": self.fit or None}
+        return finite | {"better_than": self.better, "random_plans": len(self.random), "fit": self.fit or None}
 
     def __str__(self) -> str:
         """One sentence, or two."""
         fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
         where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
-        others = f"{np.median(self.random):.3g} mm by the median of {len(self.random)} random ones"
-        figures, better = f"{self.plan:.3g} mm by this plan, {others}", float(np.mean(self.random > self.plan))
-        share = f"better than {100.0 * better:.0f} % of them"
-        if better > 0.5:  # else it is not worth its search
+        others = f"{self.median:.3g} mm by the median of {len(self.random)} random ones"
+        figures, share = (
+            f"{self.plan:.3g} mm by this plan, {others}",
+            f"better than {100.0 * self.better:.0f} % of them",
+        )
+        if self.better > 0.5:  # else it is not worth its search
             return f"{where}: {figures}; {share}."
         instead = "" if self.fit else " armcal design --robust chooses postures for that."
         return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"
@@ -295,9 +290,10 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
     if m > most:
         return None
     errors: TipErrors | None
+    anywhere = replace(problem, choices=None) if problem.sampled else problem
     if problem.missing:
-        at, everywhere = problem.criterion, replace(problem, choices=None) if problem.sampled else problem
-        targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(everywhere))
+        at = problem.criterion
+        targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(anywhere))
         errors = TipErrors(problem, problem, targets if targets.ndim == 4 else targets[:, None])
     else:
         errors = TipErrors.of(problem)
@@ -305,8 +301,8 @@ def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) ->
         return None
     judge = errors.with_prior if problem.fit else errors.missing
     generator = np.random.default_rng([seed, m])
-    if problem.choices is not None and not problem.sampled:
-        pool = listed_candidates(problem, problem.choices)
+    if anywhere.choices is not None:
+        pool = listed_candidates(problem, anywhere.choices)
     else:
         pool = random_postures(problem, min(plans * m, most), generator)
     rows = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]

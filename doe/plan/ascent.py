@@ -75,6 +75,8 @@ class PlanAscent:
         return np.where(self.problem.feasible(inside)[:, None], inside, plan)
 
     def _climbed(self, plan: Array, tolerance: float, stop: Stop) -> Array:
+        if stop() or not self.joints:
+            return plan
         from scipy.optimize import minimize  # 0.1 s to import
 
         # of half the ranges, the length of the first step: a longer one ends on limits
@@ -95,8 +97,6 @@ class PlanAscent:
                 raise StopIteration
 
         start = np.clip(plan[:, self.joints].ravel() / unit, *limits)
-        if not start.size or stop():
-            return plan
         # pairs of steps and slopes that stand for the Hessian
         options = {"ftol": tolerance, "gtol": 0.0, "maxcor": 12, "maxiter": 400}
         box = list(zip(*limits, strict=True))

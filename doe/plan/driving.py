@@ -21,7 +21,7 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, InputError, JobError, Plan, nearest
 
 # of the last motion of each joint: room for it below a posture, and above
-SENSES = {"any": (0.0, 0.0), "positive": (1.0, 0.0), "negative": (0.0, 1.0), "alternate": (1.0, 1.0)}
+SENSES = {"any": (False, False), "positive": (True, False), "negative": (False, True), "alternate": (True, True)}
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves: many postures are on one
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
@@ -35,6 +35,7 @@ class Drive:
     order : of `ORDERS`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
+    unseen : moves on which the tracker loses sight of the reflector
     cut : whether time ended before free moves were found: then it has none
     """
 
@@ -46,6 +47,7 @@ class Drive:
     before: float = 0.0
     shortest: float = 0.0
     replaced: int = 0
+    unseen: int = 0
     cut: bool = False
 
     def to_json(self) -> dict[str, Any]:
@@ -87,6 +89,9 @@ class Drive:
             if self.approach != "any":
                 how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
                 lines.append(f"every joint comes to each posture {how}")
+            if self.unseen:
+                lost = "the tracker loses sight of the reflector, and has to find it again before a measurement"
+                lines.append(f"On {self.unseen} of {len(self.moves or ()) - 1} moves {lost}")
             if self.replaced:
                 lines.append(f"{self.replaced} of the postures were replaced: no free way led from the others to them")
         return lines
@@ -138,8 +143,8 @@ def drive(
     except TimeoutError:
         rows = np.arange(len(plan))
         if order == "travel":
-            rows = np.array(shortest_path(space.travel(plan.postures[:, None], plan.postures)))
-        cut = replace(plan, postures=plan.postures[rows])
+            rows = np.array(shortest_path(space.travel(postures[:, None], postures)))
+        cut = replace(plan, postures=postures[rows])
         travel = space.length(cut.postures)
         return Drive(cut, None, order, approach, travel, before, travel, cut=True)
     ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
@@ -149,7 +154,8 @@ def drive(
     shortest = space.length(postures[path])
     moves = None if known is None and approach == "any" else whole
     measured = replace(plan, postures=postures[found.rows])
-    return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
+    travel, unseen = space.length(whole.postures), out_of_sight(problem.constraints, whole.postures)
+    return Drive(measured, moves, order, approach, travel, before, shortest, len(replaced), unseen)
 
 
 def _until(stop: Stop, asked: Callable[[Array], Any]) -> Callable[[Array], Any]:
@@ -161,6 +167,19 @@ def _until(stop: Stop, asked: Callable[[Array], Any]) -> Callable[[Array], Any]:
         return asked(postures)
 
     return answer
+
+
+def out_of_sight(constraints: Sequence[Constraint], way: Array, places: int = 50) -> int:
+    """How many of the straight moves along a way (m, n) are out of a tracker's sight, at some of so many places."""
+    shares, steps = np.linspace(0.0, 1.0, places)[:, None], np.diff(way, axis=0)
+    between = (way[:-1, None] + shares * steps[:, None]).reshape(-1, way.shape[1])
+    hidden = np.zeros(len(between), dtype=bool)
+    for each in constraints:
+        sights = [SIGHT in pair for pair in each.pairs] if isinstance(each, Clearance) else []
+        if any(sights) or each.kind == "line_of_sight":
+            apart = each.distance(between)[:, sights] if isinstance(each, Clearance) else each.margin(between)
+            hidden |= np.any(apart < -ROUNDING, axis=1)
+    return int(hidden.reshape(-1, places).any(axis=1).sum())
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, tuple[str, str], float]] | None:
@@ -189,15 +208,18 @@ def one_turn(problem: DesignProblem, room: Room, generator: np.random.Generator)
     criterion nor a list of postures tells the difference: into one turn each, which ends where the arm is least often
     free. Straight moves are shorter then, and more of them are free."""
     lower, upper, whole = problem.lower, problem.upper, 2.0 * np.pi
-    first, wound = lower.copy(), turns(problem.model) & (upper - lower > 1.01 * whole) & (problem.choices is None)
-    drawn = random_postures(problem, max(problem.fewest_runs, 100), generator)
+    first, wound = (
+        lower.copy(),
+        turns(problem.model) & (upper - lower > 1.01 * whole) & (problem.choices is None or problem.sampled),
+    )
+    drawn = random_postures(problem, max(problem.fewest_runs, 50), generator)
     for j in np.flatnonzero(wound):
         other = drawn.copy()
         other[:, j] += np.where(other[:, j] + whole <= upper[j], whole, -whole)
         inside = (other[:, j] >= lower[j]) & problem.feasible(other)
         one, same = (problem.objective(each[inside]) for each in (drawn, other))
         wound[j] = abs(one - same) < 1e-6
-        ends = np.linspace(lower[j], upper[j] - whole, 25)
+        ends = np.linspace(lower[j], upper[j] - whole, 13)
         at_ends = np.tile(drawn, (len(ends), 1))
         at_ends[:, j] = np.repeat(ends, len(drawn))
         freely = room.allows(at_ends).reshape(len(ends), -1).mean(axis=1)

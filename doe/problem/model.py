@@ -9,12 +9,12 @@ n joints, m postures; mm and rad, or whatever units the parameters say.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from identification import Array, InputError, ParameterSet
 
@@ -63,8 +63,7 @@ class Offers(Protocol):
         tip_jacobian : (k, n) -> (k, P, c, p) derivative of the positions of P points [mm], their x, y and z first; else
             what is measured
     Models that may be wrong
-        covariance : (p, p) of the values, None: not known;  complete : whether nothing is missing in the model
-        machining : usual errors of lengths [mm] and angles [rad], and a usual lever [mm]
+        complete : whether nothing is missing in the model
         missing_effects : names or None, order of the fastest wave -> what the model may lack, for `with_effects`
         with_effects : that -> the model with it, (name -> standard deviation) of its parameters, and a function: the
             mean square of the tip's distance at postures (k, n) that no plan can lower [mm^2]
@@ -74,28 +73,7 @@ class Offers(Protocol):
         theorem_joints : joints (from 0) in the planar theorem, None: it does not hold
     """
 
-    joint_types: tuple[str, ...]
-    constraints: Sequence[Any]
-    space: int
-    reach: float
-    symbolic_points: Callable[[ca.SX], list[ca.SX]]
-    cell: Any
-    joint_axes: Array
-    joint_frames: Callable[[Array], Array]
-    with_tip_moved: Callable[[Array], Any]
-    placed: Callable[[], Any]
-    tied: bool
-    tied_postures: Callable[..., Array]
-    plan_columns: Callable[[Array], Mapping[str, Sequence[str]]]
-    tip_jacobian: Callable[[ArrayLike], Array]
-    covariance: Array | None
-    complete: bool
-    machining: tuple[float, float, float]
-    missing_effects: Callable[[Sequence[str] | None, float], Any]
-    with_effects: Callable[[Any], tuple[Any, Mapping[str, float], Callable[[Array], float]]]
-    rival_effects: Callable[[], tuple[Any, ...]]
-    planar: bool
-    theorem_joints: tuple[int, ...] | None
+    def __getattr__(self, name: str) -> Any: ...
 
 
 PRISMATIC = "prismatic"  # the joint type whose position is a length

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -25,10 +24,6 @@ from doe.problem.constraints import constraints_of
 from identification import Arm, Array, InputError, Model, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
-PEAK = 15.0 / 8.0
-SHORTEST = 0.5  # [s] of a move: a controller needs some time, and points of a trajectory different ones
-LONGEST_SETTLE = 300.0  # [s] a FANUC waits 327 s at most
-FITS = 1e-4  # [deg, mm] by which a row may miss limits and constraints: what rounding of a file does
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
 
 
@@ -50,8 +45,8 @@ LANGUAGES = {
     "fanuc": Language("fanuc.ls.j2", "deg", "mm", 6, 9),
     "ros": Language("ros.yaml.j2", "rad", "m", 99, 99),
 }
-UNITS = {"rad": np.radians(1.0), "deg": 1.0, "m": 1e-3, "mm": 1.0}  # of [deg] and [mm]
-DIGITS = {"rad": 9, "deg": 6, "m": 9, "mm": 6}  # 1e-7 deg and 1e-6 mm: nothing is lost, and no exponent is needed
+# of [deg] and [mm], and digits: to 1e-7 deg and 1e-6 mm nothing is lost, and no exponent is needed
+UNITS = {"rad": (np.radians(1.0), 9), "deg": (1.0, 6), "m": (1e-3, 9), "mm": (1.0, 6)}
 
 
 class Move(NamedTuple):
@@ -109,20 +104,27 @@ def program(
     least = 6 if robot == "ur" else 1
     if not least <= n <= language.most:
         raise InputError(f"--robot {robot}: {n} joints, allowed: {least} to {language.most}")
-    if not 0.0 <= settle <= LONGEST_SETTLE:
-        raise InputError(f"--settle: {settle:g} s, allowed: 0 to {LONGEST_SETTLE:g}")
-    shown = replace(plan, joint_types=arm.joint_types).units
-    slides = np.array([unit == "mm" for unit in shown])
+    if not 0.0 <= settle <= 300.0:  # a FANUC waits 327 s at most
+        raise InputError(f"--settle: {settle:g} s, allowed: 0 to 300")
+    plan = replace(plan, joint_types=arm.joint_types)
+    slides = np.array([unit == "mm" for unit in plan.units])
     if robot == "ur" and slides.any():
         raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
     via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
+    ends = np.array(arm.column_limits)  # NaN where there are none
+    ends = np.where(slides, ends, np.degrees(ends))
+    columns, runs = plan.displayed, np.where(via, 0, np.cumsum(~via)).tolist()
+    for row, j in np.argwhere((columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4))[
+        :1
+    ]:  # [deg, mm] rounding of files
+        found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
+        raise InputError(f"{found}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
     check_rows(arm, plan.postures, via)
-    columns, runs = in_units(arm, plan.postures), np.where(via, 0, np.cumsum(~via)).tolist()
     units = [language.length if slide else language.angle for slide in slides]
     order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
     inner, outer = order[: language.arm], order[language.arm :]
-    positions = [[decimal(x * UNITS[u], DIGITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
-    arrivals, departures = schedule(columns, slides, ~via, speed, settle, limits_in_units(arm))
+    positions = [[decimal(x, *UNITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
+    arrivals, departures = schedule(columns, slides, ~via, speed, settle, ends)
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
     planned = f"{max(runs)} runs, {speed} % speed, {settle:g} s to settle"
@@ -132,12 +134,15 @@ def program(
         "title": SPECIAL.sub("?", f"armcal program: {arm.name}, {planned}, {rest}"),
         "robot": robot,
         "speed": speed,
-        "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0 * UNITS[language.angle], 6),
-        "settle": decimal(settle, 3),
+        "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0, UNITS[language.angle][0], 6),
+        "settle": decimal(settle, 1.0, 3),
         "names": [SPECIAL.sub("_", joint.name) or f"joint_{j}" for j, joint in enumerate(arm.chain.joints, 1)],
         "units": [units[j] for j in inner],
         "external_units": [units[j] for j in outer],
-        "postures": list(listed(columns, runs)),
+        "postures": [  # what the pendant shows, for a dry run
+            f"{k:3d} {f'run {run}' if run else 'via':8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
+            for k, run, row in zip(count(1), runs, columns, strict=False)
+        ],
         "moves": [
             Move(run, [row[j] for j in inner], [row[j] for j in outer], a, d, f"run {run}" if run else "via")
             for run, row, a, d in zip(runs, positions, arrivals, departures, strict=True)
@@ -148,16 +153,12 @@ def program(
         for run, row, a in zip(runs, columns.tolist(), arrivals, strict=True)
     ]
     text = rendered_template(language.template, template, known)
-    return Program(text, identifier, moves, shown, departures[-1] / 1000.0)
+    return Program(text, identifier, moves, plan.units, departures[-1] / 1000.0)
 
 
 def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
-    """Raises `InputError` for the first row beyond a joint limit or a constraint; a way-point need not be seen, and
-    where bodies are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
-    columns, (low, high) = in_units(arm, postures), limits_in_units(arm)
-    for row, j in np.argwhere((columns < low - FITS) | (columns > high + FITS))[:1]:
-        found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
-        raise InputError(f"{found}, allowed: {low[j]:.7g} to {high[j]:.7g}")
+    """Raises `InputError` for the first row that breaks a constraint; a way-point need not be seen, and where bodies
+    are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
     constraints = constraints_of(Model(arm))
     room = room_of(constraints)
     for constraint in constraints:
@@ -171,20 +172,9 @@ def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
         warnings.warn(sentence.strip(), UserWarning, stacklevel=4)
 
 
-def in_units(arm: Arm, postures: Array) -> Array:
-    """(m, n) what the controller shows [deg, mm] at postures (m, n) [rad, mm]."""
-    return Plan(postures, joint_types=arm.joint_types).displayed
-
-
-def limits_in_units(arm: Arm) -> Array:
-    """(2, n) limits of what the controller shows [deg, mm]; NaN where there are none (`Arm.column_limits`)."""
-    ends = np.array(arm.column_limits)
-    return np.where([unit == "mm" for unit in Plan(ends, joint_types=arm.joint_types).units], ends, np.degrees(ends))
-
-
-def decimal(value: float, digits: int) -> str:
-    """A number without an exponent and without -0; at least one digit behind the point."""
-    text = f"{round(float(value), digits) + 0.0:.{digits}f}".rstrip("0")
+def decimal(value: float, unit: float, digits: int) -> str:
+    """A number in a unit, without an exponent and without -0; at least one digit behind the point."""
+    text = f"{round(float(value) * unit, digits) + 0.0:.{digits}f}".rstrip("0")
     return f"{text}0" if text.endswith(".") else text
 
 
@@ -198,16 +188,10 @@ def schedule(
     first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
     ways = np.abs(np.vstack([first, np.diff(columns, axis=0)]))
     fastest = np.where(slides, FULL_SPEED[1], FULL_SPEED[0]) * speed / 100.0
-    moving = np.maximum(PEAK * (ways / fastest).max(axis=1), SHORTEST)
+    moving = np.maximum(15.0 / 8.0 * (ways / fastest).max(axis=1), 0.5)  # no controller knows a move without duration
     departures = np.cumsum(moving + settle * measured)
     arrivals = departures - settle * measured
     return np.ceil(arrivals * 1000.0).astype(int).tolist(), np.ceil(departures * 1000.0).astype(int).tolist()
-
-
-def listed(columns: Array, runs: list[int]) -> Iterable[str]:
-    """A line for each row: what the pendant shows there, for a dry run."""
-    for number, run, row in zip(count(1), runs, columns, strict=False):
-        yield f"{number:3d} {f'run {run}' if run else 'via':8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
 
 
 def rendered_template(own: str, template: Path | None, known: dict[str, Any]) -> str:
@@ -218,6 +202,7 @@ def rendered_template(own: str, template: Path | None, known: dict[str, Any]) ->
     from jinja2 import PackageLoader, StrictUndefined, TemplateError
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
+    failures = TemplateError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)
     if template is None:
@@ -229,15 +214,7 @@ def rendered_template(own: str, template: Path | None, known: dict[str, Any]) ->
         raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
     except UnicodeDecodeError:
         raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
-    except (
-        TemplateError,
-        ArithmeticError,
-        AttributeError,
-        LookupError,
-        TypeError,
-        ValueError,
-        RecursionError,
-    ) as error:
+    except failures as error:
         line = getattr(error, "lineno", None)
         where = f"{template}: " if line is None else f"{template}: line {line}: "
         allowed = f"allowed: a jinja template of the variables {', '.join(known)}"

@@ -140,16 +140,14 @@ def accuracy(design: Design) -> list[Sheet | str]:
         return ["No expected standard deviations: the arm file has no sigma_mm."]
     if mean is None:
         return ["No expected standard deviations: not every parameter is estimable from the plan."]
-    worst, missing = design.worst_deviations, problem.missing
-    over = "" if worst is None else ", mean over the draws of the arm and worst of them"
-    columns: dict[str, Array] = {}
-    for which, deviations in (("", mean), ("worst ", worst)):
-        if deviations is not None and deviations.by_link:
-            columns[f"{which}length [mm]"] = deviations.length
-            columns[f"{which}orientation [deg]"] = np.degrees(deviations.orientation)
-            columns[f"{which}joint offset [deg]"] = np.degrees(deviations.joint_offset)
-        elif deviations is not None:
-            columns[f"{which}std"] = deviations.values * [p.to_file for p in deviations.parameters]
+    missing = problem.missing
+    columns = {"std": mean.values * [p.to_file for p in mean.parameters]}
+    if mean.by_link:
+        angles = {
+            "orientation [deg]": np.degrees(mean.orientation),
+            "joint offset [deg]": np.degrees(mean.joint_offset),
+        }
+        columns = {"length [mm]": mean.length} | angles
     weak = [
         p.name
         for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
@@ -161,7 +159,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
     values = zip(names, *columns.values(), strict=True)
     rows = [[name, *(number(v, 5) for v in figures)] for name, *figures in values if name]
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
-    title = f"Expected standard deviations {condition} (sigma = {sigma:g} mm{over})"
+    title = f"Expected standard deviations {condition} (sigma = {sigma:g} mm)"
     table = Sheet(["link" if mean.by_link else "parameter", *columns], rows, title)
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]
@@ -306,30 +304,21 @@ MISSING = (
 
 
 def advice_document(advice: Advice) -> Document:
-    """The answer in one sentence, a row for the smallest number of runs for the target and about twelve of the others,
-    each the same factor above the one before, and what the figures do not promise."""
+    """The answer in one sentence, a row for each number of runs, and what the figures do not promise."""
     missing = any(np.isfinite(error.missing) for error in advice.tip_errors)  # as in a model that was not diagnosed
-    runs = sorted(set(advice.runs))
-    if len(runs) > 12:
-        runs = [min(runs, key=lambda m: abs(np.log(m / wanted))) for wanted in np.geomspace(runs[0], runs[-1], 12)]
-    shown = {*runs, *([len(advice.smallest.plan)] if advice.smallest else [])}
-    columns: dict[str, list[str]] = {"runs": [], "efficiency": []}
+    tips = dict([*TIP_ERRORS.items()][: 4 if missing else 2]) if advice.tip_errors else {}
+    of_lengths = not advice.of_tip and any(design.deviations for design in advice.designs)
+    headings = ["runs", "efficiency", *(["length\nstd\n[mm]", "angle\nstd\n[deg]"] if of_lengths else [])]
+    rows = []
     for k, design in enumerate(advice.designs):
-        if advice.runs[k] not in shown:
-            continue
         star, sure = " *" if (design.efficiency or 0.0) >= 0.999 else "  ", design.deviations  # of the bound
-        row = {"runs": str(advice.runs[k]), "efficiency": f"{number(design.efficiency, 5)}{star}"}
-        if not advice.of_tip and any(one.deviations for one in advice.designs):
-            row["length\nstd\n[mm]"] = number(None if sure is None else sure.largest("mm"), 5)
-            row["angle\nstd\n[deg]"] = number(None if sure is None else np.degrees(sure.largest("rad")), 5)
-        for key, heading in [*TIP_ERRORS.items()][: 4 if missing else 2] if advice.tip_errors else ():
-            row[heading] = number(getattr(advice.tip_errors[k], key), 4)
-        for heading, cell in row.items():
-            columns.setdefault(heading, []).append(cell)
-    parts: list[Any] = [Sheet(list(columns), list(zip(*columns.values(), strict=True)))]
+        row = [str(advice.runs[k]), f"{number(design.efficiency, 5)}{star}"]
+        if of_lengths:
+            largest = (None, None) if sure is None else (sure.largest("mm"), np.degrees(sure.largest("rad")))
+            row += [number(value, 5) for value in largest]
+        rows.append([*row, *(number(getattr(advice.tip_errors[k], key), 4) for key in tips)])
+    parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40, where="--json has all")]
     parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
-    some, every = len(columns["runs"]), len(advice.designs)
-    parts += [f"{some} of {every} numbers of runs; --json has all of them."] if some < every else []
     parts += [RIGHT, MISSING if missing else DIAGNOSED] if advice.tip_errors else []
     return Document("How many runs", [advice_sentence(advice)], parts)
 

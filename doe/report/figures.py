@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from doe.advise import Advice
 from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
-from doe.report.scene import looks, side, simplified, trackers
+from doe.report.scene import side, simplified, trackers
 from identification import Arm, Array, Model, design_model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
@@ -129,8 +129,8 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) 
     elevation, azimuth = np.radians(view)
     viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     seen, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
-    for body in (one for one in arm.cell.bodies if len(looks(one))):
-        vertices, faces = simplified(looks(body), DRAWN // len(arm.cell.bodies))
+    for body in (one for one in arm.cell.bodies if len(one.looks())):
+        vertices, faces = simplified(body.looks(), DRAWN // len(arm.cell.bodies))
         corners = (vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals *= np.sign(np.linalg.det(corners - corners.mean(axis=(0, 1))).sum()) or 1.0  # outward

@@ -109,7 +109,7 @@ class Cell {
 
   build(plan) {
     const { data } = this, points = this.runs.flat(), trackers = data.trackers.map(vector);
-    // what is seen at first: the arm in every posture, and trackers that are not far from it
+    // what is seen at first: the arm in every posture, and trackers and what stands around that are not far from it
     const reach = Math.max(...points.map(point => point.length()), 1);
     this.seen = [...points, ...trackers.filter(one => one.length() < 3 * reach)];
     this.size = reach;
@@ -121,6 +121,10 @@ class Cell {
     for (const body of data.bodies) {
       const mesh = this.add(new THREE.Mesh(solid(body), this.skin(body)), this.joints[body.joint]);
       this.meshes.push({ body, mesh });
+      mesh.geometry.computeBoundingBox();
+      const ends = mesh.geometry.boundingBox, [xs, ys, zs] = ["x", "y", "z"].map(axis => [ends.min[axis], ends.max[axis]]);
+      const corners = body.joint ? [] : xs.flatMap(x => ys.flatMap(y => zs.map(z => vector([x, y, z]))));
+      this.seen.push(...corners.filter(one => one.length() < 3 * reach));
     }
     this.rod = new THREE.CylinderGeometry(1, 1, 1, 20);
     this.ball = new THREE.SphereGeometry(1, 24, 16);

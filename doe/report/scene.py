@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,26 +14,17 @@ from identification import Array, Model, design_model, rms_distance
 if TYPE_CHECKING:
     from identification import Arm
 
-SIDE = (22.0, -60.0)  # [deg] elevation and azimuth of the view of an arm without a tracker
-TRIANGLES = 30_000  # of all bodies of a page: some 400 kB
-FINE = 2**16 - 1  # largest whole number of a vertex
-ROUND = 6  # corners of a quarter of a circle
-FACES = [
-    [0, 1, 3, 2],
-    [4, 6, 7, 5],
-    [0, 4, 5, 1],
-    [2, 3, 7, 6],
-    [0, 2, 6, 4],
-    [1, 5, 7, 3],
-]  # of a box, corners by signs
-ARROWS = 500  # more only cover each other
+WHOLE = np.iinfo(np.uint16).max  # largest whole number of a vertex
 
 
-def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str, Any]) -> dict[str, Any]:
+def scene(
+    model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str, Any], triangles: int = 30_000
+) -> dict[str, Any]:
     """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
 
     model : of the arm, as `design_model` gives it;  via : of each posture the (v, n) way-points on the way to it
     tests : name of measurements -> their `Validation`
+    triangles : of all bodies at most: some 400 kB
 
     The chain is a list of n + 1 steps from frame to frame, each a fixed pose and then a motion about or along an
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
@@ -43,7 +33,7 @@ def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str,
     before = np.concatenate([np.eye(4)[None], frames[:-1]])
     moves = [{"axis": joint.axis.tolist(), "type": joint.type} for joint in model.arm.chain.joints]
     bodies = () if model.cell is None else model.cell.bodies
-    most = TRIANGLES // max(len(bodies), 1)
+    most = triangles // max(len(bodies), 1)
     return {
         "chain": [
             {"pose": step[:3].ravel().tolist()} | move
@@ -52,7 +42,9 @@ def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str,
         "postures": np.asarray(postures).round(9).tolist(),
         "via": [each.tolist() for each in via],
         "bodies": [
-            {"name": body.name, "joint": body.joint} | shape(looks(body), most) for body in bodies if len(looks(body))
+            {"name": body.name, "joint": body.joint} | shape(looks, most)
+            for body in bodies
+            if len(looks := body.looks())
         ],
         "floor": None if model.cell is None else model.cell.floor,
         "trackers": [list(tracker) for tracker in trackers(model.arm)],
@@ -69,44 +61,17 @@ def trackers(arm: Arm) -> list[tuple[float, ...]]:
 def side(arm: Arm) -> tuple[float, float]:
     """[deg] elevation and azimuth from which an arm in space is seen: its tracker stands behind it, to the right."""
     for tracker in trackers(arm):
-        return SIDE[0], float(np.degrees(np.arctan2(tracker[1], tracker[0]))) - 130.0
-    return SIDE
+        return 22.0, float(np.degrees(np.arctan2(tracker[1], tracker[0]))) - 130.0
+    return 22.0, -60.0
 
 
 def shape(triangles: Array, most: int) -> dict[str, Any]:
     """Triangles (t, 3, 3) as scene.js reads them, at most `most`: vertices are low + step * whole numbers."""
     vertices, faces = simplified(triangles, most)
-    low, step = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-6) / FINE
+    low, step = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-6) / WHOLE
     whole = np.round((vertices - low) / step).astype("<u2")
     texts = {name: b64encode(array.tobytes()).decode() for name, array in (("vertices", whole), ("faces", faces))}
     return {"low": low.tolist(), "step": step} | texts
-
-
-def looks(body: Any) -> Array:
-    """(t, 3, 3) triangles [mm] of what a `Body` looks like: its own, or else those of its pieces."""
-    if len(body.triangles):
-        return np.asarray(body.triangles)
-    pieces = [capsule(start=each[:3], end=each[3:6], radius=each[6]) for each in body.capsules]
-    for box in body.boxes:
-        corners = np.array([*product((-1.0, 1.0), repeat=3)]) * box[12:] @ box[3:12].reshape(3, 3).T + box[:3]
-        pieces.append(corners[[np.take(face, half) for face in FACES for half in ([0, 1, 2], [0, 2, 3])]])
-    return np.concatenate([np.empty((0, 3, 3)), *pieces])
-
-
-def capsule(start: Array, end: Array, radius: float) -> Array:
-    """(t, 3, 3) triangles of all points within a radius of a segment, all [mm]."""
-    long = bool(np.linalg.norm(end - start) > 1e-9)
-    along = (end - start) / np.linalg.norm(end - start) if long else np.array([0.0, 0.0, 1.0])
-    across = np.linalg.svd(along[None])[2][1]  # perpendicular to it, as is the other
-    over = np.cross(along, across)
-    polar, around = np.linspace(0.0, np.pi, 2 * ROUND + 1), np.linspace(0.0, 2.0 * np.pi, 4 * ROUND + 1)
-    polar = np.insert(polar, ROUND, np.pi / 2.0)  # a ring at either end
-    ends = np.repeat([end, start], ROUND + 1, axis=0)
-    ring = np.cos(around)[:, None] * across + np.sin(around)[:, None] * over
-    centers = ends + radius * np.cos(polar)[:, None] * along
-    grid = centers[:, None] + radius * np.sin(polar)[:, None, None] * ring
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    return np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
 
 
 def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
@@ -127,19 +92,19 @@ def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
         faces = number[faces]
         faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # not those that are a line now
         faces = faces[np.unique(faces @ [len(vertices) ** 2, len(vertices), 1], return_index=True)[1]]  # each once
-        if len(faces) <= most and len(vertices) <= FINE:
+        if len(faces) <= most and len(vertices) <= WHOLE:
             return vertices, faces.astype("<u2")
         cells *= 0.9
 
 
-def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
+def error_arrows(name: str, test: Any, most: int = 500) -> list[dict[str, Any]]:
     """What drawing and calibrated arm leave of measurements, as arrows in the frame of the arm's base; none where no
     points are measured.
 
     Measured positions are in the frame of the instrument. The rotation from there to the base is the one that brings
     the measured points nearest to those of the arm, for each session (W. Kabsch, Acta Crystallographica A32, 1976).
 
-    name : of the measurements;  test : their `Validation`
+    name : of the measurements;  test : their `Validation`;  most : arrows: more only cover each other
     """
     arm, measured, residuals = test.arm, test.measurements, (test.nominal_residuals, test.residuals)
     if residuals[0].shape[1] < len("xyz") or not arm.chain.instrument.reads_positions:
@@ -156,7 +121,7 @@ def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
         left, _, right = np.linalg.svd(there.T @ here)
         turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0]) @ right
         arrows[:, rows] = [each[rows, :3] @ turn for each in residuals]
-    shown = np.linspace(0, len(at) - 1, min(len(at), ARROWS)).astype(int)
+    shown = np.linspace(0, len(at) - 1, min(len(at), most)).astype(int)
     kinds = zip(("before", "after"), ("drawing", "calibrated arm"), residuals, arrows, strict=True)
     models = [
         {"kind": kind, "name": model, "rms": rms_distance(left), "arrows": arrow[shown].round(5).tolist()}

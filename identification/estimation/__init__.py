@@ -8,7 +8,6 @@ from identification.estimation.estimate import (
     estimate,
     estimate_batch,
     estimate_each,
-    estimate_with_prior,
     without_outliers,
 )
 from identification.estimation.problem import METHODS
@@ -20,6 +19,5 @@ __all__ = [
     "estimate",
     "estimate_batch",
     "estimate_each",
-    "estimate_with_prior",
     "without_outliers",
 ]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from identification.arm import Arm, Machining
+from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Contradiction
 from identification.estimation.uncertainty import LEVEL, decomposed_groups
@@ -59,10 +59,8 @@ OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
 SPARE = 4  # degrees of freedom
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
-POSES = 1000  # random postures that stand for the joint limits
 FEW = "too few measurements"  # the beginning of that sentence
 TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
-HARDLY = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
 
 
 def doubts(
@@ -125,21 +123,6 @@ def far_zeros(model: Model, parameters: Array) -> list[str]:
     return [f"zeros differ from the drawing's: {far}"] if far else []
 
 
-def far_from_drawing(machining: Machining, width: float, zeros: float) -> list[str]:
-    """What is doubtful about an arm whose errors are so many times those of its machining, and its zeros besides."""
-    rotation, sentences = f"{np.degrees(machining.rotation):g} deg", []
-    if width != 1.0:
-        sizes = f"[machining] says ({machining.translation:g} mm and {rotation})"
-        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
-        taken = f"taken {width:g} times as large{ask if width >= UNUSUAL else ''}"
-        sentences.append(f"the arm is farther from its drawing than {sizes}: {taken}")
-    if zeros != 1.0:
-        taken = f"taken as {width * zeros:g} times as large, as where a motor was changed or a drawing counts from"
-        far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
-        sentences.append(f"{far}: {taken} elsewhere")
-    return sentences
-
-
 def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
     """Which rows nothing explains; residual : (m, d) [mm];  outlier, together : (m,) by themselves, and those that come
     together (`uncertainty.together`)."""
@@ -167,22 +150,25 @@ def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
-    """Links whose length changes sign or by the order of the length; in space the correction of a frame that is the
-    largest, where no machining is that wrong, but a joint with the wrong sign is."""
-    limits, sentences = {ROTATION_ERROR: np.radians(30.0), TRANSLATION_ERROR: 0.1 * model.reach}, list[str]()
-    excess = [abs(x) / limits.get(p.kind, np.inf) for p, x in zip(model.parameters, parameters, strict=True)]
-    if excess[worst := int(np.argmax(excess))] > 1.0:
-        p = model.parameters[worst]
-        correction = f"{p.name} comes out as {parameters[worst] * p.to_file:.4g} {p.file_unit}"
-        other = "other units, joints in another order or with another sign? armcal check tells"
-        sentences.append(f"implausible: {correction}; {other}")
-    for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
-        if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
-            length = float(model.arm.lengths[p.joint - 1])
-            if abs(value) > 0.5 * length:
-                comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
-                sentences.append(f"implausible: {comparison}; another arm, frame or unit?")
-    return sentences
+    """The correction that is the largest beside what machining can do: a link whose length changes sign or by the order
+    of the length; in space a frame, where a joint with the wrong sign is likelier."""
+    sizes = {ROTATION_ERROR: np.radians(30.0), TRANSLATION_ERROR: 0.1 * model.reach}
+    excess = np.zeros(len(parameters))
+    for k, (p, value) in enumerate(zip(model.parameters, parameters, strict=True)):
+        size = sizes.get(p.kind, np.inf)
+        if p.kind == LENGTH_ERROR and p.joint is not None and identifiable[k]:
+            size = 0.5 * float(model.arm.lengths[p.joint - 1])
+        excess[k] = abs(value) / size
+    worst = int(np.argmax(excess))
+    p, value = model.parameters[worst], float(parameters[worst])
+    if excess[worst] <= 1.0:
+        return []
+    if p.kind == LENGTH_ERROR:
+        length = float(model.arm.lengths[(p.joint or 0) - 1])
+        comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
+        return [f"implausible: {comparison}; another arm, frame or unit?"]
+    correction = f"{p.name} comes out as {value * p.to_file:.4g} {p.file_unit}"
+    return [f"implausible: {correction}; other units, joints in another order or with another sign? armcal check tells"]
 
 
 def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
@@ -272,11 +258,10 @@ def contradiction_warnings(contradictions: Sequence[Contradiction], without_prio
         f"{one.name} is {one.prior:.4g} +- {one.prior_std:.2g} {one.unit} in the earlier calibration, {one.value:.4g} "
         f"+- {one.std:.2g} by these measurements"
         + (f" (or instead {', '.join(one.instead)}: they do not tell)" if one.instead else "")
-        for one in contradictions[:3]
+        for one in contradictions
     )
-    rest = f"; and {len(contradictions) - 3} more" if len(contradictions) > 3 else ""
     words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
-    sentence = f"the measurements contradict the prior: {shown}{rest} (others as there)"
+    sentence = f"the measurements contradict the prior: {shown} (others as there)"
     do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
     lacks = "the model lacks what differs between both measurements: armcal diagnose"
     return [
@@ -300,8 +285,8 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
 
 
 def working_postures(low: Array, high: Array) -> Array:
-    """(k, n) random postures between two limits (n,)."""
-    return np.random.default_rng(0).uniform(low, high, (POSES, len(low)))
+    """(1000, n) random postures between two limits (n,)."""
+    return np.random.default_rng(0).uniform(low, high, (1000, len(low)))
 
 
 def tip_of(fit: Identification, *, measured: bool) -> float | None:
@@ -327,7 +312,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     if not measured:
         return over(working_postures(arm.lower, arm.upper))
     numbers = len(postures) * fit.residuals_after.shape[1]
-    among = over(postures[:: max(len(postures) // POSES, 1)], max(numbers - fit.determined, 1.0) / numbers)
+    among = over(postures[:: max(len(postures) // 1000, 1)], max(numbers - fit.determined, 1.0) / numbers)
     return min(among, over(working_postures(postures.min(axis=0), postures.max(axis=0))))
 
 
@@ -335,12 +320,6 @@ def own_error(fit: Identification) -> float:
     """Root mean square distance [mm] by which a posture's own error moves the tip, as the prior of a fit says."""
     arm = getattr(fit.model, "arm", None)
     return 0.0 if fit.prior is None or arm is None else fit.prior.own_error * float(np.sqrt(arm.dimension))
-
-
-def size_left_open(arm: Arm) -> str:
-    """What more postures do not help against: readings that an arm twice as large would give as well."""
-    readings, remedy = arm.chain.instrument.size_is_open
-    return f"; but however many, {readings} fit an arm of any size: {remedy}" if readings else ""
 
 
 def hardly_determined(fit: Identification) -> list[str]:
@@ -362,13 +341,16 @@ def hardly_determined(fit: Identification) -> list[str]:
     everywhere = working_postures(arm.lower, arm.upper)
     if cause := base_and_tool(fit, lambda c: expected_tip(fit.model, fit.parameters, c, everywhere)):
         return cause
+    # what more postures do not help against: readings that an arm twice as large would give as well
+    readings, remedy_of_size = arm.chain.instrument.size_is_open
+    open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
     if few:
         doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
-        return [f"{FEW}: {doubt}{was}. Measure more postures{size_left_open(arm)}"]
+        return [f"{FEW}: {doubt}{was}. Measure more postures{open_size}"]
     doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-    remedy = f"Keep near these postures, or measure others{size_left_open(arm)}"
+    remedy = f"Keep near these postures, or measure others{open_size}"
     return [f"away from the postures measured {doubt}. {remedy}"]
 
 
@@ -388,7 +370,8 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
 
     tip : expected error of the tip [mm] with a covariance (p, p); None: something is not identifiable at all
     """
-    if (turns := fit.flange_turns) is None or turns[0] > HARDLY:
+    hardly = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
+    if (turns := fit.flange_turns) is None or turns[0] > hardly:
         return []
     arm = fit.model.arm
     tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
@@ -399,11 +382,13 @@ def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> 
         with_tools = fit.covariance - across @ product_inverse(fit.covariance[np.ix_(tools, tools)]) @ across.T
         if 2.0 * tip(with_tools) > tip(fit.covariance):  # with the tool given not half as uncertain: another reason
             return []
-    able = flange_turns(arm.chain, Measurements(working_postures(arm.lower, arm.upper), np.zeros((POSES, 3))))
-    if able[0] <= HARDLY:  # all its axes are parallel
+    anywhere = working_postures(arm.lower, arm.upper)
+    if (
+        flange_turns(arm.chain, Measurements(anywhere, np.zeros((len(anywhere), 3))))[0] <= hardly
+    ):  # all its axes are parallel
         return []
     how = "by 45 deg and more, or give [tool]"
-    if turns[1] <= HARDLY:  # mean squares of small turns a about x, y, z: y^2 + z^2, x^2 + z^2, x^2 + y^2
+    if turns[1] <= hardly:  # mean squares of small turns a about x, y, z: y^2 + z^2, x^2 + z^2, x^2 + y^2
         angle = np.degrees(np.sqrt(np.sum(turns**2) / 2.0))
         kept = f"the flange kept one orientation, turned by {round(float(angle), 4):.2g} deg (RMS)"
         return [f"{TOGETHER}: {kept}. Measure postures that turn it about two axes {how}"]

@@ -7,7 +7,7 @@ less than a sigma that is given. Many data sets on one plan are fitted by the ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Literal
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError, nearest
-from identification.estimation.doubts import doubts, far_from_drawing, far_rows, flange_turns
+from identification.estimation.doubts import UNUSUAL, doubts, far_rows, flange_turns
 from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
     METHODS,
@@ -41,14 +41,13 @@ from identification.model.placed import placed_model
 from identification.running import Status, single_thread
 from identification.sessions import placing
 
-LARGEST_SHARE = 0.1  # a combination whose standard deviation exceeds this share of the arm's reach is not estimable
-
 
 def estimate(
     model: Model,
     measurements: Measurements,
     method: str | None = None,
     sigma: ArrayLike | Literal["given", "estimated"] | None = None,
+    prior: Prior | None = None,
 ) -> Identification:
     """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
 
@@ -59,16 +58,23 @@ def estimate(
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
         same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
         out: as "given" as long as chi2 does not contradict it, else the scatter of the residuals
+    prior : of parameters, which the data then move as far as they can, with intervals of the posterior
 
     Where a spatial arm stands and where its measured points are is found from nothing, unless the arm says so; its
-    geometry is held by the prior of its machining, as by `estimate_with_prior`. What a plan does not determine is named
-    in `not_identifiable`. Raises `InputError` for data that do not fit the model, `JobError` if the method fails.
+    geometry is held by the prior of its machining. What a plan does not determine is named in `not_identifiable`.
+
+    With a prior the noise is that given, or of the largest marginal likelihood ("estimated"; left out: no less than
+    what is given). The sizes of the machining are those of the model or, where the data say that the arm is farther
+    from its drawing, a common multiple of them, and one of the joint zeros', likeliest together with the noise;
+    `doubts` say so.
+
+    Raises `InputError` for data that do not fit the model, `JobError` if the method fails.
     """
-    check_measurements(model, measurements)
-    if prior := model.prior:
+    check_measurements(model, measurements, prior)
+    if prior is not None or model.prior:
         if method not in (None, "gauss_newton"):
-            raise InputError(f"method: {method} for a spatial arm held by a prior, allowed: gauss_newton")
-        return estimate_with_prior(model, measurements, Prior(prior), sigma)
+            raise InputError(f"method: {method} for a fit held by a prior, allowed: gauss_newton")
+        return _with_prior(model, measurements, prior or Prior({}), sigma)
     placed = placed_model(model, measurements)
     problem = Problem.of(placed, measurements, sigma)
     chosen = method or ("linear" if problem.exact_form else "gauss_newton")
@@ -83,10 +89,11 @@ def estimate(
         decomposed = spectrum(jacobians[0], placed.scales, problem.tolerance)
         if useful > RANK_TOLERANCE:
             break
-        # once more without the combinations whose standard deviation turns out too large to mean anything
+        # once more without the combinations whose standard deviation turns out too large to mean anything: above a
+        # tenth of the arm's reach
         dof = residuals.size - decomposed.rank
         deviation = problem.sigma or (float(np.sqrt(np.sum(residuals**2) / dof)) if dof > 0 else 0.0)
-        useful = min(max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * LARGEST_SHARE * placed.reach)), 0.1)
+        useful = min(max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * 0.1 * placed.reach)), 0.1)
         if decomposed.truncated(useful).rank == decomposed.rank:
             break
         problem = replace(problem, tolerance=useful)
@@ -105,33 +112,68 @@ def estimate(
 
 
 @single_thread()
-def estimate_with_prior(
-    model: Model,
-    measurements: Measurements,
-    prior: Prior,
-    sigma: ArrayLike | Literal["given", "estimated"] | None = None,
+def _with_prior(
+    model: Model, measurements: Measurements, prior: Prior, sigma: ArrayLike | Literal["given", "estimated"] | None
 ) -> Identification:
-    """Estimates of all parameters, those with a prior as far as the data move them, with intervals of the posterior.
-
-    model, measurements : as of `estimate`
-    sigma : numbers or "given": the noise is what is given; "estimated": of the largest marginal likelihood; left out:
-        the latter, but no less than what is given
-
-    The sizes of the machining are those of the model or, where the data say that the arm is farther from its drawing,
-    a common multiple of them, and one of the joint zeros', likeliest together with the noise; `doubts` say so.
-
-    Raises `InputError` for data that do not fit the model, and fewer equations than parameters without a prior.
-    """
+    """Noise and sizes of the prior as they are likeliest at the solution, and the solution with these, in turns until
+    the noise stays."""
     model, zeros = placed_with_zeros(model, measurements)
     prior = replace(prior, deviations={**model.prior, **prior.deviations})
     check_measurements(model, measurements, prior)
-    problem, solution, widths, jacobian = _with_likeliest_noise(Problem.of(model, measurements, sigma, prior), zeros)
-    decomposed = spectrum(jacobian, model.scales, problem.tolerance, problem.prior_rows)
-    determined = decomposed.determined(jacobian)
-    fit = _identification(problem, measurements, "gauss_newton", solution, decomposed, determined)
-    far = (*fit.doubts, *far_from_drawing(model.arm.machining, *widths))
-    fit = replace(fit, prior=problem.prior, machining_factor=widths[0] if model.prior else None, doubts=far)
-    return fit if prior.earlier is None else replace(fit, contradictions=contradicted(problem, fit.parameters))
+    problem = Problem.of(model, measurements, sigma, prior)
+    offsets = {p.name for p in model.parameters if p.kind == JOINT_OFFSET}
+    made: dict[bytes, tuple[Array, Array]] = {}
+
+    def about(x: Array) -> tuple[Array, Array]:
+        """Each made once: fits of other noise pass through the same points."""
+        if (key := x.tobytes()) not in made:
+            made[key] = problem.linearized(x)
+        return made[key]
+
+    # zeros that another reading of the rows has are where the search starts
+    x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
+    # two steps before the noise is estimated again, in ten rounds at most: the model is nearly linear, so that the
+    # second round changes little
+    holds = problem.reliance == "given"
+    before, steps, most = np.inf, np.zeros(1, dtype=int), ITERATIONS if holds else 2
+    for turn in range(1 if holds else 11):
+        noise, widths = likeliest(problem, x, *about(x))
+        factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
+        wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
+        posed = replace(problem, noise=noise, prior=replace(prior, deviations=wide))
+        rows, center = posed.prior_rows, posed.prior_center
+
+        def linearize(x: Array, _: Index, rows: Array = rows, center: Array = center) -> tuple[Array, Array]:
+            (residual, jacobian), left = about(x[0]), rows @ (center - x[0])
+            return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
+
+        solution = posed.minimized(x[None], linearize, most)
+        x, steps = solution.parameters[0], steps + solution.iterations
+        if turn and (most == 0 or abs(noise - before) <= 1e-4 * before):  # far below its own uncertainty
+            break
+        # where a search does not end, the noise there and no further steps
+        ends = not turn or solution.status[0] is not Status.iteration_limit
+        before, most = noise, ITERATIONS if ends else 0
+    jacobian = about(x)[1]
+    decomposed = spectrum(jacobian, model.scales, problem.tolerance, rows)
+    solution, determined = replace(solution, iterations=steps), decomposed.determined(jacobian)
+    fit = _identification(posed, measurements, "gauss_newton", solution, decomposed, determined)
+    machining, (width, of_zeros) = model.arm.machining, widths
+    rotation, far = f"{np.degrees(machining.rotation):g} deg", []
+    if width != 1.0:
+        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
+        taken = f"taken {width:g} times as large{ask if width >= UNUSUAL else ''}"
+        sizes = f"[machining] says ({machining.translation:g} mm and {rotation})"
+        far.append(f"the arm is farther from its drawing than {sizes}: {taken}")
+    if of_zeros != 1.0:
+        taken = f"taken as {width * of_zeros:g} times as large, as where a motor was changed or a drawing counts from"
+        zeros_far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
+        far.append(f"{zeros_far}: {taken} elsewhere")
+    contradictions = () if prior.earlier is None else contradicted(posed, x)
+    factor = width if model.prior else None
+    return replace(
+        fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradictions=contradictions
+    )
 
 
 def without_outliers(
@@ -154,50 +196,6 @@ def without_outliers(
         kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)
 
 
-def _with_likeliest_noise(
-    problem: Problem, zeros: Mapping[str, float]
-) -> tuple[Problem, Solution, tuple[float, float], Array]:
-    """The problem with the likeliest noise and prior, its solution, the widths of the machining's sizes (of all, and
-    those of joint zeros besides), and the Jacobian without the prior; in turns until the noise stays.
-
-    zeros : parameters to start from elsewhere than at the best known values
-    """
-    model, prior, holds = problem.model, problem.prior, problem.reliance == "given"
-    assert prior is not None
-    offsets = {p.name for p in model.parameters if p.kind == JOINT_OFFSET}
-    made: dict[bytes, tuple[Array, Array]] = {}
-
-    def about(x: Array) -> tuple[Array, Array]:
-        """Each made once: fits of other noise pass through the same points."""
-        if (key := x.tobytes()) not in made:
-            made[key] = problem.linearized(x)
-        return made[key]
-
-    x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
-    # two steps before the noise is estimated again, in ten rounds at most: the model is nearly linear, so that the
-    # second round changes little
-    before, steps, most = np.inf, np.zeros(1, dtype=int), ITERATIONS if holds else 2
-    for turn in range(1 if holds else 11):
-        noise, widths = likeliest(problem, x, *about(x))
-        factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
-        wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
-        posed = replace(problem, noise=noise, prior=replace(prior, deviations=wide))
-        rows, center = posed.prior_rows, posed.prior_center
-
-        def linearize(x: Array, _: Index, rows: Array = rows, center: Array = center) -> tuple[Array, Array]:
-            (residual, jacobian), left = about(x[0]), rows @ (center - x[0])
-            return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
-
-        solution = posed.minimized(x[None], linearize, most)
-        x, steps = solution.parameters[0], steps + solution.iterations
-        if turn and (most == 0 or abs(noise - before) <= 1e-4 * before):  # far below its own uncertainty
-            break
-        # where a search does not end, the noise there and no further steps
-        ends = not turn or solution.status[0] is not Status.iteration_limit
-        before, most = noise, ITERATIONS if ends else 0
-    return posed, replace(solution, iterations=steps), widths, about(x)[1]
-
-
 def _identification(
     problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, determined: float
 ) -> Identification:
@@ -210,7 +208,7 @@ def _identification(
     made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
-    told = decomposed.identifiability(model.names, model.scales)
+    identifiable, undetermined = decomposed.identifiable, decomposed.combinations(model.names, model.scales)
     # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least
     # squares (one Gauss-Newton step from the closed form)
     was, after = problem.start, problem.residuals(x)[0]
@@ -221,7 +219,7 @@ def _identification(
         was = was.copy()
         was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
     before = problem.residuals(was)[0]
-    sentences, implausible = doubts(model, x, told.identifiable, before, after, data)
+    sentences, implausible = doubts(model, x, identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell; rows nearer than half the limit
     # need no test with their leverage, which is small where rows are many
     used, held = problem.weights > 0.0, problem.prior_rows
@@ -235,13 +233,13 @@ def _identification(
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
     arm, status = getattr(model, "arm", None), solution.status[0]
     stands = arm is None or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
-    status = Status.not_identifiable if told.combinations else status
+    status = Status.not_identifiable if undetermined else status
     return Identification(
         model=model,
         parameters=x,
         covariance=made.covariance,
-        identifiable=told.identifiable,
-        not_identifiable=told.combinations,
+        identifiable=identifiable,
+        not_identifiable=undetermined,
         sigma=problem.sigma if has_sigma else scatter,
         sigma_known=has_sigma,
         chi2=rows.squares if has_sigma else None,
@@ -287,7 +285,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
     prior = Prior(model.prior) if model.prior else None
     problem = replace(Problem.of(model, plan, sigma if prior is None else "given", prior), positions=measured)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
-    if undetermined := decomposed.identifiability(model.names, model.scales).combinations:
+    if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
     solution = _not_fitted(len(measured), model)
     x, rss, status = solution.parameters, solution.rss, solution.status
@@ -371,14 +369,8 @@ def estimate_each(
     postures : (K, m, n) [rad], each plan in the order of measurement;  positions : (K, m, d) [mm]
     conditions : (K, m), None: those of that order
     `parameters` are not numbers and `converged` is False where a plan does not make all parameters estimable.
-    Raises `InputError` for shapes that do not fit.
     """
     plans, measured = np.asarray(postures, dtype=float), np.asarray(positions, dtype=float)
-    n, d = model.joints, model.dimension
-    if plans.ndim != 3 or plans.shape[-1] != n:
-        raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
-    if measured.shape != (*plans.shape[:2], d):
-        raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
     solution, m = _not_fitted(len(plans), model), plans.shape[1]
     for part in _chunks(len(plans), m):
         of_sets = Conditions.in_order(plans[part], model.remembers) if conditions is None else conditions.rows(part)

@@ -41,14 +41,7 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.running import Status
 
-WIDTHS = tuple(2.0**k for k in range(6))  # factors on the machining's sizes; the likelihood is flat over a step
-ZERO_WIDTHS = (1.0, 4.0, 16.0, 64.0)  # of joint zeros besides, which are set by hand: to 32 deg
 RELIANCE = ("given", "estimated")
-SOURCES = {  # what an effect needs -> where it comes from
-    "temperature": "with it",
-    "gravity": "an arm file with a [gravity] table",
-    "distance": "an arm file with an [instrument] of kind distance",
-}
 
 
 # -- the prior ---------------------------------------------------------------------------------------------------------
@@ -136,13 +129,18 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
+        arm = model.arm
         for need, lacks, what in (
-            ("temperature", measurements.temperature is None, "the column temperature_C, the measurements have none"),
-            ("gravity", model.arm.gravity is None, "gravity torques"),
-            ("distance", "distance" not in model.arm.chain.instrument.offers, "measured distances"),
+            ("temperature", measurements.temperature is None, "the column temperature_C, allowed: rows with it"),
+            ("gravity", arm.gravity is None, "gravity torques, allowed: an arm file with a [gravity] table"),
+            (
+                "distance",
+                "distance" not in arm.chain.instrument.offers,
+                "measured distances, allowed: an arm file with an [instrument] of kind distance",
+            ),
         ):
             if lacks and need in effect.needs:
-                raise InputError(f"effects: {effect.key} needs {what}, allowed: {SOURCES[need]}")
+                raise InputError(f"effects: {effect.key} needs {what}")
     p -= len({*model.prior, *(() if prior is None else prior.names)} & set(model.names))
     if d * m < p:
         counted = f"{d} m = {d * m} < p = {p}"
@@ -337,8 +335,8 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     holds, parameters, prior = problem.reliance == "given", problem.model.parameters, problem.prior
     factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
     held = factor.any(axis=1)
-    of_machining = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
-    machined = np.array([name in of_machining for name in parameters.names])
+    sized = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
+    machined = np.array([name in sized for name in parameters.names])
     zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
     target = residual + jacobian @ np.where(held, x - problem.prior_center, 0.0)  # all at the center of the prior
     basis = np.linalg.qr(jacobian[:, ~held])[0]
@@ -360,7 +358,9 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
         # 4, by which other sizes than those stated must be likelier: chi2 of one degree of freedom, 5 %
         return value + 4.0 * sum(width != 1.0 for width in widths), noise
 
-    several = [*product(WIDTHS if machined.any() else WIDTHS[:1], ZERO_WIDTHS if zeros.any() else ZERO_WIDTHS[:1])]
+    # the likelihood is flat over a factor of two; joint zeros are set by hand: to 32 deg
+    of_machining, of_zeros = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (1.0, 4.0, 16.0, 64.0)
+    several = [*product(of_machining if machined.any() else (1.0,), of_zeros if zeros.any() else (1.0,))]
     # of more equations, rows show the same misfits again, and widths are chosen as from so many
     share = min(1.0, 3000 / problem.equations)
     best = several[0] if len(several) == 1 else min(several, key=lambda widths: fitted(widths, share)[0])

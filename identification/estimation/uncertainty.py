@@ -31,10 +31,6 @@ from identification.measurements import Measurements
 # reasons: identification/README.md, "Covariance and intervals"
 LEVEL = 0.01  # of misfit that is said, of lack of fit and of serial correlation
 FREEDOM = "interval_dof"  # key of a calibration's provenance
-# derived: robust standard deviations in a plane, the same chance in space. At 6 at most 3 in 10,000 clean data sets of
-# 8 to 200 rows lose a row; at 4 it would be 3 to 70 in 1,000, at 3 from 4 % to 89 %
-OUTLIER = 6.0
-CHANCE = 1e-3  # convention: of calling outliers that are independent of each other structure, in one data set
 # of rows that count as independent, and parts in cross-validation. Convention: the fewest that Ibragimov and Mueller
 # advise, since groups must be long to be independent
 GROUPS = 8
@@ -332,8 +328,10 @@ def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedo
 
 # -- outliers ----------------------------------------------------------------------------------------------------------
 def limit_of(d: int) -> float:
-    """The squared distance of d coordinates, in units of their variance, beyond which a row is an outlier."""
-    return float(chdtri(d, chdtrc(2, OUTLIER**2)))
+    """The squared distance of d coordinates, in units of their variance, beyond which a row is an outlier: as unlikely
+    as 6 standard deviations in a plane. So at most 3 in 10,000 clean data sets of 8 to 200 rows lose a row; at 4 it
+    would be 3 to 70 in 1,000, at 3 from 4 % to 89 %."""
+    return float(chdtri(d, chdtrc(2, 6.0**2)))
 
 
 def outlying(
@@ -341,7 +339,7 @@ def outlying(
 ) -> NDArray[np.bool_]:
     """(m,) rows whose residual the model does not explain.
 
-    The worst row is taken out and the linear model fitted again, until none is farther off than `OUTLIER`: studentised
+    The worst row is taken out and the linear model fitted again, until none is farther off than `limit_of`: studentised
     squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
     residual : (m, d) whitened, of any fit;  columns : (m d, p) its whitened Jacobian
@@ -389,8 +387,9 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
     If as many outliers fall on rows independently of each other, their number in a group of rows is hypergeometric, and
     the number of groups with x or more of them about Poisson (a little wider than it is, since groups compete for the
     outliers). Groups are the rows of one posture (reflectors, repeats), and the postures in a stretch of a joint's
-    angles, with an outlier or without; x is 2, 3, 5, 9 .. Postures and stretches have half of `CHANCE` each, and their
-    p-values Bonferroni's correction.
+    angles, with an outlier or without; x is 2, 3, 5, 9 .. Of data sets whose outliers are
+    independent 1 in 1,000 may be called structure; postures and stretches have half of that each, and their p-values
+    Bonferroni's correction.
 
     outlier : (m,) rows that a fit does not explain;  postures : (m, n);  numbers : (m,) posture of each row
     """
@@ -414,7 +413,7 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
                 expected = float(np.sum(np.maximum(1.0 - fewer, 0.0)))
                 crowds.append((pdtrc(np.sum(wrong_in_group >= x) - 1, expected), (wrong_in_group >= x)[groups]))
                 x = 2 * x - 1
-        alike += [rows[to_rows] for p, rows in crowds if p <= 0.5 * CHANCE / len(crowds)]
+        alike += [rows[to_rows] for p, rows in crowds if p <= 0.5e-3 / len(crowds)]
     return np.any(alike, axis=0) & outlier
 
 

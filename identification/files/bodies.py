@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from identification.arrays import SHOWN, Array, ByValue
-from identification.bodies import Body
+from identification.bodies import Body, brick, revolved
 from identification.errors import InputError
 from identification.files.io import PathLike, decode, read_bytes
 from identification.files.meshes import READERS, read_mesh
@@ -27,12 +27,6 @@ from identification.files.urdf import parse_urdf, xml_root
 from identification.kinematics.frames import pose, rotation_to_z
 
 PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
-FARTHEST, NEAREST = 20.0, 1e-3  # of the arm's reach: sizes of a mesh beyond which its unit is another one
-_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-_SIDES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])  # of a box
-_FACES = np.concatenate([_SIDES[:, [0, 1, 2]], _SIDES[:, [0, 2, 3]]])
-SAME = 0.1  # [mm] the end of a cylinder and the center of a sphere
-SIDES = 32  # of the prism that stands for a cylinder, around it
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,24 +58,12 @@ class Shape(ByValue):
         if self.kind == "mesh":
             return read_mesh(self.file) * self.sizes["scale"]
         if self.kind == "box":
-            return (0.5 * self.sizes["size"] * _CORNERS)[_FACES]
+            return brick(0.5 * self.sizes["size"])
         if self.kind == "cylinder":
-            turn = 2.0 * np.pi / SIDES * np.arange(SIDES)
-            across = self.sizes["radius"] / np.cos(np.pi / SIDES)
-            ring = np.stack([across * np.cos(turn), across * np.sin(turn), np.zeros(SIDES)], axis=1)
-            up = np.array([0.0, 0.0, 0.5 * self.sizes["length"][0]])
-            a, b, c, d = ring - up, np.roll(ring, -1, axis=0) - up, ring + up, np.roll(ring, -1, axis=0) + up
-            ends = [
-                np.stack([a, b, np.broadcast_to(-up, a.shape)], 1),
-                np.stack([d, c, np.broadcast_to(up, a.shape)], 1),
-            ]
-            return np.concatenate([np.stack([a, d, b], 1), np.stack([a, c, d], 1), *ends])
+            sides, half = 32, 0.5 * self.sizes["length"][0]
+            across = self.sizes["radius"][0] / np.cos(np.pi / sides)
+            return revolved(across * np.array([0.0, 1.0, 1.0, 0.0]), half * np.array([1.0, 1.0, -1.0, -1.0]), sides)
         return np.empty((0, 3, 3))
-
-
-def placed_by(place: Array, triangles: Array) -> Array:
-    """Points (..., 3) of a frame (4, 4) in the frame that it is placed in."""
-    return triangles @ place[:3, :3].T + place[:3, 3]
 
 
 def segment(start: Sequence[float], end: Sequence[float]) -> tuple[Array, Array]:
@@ -104,13 +86,13 @@ def covered(body: GivenBody, reach: float) -> Body:
         if shape.kind != "mesh":
             continue
         long = float(np.ptp(own, axis=(0, 1)).max())
-        if not NEAREST * reach < long < FARTHEST * reach:
+        if not 1e-3 * reach < long < 20.0 * reach:
             unit = "millimetres as metres" if long > reach else "metres as millimetres"
             compared = f"{long:.4g} mm long beside an arm that reaches {reach:.4g} mm"
             raise InputError(
                 f"{shape.file}: body {body.name} is {compared}, like {unit}, allowed: another unit or scale"
             )
-    drawn = [placed_by(shape.place, own) for shape, own in zip(shapes, triangles, strict=True)]
+    drawn = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(shapes, triangles, strict=True)]
     exact, rest = _exact(shapes)
     boxes = np.empty((0, 15))
     if body.joint and rest:
@@ -127,9 +109,7 @@ def _exact(shapes: Sequence[Shape]) -> tuple[Array, list[int]]:
     exact = [k for k, shape in enumerate(shapes) if shape.kind == "capsule"]
     for k in (k for k, shape in enumerate(shapes) if shape.kind == "cylinder"):
         start, end, radius = np.split(shapes[k].capsule, [3, 6])
-        at = [
-            [j for j in spheres if np.allclose(shapes[j].capsule, [*c, *c, *radius], 0.0, SAME)] for c in (start, end)
-        ]
+        at = [[j for j in spheres if np.allclose(shapes[j].capsule, [*c, *c, *radius], 0.0, 0.1)] for c in (start, end)]
         if all(at):
             exact.append(k)
             spheres = [j for j in spheres if j not in at[0] + at[1]]

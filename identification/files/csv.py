@@ -27,6 +27,7 @@ KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
     r"|marker|surface|cup|kind|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
+NAMES = ("session", "marker", "surface", "cup", "kind")  # columns of texts
 MEASURE, VIA = "measure", "via"  # of the column `kind`: rows to measure, and way-points of the moves between them
 FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal identify`
 
@@ -141,10 +142,10 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
 
     Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
-    points or commas.
+    points or commas. Between commas numbers with decimal commas are in quotation marks.
 
     Raises `InputError` for a missing or empty file, no data rows, a header that is missing, repeats a name or does not
-    fit the rows (ragged rows), and bytes that are not UTF-8.
+    fit the rows (ragged rows), bytes that are not UTF-8, and quoted numbers whose commas may separate thousands.
     """
     content = read_bytes(path)
     sha256 = hashlib.sha256(content).hexdigest()
@@ -199,8 +200,15 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
         if frame[f"\n{k}"].null_count() < frame.height:
             raise InputError(f"{path}: column {k + 1} has no name in line {line}, allowed: a name")
         frame = frame.drop(f"\n{k}")
-    if separator != ",":
-        frame = frame.with_columns(pl.all().str.replace(r"^(\s*[-+]?\d*),(\d*([eE][-+]?\d+)?\s*)$", "$1.$2"))
+    numbers, decimal = list(frame.columns), r"^(\s*[-+]?\d*),(\d*([eE][-+]?\d+)?\s*)$"
+    if separator == ",":  # then decimal commas are in quotation marks, and may be those of thousands
+        numbers = [name for name in frame.columns if b'"' in content and KNOWN.fullmatch(name) and name not in NAMES]
+        cells = frame.select(numbers).unpivot()["value"] if numbers else pl.Series([], dtype=pl.String)
+        commas = cells.filter(cells.str.contains(decimal))
+        if len(commas) and commas.str.contains(r"^\s*[-+]?[1-9]\d{0,2},\d{3}\s*$").all():
+            allowed = "decimal points, or semicolons between the columns"
+            raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
+    frame = frame.with_columns(pl.col(numbers).str.replace(decimal, "$1.$2"))
     return _measured(Table(str(path), frame, lines, sha256, fit), vias)
 
 

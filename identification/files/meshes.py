@@ -18,14 +18,12 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.files.io import PathLike, read_bytes
 
-RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])  # of a binary STL file
-HEADER = 84  # bytes before the first of them
-
 
 def _stl(content: bytes) -> Array:
-    count = int.from_bytes(content[HEADER - 4 : HEADER], "little")
-    if len(content) == HEADER + count * RECORD.itemsize or not content.lstrip().startswith(b"solid"):
-        return np.frombuffer(content, RECORD, count, HEADER)["corners"].astype(float)  # ValueError: cut off
+    record, header = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]), 84
+    count = int.from_bytes(content[header - 4 : header], "little")
+    if len(content) == header + count * record.itemsize or not content.lstrip().startswith(b"solid"):
+        return np.frombuffer(content, record, count, header)["corners"].astype(float)  # ValueError: cut off
     numbers = re.findall(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
     return np.array(numbers, dtype=float).reshape(-1, 3, 3)
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import fdtrc
 
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.arrays import Array
@@ -23,19 +22,17 @@ from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
 from identification.errors import InputError
 from identification.estimation import Identification, doubts, estimate
-from identification.estimation.uncertainty import LEVEL, gained_squares
+from identification.estimation.uncertainty import gained_squares
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import (
     DRAWN,
     Reading,
     Readings,
-    anywhere,
     data_warnings,
     gap_notes,
     joints_of_unseen_sign,
     out_of_step,
     read_differently,
-    some_of_one_point,
     wrong_units,
 )
 from identification.kinematics.chain import BASE
@@ -44,16 +41,13 @@ from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import placed_model
 from identification.running import Status
 from identification.sessions import with_sessions
 from identification.validate import drawing_residuals
 from identification.workspace import ColumnLimits
 
-NOTHING = 1e-6  # [mm] RMS that is no measurement's: below, nothing is compared
 GEOMETRY = {LENGTH_ERROR: "length", JOINT_OFFSET: "zero"}
 SOURCES = {"sigma": "for the sigma_mm given", "repeats": "for what repeats scatter by", "residuals": "by the residuals"}
-LENGTH_OFFSET = "length_offset"  # the effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +131,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     problems = units or _problems(arm, measurements, readings, drawing, fit)
     problems += doubts.copied_rows(measurements) + ([] if units else doubts.outside_limits(arm, measurements))
     # what the data cannot say
-    notes = [] if units else turned_frame(arm, readings.written)
+    notes = other_frame(arm, readings.written) if arm.chain.planar and not units else []
     if still and not units:
         hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
         notes = [f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen", *notes]
@@ -222,8 +216,8 @@ def _problems(
         zeros = doubts.far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
     sentences = data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
     if not sentences:
-        sentences = [*doubts.another_frame(arm, measurements), *other_base(arm, measurements)]
-        sentences = [*sentences, *constant_length(arm, measurements, fit)] or zeros
+        placed = [] if arm.chain.planar else other_frame(arm, readings.written)
+        sentences = [*doubts.another_frame(arm, measurements), *placed] or zeros
     if not sentences and drawing > DRAWN * arm.reach:
         off = f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"
         sentences = out_of_step(arm, measurements) or [off]
@@ -274,44 +268,31 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
     return entries, rows, still
 
 
-# -- how frame and instrument were set up, against the arm file --------------------------------------------------------
-def turned_frame(arm: Arm, written: Reading) -> list[str]:
-    """How far the positions of a planar arm are turned against its drawing, in a sentence; none for less than a zero
-    may be off by, or where the drawing does not explain the positions at any angle.
+# -- where the arm stands, against the arm file ------------------------------------------------------------------------
+def other_frame(arm: Arm, written: Reading) -> list[str]:
+    """How far the frame of the positions is from where the arm file has it, in a sentence; none for less than a zero
+    may be off by, and where the drawing does not explain the positions from any place. A fit of a planar arm takes it
+    up, one of an arm in space whose `[base]` is wrong does not.
 
     written : the columns as they are
     """
-    if written.turn is None or abs(written.turn) < doubts.FAR_ZERO or written.rms > DRAWN * arm.reach:
+    chain, base = arm.chain, written.base
+    known = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
+    if base is None or not known or written.rms > DRAWN * arm.reach:
         return []
-    turn = f"{np.degrees(written.turn):.1f} deg"
-    return [
-        f"the frame of the positions is turned by {turn} against the arm file, or the zero of joint 1 is, which looks "
-        "the same: a fit puts it into the zero of joint 1. Where it is the frame, turn the positions back by "
-        f"{turn} or leave that zero out of the controller"
-    ]
-
-
-def other_base(arm: Arm, measurements: Measurements) -> list[str]:
-    """Where a spatial arm stands if its `[base]` is wrong, in a sentence; none where the file says nothing, and where
-    the drawing explains the positions from no place."""
-    chain = arm.chain
-    if BASE not in chain.settled.intersection(chain.frame_kinds) or not chain.instrument.reads_positions:
-        return []
-    rows = some_of_one_point(measurements)
-    try:
-        placed = placed_model(Model(anywhere(arm)), rows)
-    except InputError:  # too few rows to place it
-        return []
-    left = rows.positions[:, :3] - placed.position(rows.postures, conditions=rows.conditions)[:, :3]
-    if rms_distance(left) > DRAWN * arm.reach:
-        return []
-    base = placed.arm.chain.base
     relative = chain.base[:3, :3].T @ base[:3, :3]
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))
     shift = float(np.linalg.norm(base[:3, 3] - chain.base[:3, 3]))
     near = shift < 0.02 * arm.reach  # else it stands elsewhere
-    if turn < doubts.FAR_ZERO and near:
+    if turn < doubts.FAR_ZERO and (chain.planar or near):
         return []
+    if chain.planar:
+        words = f"{np.degrees(np.arctan2(relative[1, 0], relative[0, 0])):.1f} deg"
+        return [
+            f"the frame of the positions is turned by {words} against the arm file, or the zero of joint 1 is, which "
+            "looks the same: a fit puts it into the zero of joint 1. Where it is the frame, turn the positions back by "
+            f"{words} or leave that zero out of the controller"
+        ]
     stands = ", ".join(f"{name} = {round(x, 1) + 0.0:g}" for name, x in pose_table(base).items())
     axis = chain.joints[0].origin[:3, :3] @ chain.joints[0].axis
     about = float(axis @ relative @ axis) > np.cos(doubts.FAR_ZERO)
@@ -320,29 +301,6 @@ def other_base(arm: Arm, measurements: Measurements) -> list[str]:
     return [
         f"the positions are in another frame than [base] says: {how}. From the drawing {stands}; write that there, or "
         "leave [base] out, and a fit finds it"
-    ]
-
-
-def constant_length(arm: Arm, measurements: Measurements, fit: Identification | None) -> list[str]:
-    """The offer of `length_offset` where much less is left with it, in a sentence.
-
-    fit : without it, None: there is none
-    """
-    settled = "distance" not in arm.chain.instrument.offers or any(spec.name == LENGTH_OFFSET for spec in arm.effects)
-    if settled or fit is None or fit.dof <= doubts.SPARE or rms_distance(fit.residuals_after) < NOTHING:
-        return []
-    wider = replace(arm, calibration=None).with_effects(*arm.effects, EffectSpec(LENGTH_OFFSET))
-    wider_fit = estimate(Model(with_sessions(wider, measurements)), measurements)
-    before, after = (float(np.sum(one.residuals_after**2)) for one in (fit, wider_fit))
-    after = max(after, NOTHING**2 * len(measurements))
-    # half of the squares is clearly more than one parameter's share
-    if before < 2.0 * after or fdtrc(1, fit.dof - 1, (before - after) * (fit.dof - 1) / after) > LEVEL:
-        return []
-    value = float(wider_fit.parameters[wider_fit.names.index(f"{LENGTH_OFFSET}.c")])
-    what = f"all distances look {abs(value):.3g} mm too {'long' if value > 0.0 else 'short'}"
-    fall = f"the RMS falls from {fit.rms_after:.3g} to {wider_fit.rms_after:.3g} mm where that is estimated, too"
-    return [
-        f'{what}, as by the zero of a wire or the length of a bar: {fall}; add [[effects]] name = "{LENGTH_OFFSET}"'
     ]
 
 

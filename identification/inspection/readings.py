@@ -7,10 +7,10 @@ way to read the columns the base (and in space the measured point) is fitted to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from itertools import combinations, product
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,6 @@ DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit or reading is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
-ZEROS = tuple(np.arange(0.0, 4.0, 0.25))  # quarter turns: starts, of which one is near enough to the best
 
 
 # -- what the drawing leaves -------------------------------------------------------------------------------------------
@@ -262,8 +261,7 @@ class Reading:
     mirrored : the positions are those of a mirror image: their last axis is read the other way
     sums : (n, n) how often column j has the angle of joint i in it: 1 on the diagonal, and 1 or -1 of joints before j
         where j is counted from farther back than from the link before; empty: no joint is
-    turn : of the base [rad] that then explains the positions best, in the plane; None: it says nothing
-    rms : distance [mm] that the drawing leaves
+    base : (4, 4) [mm] where the drawing then explains the positions best;  rms : distance [mm] that it leaves
     """
 
     order: tuple[int, ...]
@@ -271,7 +269,7 @@ class Reading:
     quarters: tuple[float, ...]
     mirrored: bool = False
     sums: tuple[tuple[int, ...], ...] = ()
-    turn: float | None = field(default=None, compare=False)
+    base: Array | None = field(default=None, compare=False)
     rms: float = field(default=np.inf, compare=False)
 
     @classmethod
@@ -301,6 +299,10 @@ class Reading:
     def zeros(self) -> tuple[float, ...]:
         """(n) what to add to each joint [rad], by the shorter way."""
         return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
+
+    def flipped(self, joints: Collection[int]) -> Reading:
+        """With these joints, from 0, turning the other way than before."""
+        return replace(self, signs=tuple(-sign if j in joints else sign for j, sign in enumerate(self.signs)))
 
     def with_quarters(self, joint: int, k: float) -> Reading:
         """With so many quarter turns added to a joint, from 0."""
@@ -344,13 +346,7 @@ class Reading:
                 how = f"counted from {link}, not from link {j - 1} (its angle: column {angle})"
                 sentences.append(f"joint {j} is {how}")
         if self.mirrored:
-            plane, flipped = self.turn is not None, "an axis of the positions points the other way"
-            swapped = f"{'x_mm and y_mm' if plane else 'two of x_mm, y_mm, z_mm'} are swapped"
-            # in the plane with x and y swapped the last axis turned gives back the drawing a quarter turn away, with an
-            # axis turned it stands as drawn or half a turn away; within 20 deg of either the turn tells
-            double = 2.0 * (self.turn or 0.0)
-            tells = plane and abs(np.sin(double)) <= np.sin(np.radians(40.0))
-            sentences.append((flipped if np.cos(double) > 0.0 else swapped) if tells else f"{swapped}, or {flipped}")
+            sentences.append("two coordinates of the positions are swapped, or an axis points the other way")
         return tuple(sentences)
 
 
@@ -380,7 +376,7 @@ class Readings:
         gain = f"{self.better.rms:.3g} mm instead of {self.written.rms:.4g}"
         if self.explained:
             return [f"it looks as if {ways}: the drawing then leaves {gain}"]
-        nothing = "no one or two signs, zeros, swapped columns or mirrored axes explain the positions"
+        nothing = "no reading with a few other signs, zeros, columns or mirrored axes explains the positions"
         return [f"{nothing}: several faults at once, or another arm? Closest: {ways}, which leaves {gain}"]
 
     def to_json(self) -> dict[str, Any] | None:
@@ -400,9 +396,9 @@ class Readings:
 def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
-    Tried are zeros, of one joint at any angle, joints that are counted from farther back than the link before, signs,
-    pairs of swapped columns, zeros off by quarter turns, and a mirrored frame. With few rows nothing is tried. Where a
-    spatial arm stands and what is measured on it are fitted.
+    Tried are zeros of joints at any angle, then one change after another of the readings that leave least: signs, pairs
+    of swapped columns, zeros off by quarter turns, joints that are counted from farther back than the link before, a
+    mirrored frame. With few rows nothing is tried. Where a spatial arm stands and what is measured on it are fitted.
 
     search : False: only what the columns say
     """
@@ -413,64 +409,87 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
 def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
     def placed(reading: Reading) -> Reading:
         base, _, rms = reading.placed(rows, _place(arm))
-        turn = float(np.arctan2(base[1, 0], base[0, 0])) if arm.chain.positions_in_plane else None
-        return replace(reading, rms=rms, turn=turn)
+        return replace(reading, rms=rms, base=base)
 
     written = placed(Reading.as_written(arm.links))
     if not search or _few(arm, rows):
         return Readings(written, None)
     place = _place(arm, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
     tried = {written: written.rms}
+    kinds = arm.joint_types
+    turning = [j for j, kind in enumerate(kinds) if kind != PRISMATIC]
 
     def left(reading: Reading) -> float:
         return reading.placed(rows, place).rms
 
-    def moved_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
+    def moved_zero(best: Reading) -> Iterator[Reading]:
         """The zero of one turning joint where it explains the positions best; near whole quarter turns these."""
-        for j in (j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC):
+        for j in turning:
 
             def left_with(k: float, j: int = j) -> float:
                 return left(best.with_quarters(j, k))
 
-            near = min(ZEROS, key=left_with)
-            bounds = (near - ZEROS[1], near + ZEROS[1])
-            k = float(minimize_scalar(left_with, bounds=bounds, options={"xatol": 1e-3}).x)  # to 0.1 deg
+            near, step = min(np.arange(0.0, 4.0, 0.25), key=left_with), 0.25  # one start is near enough to the best
+            k = float(minimize_scalar(left_with, bounds=(near - step, near + step), options={"xatol": 1e-3}).x)
             yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # whole within 2 deg
 
-    zero = moved_zero
-    for stage in (zero, zero, _absolute, _mirrored, _signs, _swaps, _zeros, _flips, _zeros, _pairs_and_zero):
+    def mirrored(best: Reading) -> list[Reading]:  # lengths are the same in a mirrored frame
+        return [replace(best, mirrored=not best.mirrored)] if arm.chain.instrument.reads_positions else []
+
+    def changed(best: Reading) -> Iterator[Reading]:
+        """One more thing read differently: a mirrored frame, a sign, a zero off by quarter turns, two columns of like
+        joints swapped, and one joint, or all from one on, counted from a link farther back than the one before, or from
+        the base: of joints that turn about parallel axes one after the other."""
+        yield from mirrored(best)
+        yield from (best.flipped([j]) for j in range(arm.links))
+        yield from (best.with_quarters(j, k) for j in turning for k in (1, 2, 3))
+        for a, b in (each for each in combinations(range(arm.links), 2) if kinds[each[0]] == kinds[each[1]]):
+            order = list(best.order)
+            order[a], order[b] = order[b], order[a]
+            yield replace(best, order=tuple(order))
+        for first, senses in parallel_joints(arm):
+            last = first + len(senses)
+            for start in range(first, last - 1):
+                every = best.matrix
+                for j in range(start + 1, last):
+                    one = best.matrix
+                    one[j, start:j] = every[j, start:j] = [
+                        senses[i - first] * senses[j - first] for i in range(start, j)
+                    ]
+                    yield replace(best, sums=tuple(map(tuple, one.tolist())))
+                yield replace(best, sums=tuple(map(tuple, every.tolist())))
+
+    def changed_twice(best: Reading) -> Iterator[Reading]:
+        """With a sign or a mirrored frame beside another change."""
+        for one in (best, *changed(best)):
+            yield from (one, *mirrored(one), *(one.flipped([j]) for j in range(arm.links)))
+
+    def simplest() -> Reading:
+        """The fewest changes, and zeros among them, of those that leave about as little as the best."""
+        near = [reading for reading, rms in tried.items() if rms <= ALIKE * min(tried.values())]
+        return min(near, key=lambda reading: (reading.changes, sum(map(bool, reading.quarters)), tried[reading]))
+
+    for change in (moved_zero, moved_zero, changed, changed_twice, changed, changed):
         ranked = sorted(tried, key=tried.__getitem__)
         if tried[ranked[0]] < DRAWN * arm.reach:
             break
-        whole = [] if stage is _pairs_and_zero else [r for r in ranked if not r.moved_zeros][:4]  # effort
-        for start in ranked[:1] if stage is zero else dict.fromkeys((written, *whole)):
-            tried |= {reading: left(reading) for reading in stage(start, arm) if reading not in tried}
-    # the fewest changes of those that leave about as little as the best
-    least = min(tried.values())
-    best = min((r for r, rms in tried.items() if rms <= ALIKE * least), key=lambda r: (r.changes, tried[r]))
+        starts = ranked[:1] if change is moved_zero else [written]
+        if change is changed:  # effort
+            starts += [reading for reading in ranked if not reading.moved_zeros][:5]
+        for start in dict.fromkeys(starts):
+            tried |= {reading: left(reading) for reading in change(start) if reading not in tried}
+    best = simplest()
     if CLEARLY * tried[best] >= written.rms:
         return Readings(written, None)
     explained = tried[best] < DRAWN * arm.reach
-    if explained and not best.moved_zeros:  # the search ends early: at a zero, say, that a sign is as good as
-        tried |= {reading: left(reading) for reading in _signs(written, arm) if reading not in tried}
+    if explained and not best.moved_zeros:  # the search ends early: others may be as simple
+        further = changed if best.changes == 1 else changed_twice
+        tried |= {reading: left(reading) for reading in further(written) if reading not in tried}
+        best = simplest()
     as_simple = (r for r in tried if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and tried[r] <= ALIKE * tried[best]), key=tried.__getitem__)
     best, *others = map(placed, (best, *alike[:2]))  # two are named beside the simplest
     return Readings(written, best, tuple(others), explained, best.counting(arm.counting) if explained else None)
-
-
-def _absolute(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """One joint, or all from one on, counted from a link farther back than the one before, or from the base: of joints
-    that turn about parallel axes one after the other."""
-    for first, senses in parallel_joints(arm):
-        last = first + len(senses)
-        for start in range(first, last - 1):
-            every = best.matrix
-            for j in range(start + 1, last):
-                one = best.matrix
-                one[j, start:j] = every[j, start:j] = [senses[i - first] * senses[j - first] for i in range(start, j)]
-                yield replace(best, sums=tuple(map(tuple, one.tolist())))
-            yield replace(best, sums=tuple(map(tuple, every.tolist())))
 
 
 def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
@@ -489,48 +508,6 @@ def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
     return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
 
-def _mirrored(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """The frame of the positions mirrored; lengths are the same in it."""
-    if arm.chain.instrument.reads_positions:
-        yield replace(best, mirrored=not best.mirrored)
-
-
-def _signs(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """All combinations of signs, of more than six joints with up to two changes, with and without a mirrored frame."""
-    for signs in product((1, -1), repeat=arm.links):
-        if arm.links <= 6 or sum(sign < 0 for sign in signs) <= 2:
-            yield (changed := replace(best, signs=signs))
-            yield from _mirrored(changed, arm)
-
-
-def _swaps(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """Every pair of columns of like joints swapped, as it is and with one joint turning the other way."""
-    for a, b in combinations(range(arm.links), 2):
-        if arm.joint_types[a] == arm.joint_types[b]:
-            order = list(best.order)
-            order[a], order[b] = order[b], order[a]
-            yield (swapped := replace(best, order=tuple(order)))
-            yield from _flips(swapped, arm)
-
-
-def _flips(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """One joint turning the other way than before."""
-    for j in range(arm.links):
-        yield replace(best, signs=tuple(-sign if i == j else sign for i, sign in enumerate(best.signs)))
-
-
-def _zeros(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """The zero of one turning joint off by quarter turns."""
-    turning = (j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC)
-    yield from (best.with_quarters(j, k) for j in turning for k in (1, 2, 3))
-
-
-def _pairs_and_zero(best: Reading, arm: Arm) -> Iterator[Reading]:
-    """Up to two joints turning the other way, and the zero of one: each alone may explain next to nothing."""
-    for signs in {pair for flip in _flips(best, arm) for pair in (flip, *_flips(flip, arm))}:
-        yield from _zeros(signs, arm)
-
-
 # -- what else the drawing tells ---------------------------------------------------------------------------------------
 def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
     """Turning joints (from 1) whose sign and zero no measured point shows: reversed and a quarter or half turn away the
@@ -547,9 +524,10 @@ def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ..
         if _few(arm, rows) or written > DRAWN * arm.reach:
             return ()
         most = ALIKE * max(written, float(np.sqrt(np.finfo(float).eps)) * arm.reach)  # rounded, of data without noise
-        for other in (*_flips(plain, arm), *_zeros(plain, arm)):
-            if other.placed(rows, place).rms > most:
-                unseen -= {j for j in range(arm.links) if other.signs[j] < 0 or other.quarters[j]}
+        for j in tuple(unseen):
+            others = [plain.flipped([j]), *(plain.with_quarters(j, k) for k in (1, 2, 3))]
+            if any(other.placed(rows, place).rms > most for other in others):
+                unseen.remove(j)
     return tuple(j + 1 for j in sorted(unseen))
 
 

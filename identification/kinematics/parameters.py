@@ -100,6 +100,11 @@ class Parameter:
         return self.short + FILE_UNITS[self.unit][2]
 
 
+def _column(field: str) -> cached_property[Array]:
+    """(p,) of a set of parameters."""
+    return cached_property(lambda self: readonly([getattr(p, field) for p in self]))
+
+
 class ParameterSet(tuple[Parameter, ...]):
     """An immutable sequence of p parameters, in the order of every vector and matrix of them."""
 
@@ -108,35 +113,9 @@ class ParameterSet(tuple[Parameter, ...]):
         """(p) names."""
         return tuple(p.name for p in self)
 
-    @property
-    def units(self) -> tuple[str, ...]:
-        """(p) units of the API."""
-        return tuple(p.unit for p in self)
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """(p) kinds."""
-        return tuple(p.kind for p in self)
-
-    @cached_property
-    def scales(self) -> Array:
-        """(p,) length per unit [mm/unit]."""
-        return readonly([p.scale for p in self])
-
-    @property
-    def typical(self) -> Array:
-        """(p,) typical standard deviations, infinite where none is known."""
-        return readonly([inf if p.typical is None else p.typical for p in self])
-
-    @cached_property
-    def lower(self) -> Array:
-        """(p,) lower physical bounds."""
-        return readonly([p.lower for p in self])
-
-    @cached_property
-    def upper(self) -> Array:
-        """(p,) upper physical bounds."""
-        return readonly([p.upper for p in self])
+    units = property(lambda self: tuple(p.unit for p in self))  # (p) of the API
+    scales = _column("scale")  # length per unit [mm/unit]
+    lower, upper = _column("lower"), _column("upper")  # physical bounds
 
     @cached_property
     def _places(self) -> dict[str, int]:
@@ -165,7 +144,7 @@ class ParameterSet(tuple[Parameter, ...]):
     @property
     def by_link(self) -> bool:
         """Whether length errors, joint offsets and effects are all there is, as of a planar chain: a row a link."""
-        return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(self.kinds)
+        return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(p.kind for p in self)
 
     def vector(self, values: Mapping[str, float], default: float | None = None) -> Array:
         """(p,) the values in order; where the mapping has none `default`, None: `Parameter.neutral`, mostly 0.

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from operator import attrgetter
 from typing import Any
 
 import casadi as ca
@@ -128,25 +129,10 @@ class Model:
         """Coordinates that measurements may have: of poses also those of points alone."""
         return tuple(sorted({min(self.arm.dimension, self.dimension), self.dimension}))
 
-    @property
-    def joints(self) -> int:
-        """n, joints of a posture."""
-        return self.arm.links
-
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute` or `prismatic`."""
-        return self.arm.joint_types
-
-    @property
-    def sigma(self) -> float | None:
-        """Standard deviation of a measured coordinate [mm], None: the arm does not say."""
-        return self.arm.sigma
-
-    @property
-    def reach(self) -> float:
-        """Length of the stretched nominal arm [mm]."""
-        return self.arm.reach
+    joints = property(attrgetter("arm.links"))  # n, joints of a posture
+    joint_types = property(attrgetter("arm.joint_types"))  # (n) `revolute` or `prismatic`
+    sigma = property(attrgetter("arm.sigma"))  # standard deviation of a measured coordinate [mm], None: not known
+    reach = property(attrgetter("arm.reach"))  # length of the stretched nominal arm [mm]
 
     @cached_property
     def values(self) -> Array:

@@ -20,7 +20,7 @@ from doe.problem.uncertain import robust_problem
 from doe.solvers import solve
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.estimation import Identification, estimate, estimate_with_prior
+from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
 from identification.gap.confirmation import split
 from identification.gap.diagnose import diagnose
@@ -58,7 +58,7 @@ def left(fit: Identification, rows: Measurements) -> float:
 def library_fit(arm: Arm, rows: Measurements) -> Identification:
     """As `armcal identify --library-prior`."""
     library = library_prior(arm, given_by(rows))
-    return estimate_with_prior(Model(library.arm), rows, library.prior)
+    return estimate(Model(library.arm), rows, prior=library.prior)
 
 
 def halves(data: Measurements) -> tuple[Measurements, Measurements]:
@@ -287,7 +287,7 @@ class LinearFits:
 
 
 def test_linear_fits_are_those_of_identify() -> None:
-    """`estimate_with_prior` on three random choices: the same error on the other rows to a thousandth."""
+    """`estimate` with a prior on three random choices: the same error on the other rows to a thousandth."""
     data, generator = load_measurements(PLANAR["C"], 3), np.random.default_rng(0)
     fits = LinearFits(data)
     for _ in range(3):

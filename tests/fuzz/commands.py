@@ -52,17 +52,13 @@ VALUES = {
     "subset": "length_error:1 length_error:1,joint_offset:2 joint_offset:1 translation_x:2 base.x",
     "missing": "backlash,gear_ratio joint_compliance base_offset none_such",
     "order": "given travel random best",
-    "loss": "0.05 0.5 2 -1",
     "seconds": "0.1 0.3",
     "starts": "1 2",
-    "draws": "2 1",
     "grid": "2 3 9",
-    "minimum_distance_deg": "1 30 0 1e4",
-    "uncertain": "average worst best",
     "target_mm": "0.1 0.02 -1",
     "method": "linear gauss_newton none",
     "payloads": "0,5 0 5,-1",
-    "holdout": "more.csv 0.3 2",
+    "holdout": "more.csv",
     "links": "3 1 12 13 612,572.3 0,1",
     "dh": "6 1 12 13",
     "base_link": "link_0 link_1 none",
@@ -92,20 +88,18 @@ VALUES = {
 }
 # options that another one asks for
 NEEDS = {
-    "design.draws": ("--uncertain", "average"),
-    "design.loss": ("--discriminating", ""),
     **dict.fromkeys(("design.missing", "relax.missing", "relax.runs", "score.missing"), ("--robust", "")),
     "relax.robust": ("--runs", "12"),
     "subset": ("--criterion", "Ds"),
     "test_poses": ("--criterion", "I"),
-    "identify.missing": ("--prior", ""),
+    "identify.missing": ("--library-prior", ""),
     **dict.fromkeys(("base_link", "tip_link"), ("--urdf", "robot.urdf")),
     "resume": ("--out", "out"),
 }
 OF_SPATIAL = {"identify.urdf", "identify.parameters"}  # options of one kind of arm alone
 OF_PLANAR = {"design.discriminating"}
-RARE = {"cluster": 100, "uncertain": 20, "missing": 20}
-RARE |= dict.fromkeys(("resume", "seed", "robust", "minimum_distance_deg"), 12)
+RARE = {"cluster": 100, "missing": 20}
+RARE |= dict.fromkeys(("resume", "seed", "robust"), 12)
 PICTURES = ["out.png", "out.svg", "new.png", "out.pdf"]
 WRITTEN = ["out.csv", "out.toml", "out.urdf", "out.png", "out.html", "out.svg", "out"]
 NO_OUTPUT = ["there.csv", "folder", "none/out.csv", "loop", "a" * 300, "arm.toml", "line\nbreak.csv", "/dev/full"]

@@ -13,14 +13,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.gap.diagnose import diagnose
 from identification.information import spectrum
 from identification.instruments import Distance, Instrument, Plane, Sphere
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.frames import pose
 from identification.measurements import Measurements
@@ -47,12 +46,10 @@ def bar(**changes: object) -> Arm:
 
 
 @pytest.mark.parametrize("instrument", [BAR, Plane(), BALL], ids=["distance", "plane", "ball of unknown radius"])
-@pytest.mark.parametrize("effect", [False, True], ids=["one function", "composed of parts"])
-def test_jacobian(instrument: Instrument, effect: bool) -> None:
-    """Against differences of products of exponentials; with an effect the model is put together in another way."""
+def test_jacobian(instrument: Instrument) -> None:
+    """Against differences of products of exponentials."""
     chain, known = replace(CHAIN, base=BASE), {RADIUS: 30.0} if instrument is BALL else {}
-    arm = Arm(replace(chain, instrument=instrument))
-    model = Model(arm.with_effects(EffectSpec("encoder_eccentricity", 2)) if effect else arm)
+    model = Model(Arm(replace(chain, instrument=instrument)))
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (4, 6))
     values = model.parameters.vector(known)
     read, jacobian = model.linearize(q, values)
@@ -65,9 +62,8 @@ def test_jacobian(instrument: Instrument, effect: bool) -> None:
     for row, posture in enumerate(q):
         assert read[row, 0] == pytest.approx(by_hand(posture))
         for k, name in enumerate(model.names):
-            if name in Model(arm).names:
-                slope = (by_hand(posture, name, STEP) - by_hand(posture, name, -STEP)) / (2.0 * STEP)
-                assert jacobian[row, 0, k] == pytest.approx(slope, abs=1e-6 * model.scales[k])
+            slope = (by_hand(posture, name, STEP) - by_hand(posture, name, -STEP)) / (2.0 * STEP)
+            assert jacobian[row, 0, k] == pytest.approx(slope, abs=1e-6 * model.scales[k])
     np.testing.assert_array_equal(model.position(q, values), read)
     if known:
         held = Model(model.arm, known)
@@ -84,17 +80,6 @@ def test_distances_show_24_parameters() -> None:
     assert model.dimension == 1
     assert not {"base.rx", "base.ry", "base.rz", "joint_offset:1"} & set(model.names)
     assert rank(model, q) == len(minimal(model).names) == 24
-
-
-def test_distances_of_two_links_in_the_plane_show_5() -> None:
-    """d^2 = l1^2 + l2^2 + c^2 + 2 l1 l2 cos(q2 + e2) - 2 c l1 cos(q1 + e1 - g) - 2 c l2 cos(q1 + q2 + e1 + e2 - g) with
-    the center at c exp(i g): lengths l1 and l2, c, the offset e2, and e1 - g alone, for a turn of all shows nothing."""
-    chain = chain_of([DHRow(300.0, 0.0, 0.0), DHRow(200.0, 0.0, 0.0)])
-    model = Model(Arm(replace(chain, instrument=BAR, base=pose([-350.0, 120.0, 0.0]))))
-    wanted = ("base.x", "base.y", "tool[1].x", "tool[1].y", "joint_offset:2", "translation_x:2", "translation_y:2")
-    columns = [model.names.index(name) for name in wanted]
-    q = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 2))
-    assert spectrum(model.jacobian(q)[..., columns], model.scales[columns]).rank == 5
 
 
 def test_estimates_without_noise() -> None:
@@ -119,20 +104,6 @@ def test_estimates_without_noise() -> None:
     np.testing.assert_allclose(there.base, pose(shift - CENTER), atol=1e-8)
     tool = REFLECTOR + [truth.get(f"tool[1].{axis}", 0.0) for axis in "xyz"]
     np.testing.assert_allclose(there.tools["1"], tool, atol=1e-8)
-
-
-def test_intervals_hold() -> None:
-    """95 % of them hold the truth: 20 sets of some 18 correlated ones, as if 120 were independent, 0.95 +- 0.02."""
-    generator, kept = np.random.default_rng(3), minimal(Model(bar()))
-    q = generator.uniform(-2.0, 2.0, (80, 6))
-    exact = kept.position(q)
-    inside = []
-    for _ in range(20):
-        data = Measurements(q, exact + 0.01 * generator.standard_normal(exact.shape))
-        found = estimate(kept, data, sigma="given")
-        own = np.array([not name.startswith(("base", "tool")) for name in found.names])
-        inside.append(np.abs(found.parameters[own]) < 1.959964 * np.sqrt(np.diag(found.covariance)[own]))
-    assert 0.89 < np.mean(inside) < 0.99
 
 
 def fit(arm: Arm, q: Array, lengths: Array, session: Array | None = None) -> Identification:
@@ -174,7 +145,7 @@ def test_contacts_with_a_sphere() -> None:
     assert rank(found.model, q) == 24
 
 
-@pytest.mark.parametrize(("radius", "noise"), [(12.7, 0.01), (150.0, 0.01), (30.0, 1e-4)])
+@pytest.mark.parametrize(("radius", "noise"), [(150.0, 0.01), (30.0, 1e-4)])
 def test_a_sphere_of_unknown_radius(radius: float, noise: float) -> None:
     """The radius comes out as well as the drawing knows the size of the arm, from nothing, and with next to no noise:
     an arm that shrank with its sphere would leave less and less."""

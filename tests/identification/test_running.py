@@ -36,7 +36,7 @@ def test_named_before_its_code_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert [str(one.message) for one in said] == [first, "running"]
 
 
-@pytest.mark.parametrize("source", ["raise RuntimeError('a\\nb')", "1 / 0", "def", "", "import none_such_at_all"])
+@pytest.mark.parametrize("source", ["raise RuntimeError('a\\nb')", "def", ""])
 @pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
 def test_one_that_fails_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, source: str) -> None:
     install(monkeypatch, tmp_path, source)

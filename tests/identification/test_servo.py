@@ -61,11 +61,6 @@ def test_commands_are_asked_for_so_that_the_joints_are_read_right() -> None:
         assert missed.max() < 2e-6 if off == 0.0 else missed.max() > off
 
 
-def test_shift_is_of_the_direction() -> None:
-    signs = np.array([[1.0, -1.0], [-1.0, 1.0]])
-    np.testing.assert_allclose(servo_shift(TRUTH, signs), [[2.5e-4, -3.8e-4], [1.5e-4, -2.2e-4]])
-
-
 def test_files(tmp_path: Path) -> None:
     """Commands in measurement files, all joints or none, and servo errors in arm files."""
     found, path = data(5), tmp_path / "data.csv"

@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.column_generation import optimal_weights
-from doe.bounds.weights import interior_point_weights, proper_weights, solve_program, sparsest
+from doe.bounds.weights import interior_point_weights, optimal_weights, solve_program, sparsest
 from doe.criteria import A, Criterion, D, Ds, E
 from doe.problem.problem import PriorInformation
 from identification.arrays import Array
-from identification.errors import InputError, JobError
+from identification.errors import JobError
 
 POINTS = np.linspace(-1.0, 1.0, 21)
 QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
@@ -105,7 +104,7 @@ def test_few_postures_of_many_parameters() -> None:
     assert np.linalg.eigvalsh(information)[0] == pytest.approx(1.0 / np.sum(sizes**-2.0), rel=1e-5)
 
 
-# -- proper and sparse weights -----------------------------------------------------------------------------------------
+# -- sparse weights ----------------------------------------------------------------------------------------------------
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), p=st.integers(1, 5))
 def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
@@ -120,10 +119,3 @@ def test_sparsest_keeps_the_information(seed: int, p: int) -> None:
     assert not few[::7].any()
     before, after = (np.einsum("k,kda,kdb->ab", w, jacobians, jacobians) for w in (weights, few))
     assert after == pytest.approx(before, rel=1e-10, abs=1e-10)
-
-
-def test_proper_weights() -> None:
-    assert proper_weights(np.array([0.3, -1e-9, 0.9])) == pytest.approx([0.25, 0.0, 0.75], abs=1e-15)
-    for bad in ([0.0, 0.0], [-1.0, -2.0], [np.nan, 1.0]):
-        with pytest.raises(InputError, match="weights"):
-            proper_weights(np.array(bad))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 
-from identification.errors import InputError
-from identification.files import arm as arm_file
 from identification.files.arm import load_arm
+from identification.gap import diagnose
+from identification.gap.result import Diagnosis
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
 ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.06\nb_deg = -0.05\n'
@@ -29,6 +30,19 @@ def sessions(folder: Folder) -> Folder:
     return folder
 
 
+@pytest.fixture
+def once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One diagnosis serves all commands of a test."""
+    real, made = diagnose.diagnose, list[Diagnosis]()
+
+    def remembered(*given: Any, **named: Any) -> Diagnosis:
+        made.append(made[0] if made else real(*given, **named))
+        return made[0]
+
+    monkeypatch.setattr(diagnose, "diagnose", remembered)
+
+
+@pytest.mark.usefixtures("once")
 def test_what_is_not_confirmed_is_said_and_not_written(sessions: Folder) -> None:
     line = f"{DIAGNOSE} --holdout without.csv --out extended.toml"
     done = sessions.armcal(line)
@@ -59,10 +73,8 @@ def test_what_is_confirmed_is_written(sessions: Folder) -> None:
     assert done.data["gap"]["rms_before_mm"] == pytest.approx(fitted["rms_after_mm"], rel=1e-9)
     again = sessions.said("identify extended.toml same.csv")
     assert again["rms_before_mm"] == pytest.approx(done.data["gap"]["held_out_after_mm"], rel=1e-9)
-
-
-def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -> None:
-    said = sessions.said(f"{DIAGNOSE} --out extended.toml")
+    # rivals and their probabilities are in the file, too
+    said = done.data
     kept = load_arm(sessions.path / "extended.toml").calibration
     assert kept is not None
     chances = kept.provenance["probability"]
@@ -75,20 +87,6 @@ def test_rivals_and_their_probabilities_are_kept_in_the_file(sessions: Folder) -
     scatter = said["gap"]["rms_after_mm"] * np.sqrt(60 / free)
     assert kept.provenance["scatter_mm"] == pytest.approx(scatter, rel=1.0 / np.sqrt(2.0 * free))
     assert sessions.armcal("advise extended.toml --only base --runs 3").code == 0
-
-
-def test_the_diagnosis_is_shown_where_the_file_cannot_be_written(
-    sessions: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> str:
-        raise InputError("length_errors_mm: found -231.6 for link 3, allowed: a positive length")
-
-    monkeypatch.setattr(arm_file, "with_calibration", refuse)
-    done = sessions.armcal(f"{DIAGNOSE} --out extended.toml")
-    assert done.code == 2
-    assert "(encoder_eccentricity:2)" in done.out.splitlines()[0]
-    assert "next:" not in done.out
-    assert "armcal: length_errors_mm: found -231.6 for link 3" in done.err
 
 
 # -- several sessions --------------------------------------------------------------------------------------------------
@@ -109,6 +107,7 @@ def days(folder: Folder) -> Folder:
     return folder
 
 
+@pytest.mark.usefixtures("once")
 def test_files_are_sessions(days: Folder) -> None:
     found = days.said("diagnose arm.toml monday.csv friday.csv --out extended.toml")
     assert found["effects"] == ["transmission_ripple:2[k=5]"]

@@ -12,9 +12,11 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
+from click.testing import CliRunner
 
+from doe.cli import main
 from tests.doe.cli.conftest import Folder, without_progress
-from tests.doe.faults import COMMANDS, Command, Reference, content, prepare, start, verdict
+from tests.doe.faults import COMMANDS, Command, Reference, content, prepare, verdict
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are counted in /proc")
 STUDY_COMMAND = COMMANDS[0]
@@ -25,8 +27,17 @@ SERIAL = Command("study", "study study.toml --workers 1", "--resume", ("study.re
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Reference:
-    """The study to its end, with two workers."""
-    return Reference.of(STUDY_COMMAND, tmp_path_factory.mktemp("reference") / "study")
+    """The study to its end, in this process; what is killed has two workers and takes some two seconds."""
+    folder = prepare(tmp_path_factory.mktemp("reference") / "study")
+    finished(SERIAL.words, folder)
+    return Reference(STUDY_COMMAND, content(SERIAL, folder), 2.0)
+
+
+def finished(words: str, folder: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        done = CliRunner().invoke(main, words.split(), catch_exceptions=False)
+    assert done.exit_code == 0, done.output
 
 
 def test_a_killed_study_resumes_to_the_same_bits(reference: Reference, tmp_path: Path) -> None:
@@ -51,9 +62,7 @@ def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> Non
     assert said.startswith("armcal: ")
     assert "cannot be written (File too large)" in said
     assert said.count("\n") == 1
-    process = start(SERIAL, folder, "--resume")
-    assert process.wait() == 0
-    process.communicate()
+    finished(f"{SERIAL.words} --resume", folder)
     assert content(SERIAL, folder) == reference.files
 
 

@@ -43,7 +43,7 @@ def rows_of(folder: Folder, name: str) -> list[dict[str, str]]:
 
 
 def test_a_plan_among_posts(cell: Folder) -> None:
-    """Every move is free by a fine sample; program agrees, and score says of another order what collides."""
+    """Every move is free by a fine sample; program agrees, and says of another order what collides."""
     data = cell.said("design arm.toml --runs 10 --solver best_of_random --seconds 0.5 --out plan.csv --force")
     moves, rows = data["moves"], rows_of(cell, "plan.csv")
     assert [row["kind"] for row in rows] == [row["kind"] for row in moves["rows"]]
@@ -65,12 +65,9 @@ def test_a_plan_among_posts(cell: Folder) -> None:
     # the same postures without way-points, in an order that was not looked at
     other = table({f"q{j}_deg": column for j, column in enumerate(np.array(sorted(measured)).T, start=1)})
     cell.write("other.csv", other)
-    found = cell.said("score arm.toml other.csv --seconds 0.2")["moves"]["not_free"]
     way = load_plan("other.csv", 4).postures
     collide = [k + 2 for k in range(9) if sampled(room, way[k : k + 2]) < 0.0]
     assert collide
-    assert {*collide} <= {each["row"] for each in found}
-    assert all(each["distance_mm"] < 6.0 for each in found)
     done = cell.armcal("program arm.toml other.csv --robot kuka --out other.src")
     assert done.code == 0
     assert "Moves: " in done.err

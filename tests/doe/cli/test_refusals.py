@@ -136,12 +136,7 @@ CASES: list[Case] = [
             ("8 --colour red", ""),
             ("1000000000", "--runs; 1000000000"),
             ("3", "runs; 3; 4"),
-            ("8 --minimum-distance-deg -1", "minimum distance; -1 deg; >= 0"),
-            ("8 --minimum-distance-deg nan", "minimum distance; nan; >= 0"),
-            # the joints to choose turn by 240, 160, 180 deg: room for 2 x 1 x 1 postures 200 deg apart
-            ("8 --minimum-distance-deg 200", "runs; 8 postures 200 deg apart; at most 2"),
             ("8 --discriminating --criterion A", "criterion; A; discriminating; D"),
-            ("8 --discriminating --uncertain average", "criterion; average; D"),
             ("8 --test-poses plan.csv", "--test-poses; criterion D; criterion I"),
             ("8 --subset length_error:1", "--subset; criterion D; criterion Ds"),
             ("8 --criterion Ds", "subset; none; at least one"),
@@ -150,7 +145,6 @@ CASES: list[Case] = [
             ("8 --candidates far.csv", "far.csv; 0 of 1"),
             ("5 --missing backlash", "--missing; --robust"),
             ("5 --robust --missing gear", "'gear'"),
-            ("5 --robust --uncertain worst", "--uncertain; --robust"),
             ("5 --robust --discriminating", "--discriminating; --robust"),
             ("8 --picture p.gif", "p.gif; .png, .svg, .pdf"),
         )
@@ -316,9 +310,8 @@ def test_measurements_in_other_units(folder: Folder, columns: str, factor: float
 @pytest.mark.parametrize(
     ("words", "place"),
     [
-        ("score arm.toml plan.csv --picture p.svg", "doe.plan.accuracy.criterion_values"),
-        ("advise arm.toml --runs 4 --picture p.svg", "doe.report.design.advice_document"),
-        ("validate truth.toml data.csv --picture p.svg", "identification.documents.identification.validation_actions"),
+        ("design arm.toml --runs 8 --out p.csv --picture p.svg", "doe.plan.accuracy.tip_beside_random"),
+        ("identify arm.toml data.csv --out o.toml", "identification.reuse.with_held"),
         ("compare arm.toml --runs 8 --cluster tcp://127.0.0.1:9 --out folder", "doe.jobs.cluster"),
     ],
 )

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from pathlib import Path
 
 import polars as pl
 import pytest
 
+from identification import Campaign
 from identification.document import in_a_sentence
 from identification.files.arm import load_arm
 from tests.doe.cli.conftest import Folder
@@ -20,19 +22,32 @@ def page(folder: Folder, files: str) -> str:
     return folder.read("page.html")
 
 
-@pytest.fixture
-def campaign(folder: Folder) -> Folder:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Folder:
     """With data, a calibration, other measurements, and what commands said."""
-    folder.simulated()
-    folder.write("ident.json", folder.armcal("identify arm.toml data.csv --out cal.toml --json").out)
-    folder.simulated("other.csv", seed=5)
-    folder.write("valid.json", folder.armcal("validate cal.toml other.csv --json").out)
+    with pytest.MonkeyPatch.context() as patch:
+        folder = Folder(tmp_path_factory.mktemp("campaign"))
+        patch.chdir(folder.path)
+        folder.simulated()
+        folder.write("ident.json", folder.armcal("identify arm.toml data.csv --out cal.toml --json").out)
+        folder.simulated("other.csv", seed=5)
+        folder.write("valid.json", folder.armcal("validate cal.toml other.csv --json").out)
+        done = folder.armcal(
+            "diagnose arm.toml data.csv --holdout other.csv --out extended.toml --report gap.html --json"
+        )
+        folder.write("diag.json", done.out)
     return folder
+
+
+@pytest.fixture
+def campaign(made: Folder, monkeypatch: pytest.MonkeyPatch) -> Folder:
+    monkeypatch.chdir(made.path)
+    return made
 
 
 def test_a_page_of_everything(campaign: Folder) -> None:
     names = "arm.toml cal.toml plan.csv data.csv other.csv ident.json valid.json"
-    found = campaign.said(f"report {names} --out page.html --seed 3")
+    found = campaign.said(f"report {names} --out page.html --seed 3 --force")
     kinds = {entry["file"]: entry["kind"] for entry in found["files"]}
     assert list(kinds) == names.split()
     assert kinds["cal.toml"] == "arm with a calibration"
@@ -60,26 +75,25 @@ def test_a_plan_of_seatings_is_no_measurement(folder: Folder) -> None:
 
 
 def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> None:
-    done = campaign.armcal("diagnose arm.toml data.csv --out extended.toml --report gap.html --json")
+    said = json.loads(campaign.read("diag.json"))
     calibration = load_arm(campaign.path / "extended.toml").calibration
     assert calibration is not None
     assert calibration.provenance["sha256"] == hashlib.sha256((campaign.path / "data.csv").read_bytes()).hexdigest()
-    campaign.write("diag.json", done.out)
     for text in (campaign.read("gap.html"), page(campaign, "diag.json")):
-        assert f">{done.data['gap']['rms_before_mm']:.4f}</td>" in text
+        assert f">{said['gap']['rms_before_mm']:.4f}</td>" in text
     assert calibration.provenance["sha256"] in campaign.read("gap.html")
     # the next step names the file that was diagnosed, whichever other files are given beside the JSON object or not
-    campaign.write("diag.json", campaign.armcal("diagnose arm.toml other.csv --json").out)
-    for names in ("diag.json", "arm.toml data.csv diag.json"):
-        text = page(campaign, names)
-        assert "armcal identify arm.toml other.csv --out calibrated.toml" in text
-        assert "armcal identify arm.toml data.csv" not in text
+    campaign.write("another.json", json.dumps(said | {"files": ["arm.toml", "another.csv"]}))
+    for names in ("another.json", "arm.toml data.csv another.json"):
+        actions = Campaign.of([Path(name) for name in names.split()]).actions
+        commands = " ".join(action.command for action in actions)
+        assert ("another.csv" in commands, "data.csv" in commands) == (True, False)
 
 
 def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
     campaign.write("targets.csv", "x_mm,y_mm\n400,100\n300,-50\n9000,0\n")
     made = campaign.said("compensate cal.toml targets.csv --out commands.csv")
-    found = campaign.said("report arm.toml cal.toml commands.csv --out page.html")
+    found = campaign.said("report arm.toml cal.toml commands.csv --out page.html --force")
     assert found["files"][-1]["kind"] == "joint commands"
     text = campaign.read("page.html")
     assert all(f">{angle:.3f}</td>" in text for angle in made["commands_deg"][0])
@@ -88,15 +102,13 @@ def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
 
 def test_the_headline_is_the_error_on_rows_that_no_fit_has_seen(campaign: Folder) -> None:
     """Whichever file says it: other measurements, what `validate` said of them, or a diagnosis with rows held out."""
-    campaign.write("diag.json", campaign.armcal("diagnose arm.toml data.csv --holdout other.csv --json").out)
     valid, diagnosis = (json.loads(campaign.read(name)) for name in ("valid.json", "diag.json"))
     by_rows, by_diagnosis = valid["rms_mm"], diagnosis["confirmation"]["after_mm"]
     for names, figure in (
         ("other.csv", by_rows), ("valid.json", by_rows), ("diag.json", by_diagnosis),
         ("diag.json other.csv", by_rows), ("ident.json", None),
     ):  # fmt: skip
-        line = f"report arm.toml cal.toml data.csv {names} --out page.html --force"
-        headline, *rest = campaign.said(line)["verdict"]
+        headline, *rest = Campaign.of([Path(name) for name in f"arm.toml cal.toml data.csv {names}".split()]).verdict
         assert ("On 12 rows of data.csv" in headline) is (figure is None)
         assert figure is None or f"to {in_a_sentence(figure)} mm" in headline
         assert headline not in rest

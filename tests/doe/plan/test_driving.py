@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.plan.driving import MOVING, check_approach, drive, room_of, with_approach
+from doe.plan.driving import MOVING, check_approach, drive, one_turn, out_of_sight, room_of, with_approach
 from doe.plan.moves import APPROACH, Space, free, route
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from doe.problem.problem import DesignProblem
 from identification import Arm, Array, Model, Plan, load_plan
+from identification.arm import EffectSpec
 from identification.bodies import Body, Cell
 from identification.errors import InputError, JobError
 from identification.workspace import LineOfSight, WorkspaceBox
@@ -47,7 +48,7 @@ def test_moves_of_an_arm_keep_half_the_clearance(arm: Arm) -> None:
     found = route(postures, room, Space(arm.lower, arm.upper, np.ones(6)))
     assert found.unreached == []
     way = whole_way(postures, found)
-    shares = np.linspace(0.0, 1.0, 3000)[:, None]
+    shares = np.linspace(0.0, 1.0, 1000)[:, None]
     solid = [SIGHT not in pair for pair in clearance.pairs]
     for a, b in pairwise(way):
         apart = clearance.distance(a + shares * (b - a))[:, solid]
@@ -95,7 +96,7 @@ def ring() -> DesignProblem:
 def inside(problem: DesignProblem, way: Array) -> bool:
     """Whether every move of a way keeps half of its clearance, by a fine sample."""
     clearance = next(each for each in problem.constraints if isinstance(each, Clearance))
-    shares = np.linspace(0.0, 1.0, 1500)[:, None]
+    shares = np.linspace(0.0, 1.0, 500)[:, None]
     points = np.concatenate([a + shares * (b - a) for a, b in pairwise(way)])
     solid = [SIGHT not in pair for pair in clearance.pairs]
     return bool(np.all((clearance.distance(points) >= MOVING * clearance.asked - 2e-3)[:, solid]))
@@ -148,6 +149,52 @@ def test_joints_come_from_the_side_that_is_asked_for(approach: str) -> None:
             assert inside(problem, found.moves.postures)
         else:
             assert rows == list(range(6))
+
+
+@pytest.mark.parametrize(("effects", "listed"), [((), False), ((), True), ((EffectSpec("gear_ratio", 1),), False)])
+def test_joints_are_turned_into_one_turn(effects: tuple[EffectSpec, ...], listed: bool) -> None:
+    """Where limits leave two, and neither the criterion nor a list of postures tells them apart: the turn ends at a
+    post, which the stretched arm does not get past. An error that grows with the angle does tell."""
+    balls = (ball("post", 0, 450.0, 0.0, 60.0), ball("hand", 2, 200.0, 0.0, 30.0))
+    limits = np.radians([360.0, 100.0])
+    arm = Arm(np.array([300.0, 200.0]), lower=-limits, upper=limits, sigma=0.1, cell=Cell(balls), effects=effects)
+    problem = DesignProblem.of(Model(arm))
+    drawn = np.random.default_rng(4).uniform(problem.lower, problem.upper, (60, 2))
+    postures = drawn[problem.feasible(drawn)][:20]
+    if listed:
+        problem = replace(problem, choices=postures)
+    room = room_of(problem.constraints)
+    assert room is not None
+    turned = one_turn(problem, room, np.random.default_rng(0))(postures)
+    turns = (turned - postures) / (2.0 * np.pi)
+    if effects or listed:
+        np.testing.assert_array_equal(turns, 0.0)
+        return
+    np.testing.assert_allclose(turns, turns.round(), atol=1e-12)
+    assert np.any(turns[:, 0])
+    assert not np.any(turns[:, 1])
+    assert np.ptp(turned[:, 0]) <= 2.0 * np.pi
+    around = np.mod(turned[:, 0].min() - 1e-9, 2.0 * np.pi)  # near where the turn ends: by the post, which is at 0
+    assert min(around, 2.0 * np.pi - around) < np.radians(50.0)
+    assert problem.objective(turned) == pytest.approx(problem.objective(postures))
+    whole = drive(problem, Plan(postures))
+    assert whole.travel < 0.7 * whole.before
+    assert inside(problem, whole.moves.postures)
+
+
+def test_moves_out_of_sight_are_counted(arm: Arm) -> None:
+    """By the angle at which a tracker sees the tip between two postures, of which it sees both."""
+    sight = LineOfSight((0.0, 1000.0), np.radians(20.0), (0.0, 0.0))
+    cell = Cell((ball("post", 0, 0.0, -900.0, 10.0), ball("hand", 2, 100.0, 0.0, 10.0)))
+    planar = Arm(np.array([300.0, 200.0]), sigma=0.1, cell=cell, constraints=(sight,))
+    way = np.radians([[85.0, 5.0], [95.0, -5.0], [-90.0, 10.0], [-85.0, -10.0]])
+    problem = DesignProblem.of(Model(planar))
+    assert problem.feasible(way[:2]).all()
+    assert out_of_sight(problem.constraints, way[:2]) == 0
+    assert out_of_sight(problem.constraints, way[:3]) == 1
+    driven = drive(problem, Plan(way[:3]), order="given")
+    assert driven.unseen == 1
+    assert any("On 1 of 2 moves the tracker loses sight" in line for line in driven.in_words())
 
 
 def test_room_to_come_from_is_left_within_the_limits() -> None:

@@ -17,7 +17,7 @@ from doe.discrimination.t_optimal import RivalPredictions, t_optimal
 from doe.plan.accuracy import TipErrors
 from doe.problem.model import REQUIRED
 from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import ensemble_problem, prior_draws, robust_problem
+from doe.problem.uncertain import robust_problem
 from doe.solvers import solve
 from identification.arrays import Array
 from identification.errors import InputError
@@ -108,20 +108,9 @@ def test_a_member_that_is_missing_is_named() -> None:
             DesignProblem.of(type("Less", (), members)())
     with pytest.raises(InputError, match=r"^robust: Sine has no missing_effects"):
         robust_problem(SINE)
-    with pytest.raises(InputError, match=r"^uncertain: Sine has no covariance"):
-        prior_draws(Sine(), 3, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"^constraints: Walled has no space"):
         DesignProblem.of(type("Walled", (Sine,), {"constraints": ["a wall"]})())
     assert TipErrors.of(SINE) is None
-
-
-def test_an_uncertain_sine() -> None:
-    """Its phase is known to half a radian: the mean of log det of the draws, by hand."""
-    draws = np.array([[100.0, -0.5], [100.0, 0.5]])
-    design = solve(ensemble_problem(SINE, draws), 4, seed=0)
-    q = design.plan.postures[:, 0]
-    each = [np.stack([np.sin(q + b), np.cos(q + b)], axis=1) for _, b in draws]
-    assert design.value == pytest.approx(sum(np.linalg.slogdet(x.T @ x / 4.0)[1] for x in each), abs=1e-9)
 
 
 class FiveBar:

@@ -10,7 +10,7 @@ import pytest
 
 from doe.bounds.certificate import Bound
 from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import ensemble_problem, prior_draws, tip_jacobians
+from doe.problem.uncertain import tip_jacobians
 from doe.solvers import Gradient, solve
 from identification.arm import Arm
 from identification.errors import InputError
@@ -77,16 +77,6 @@ def test_every_point_is_measured_at_every_posture() -> None:
     for rows, tool in ((slice(0, 3), tools["1"]), (slice(3, 6), tools["2"])):
         expected = difference_jacobian(Model(SIX_AXIS), POSTURES[:3], tool)[..., shared]
         np.testing.assert_allclose(blocks[:, rows][..., own], expected, atol=1e-4)
-
-
-def test_uncertain_arms_keep_their_prior() -> None:
-    problem = six_axis()
-    placed = ArmModel(SIX_AXIS).placed()
-    draws = prior_draws(placed, 2, np.random.default_rng(0))
-    uncertain = ensemble_problem(problem, draws)
-    assert uncertain.parameters == 78
-    each = [replace(problem, model=placed).objective(POSTURES)]
-    assert uncertain.objective(POSTURES) == pytest.approx(2.0 * each[0], rel=1e-2)
 
 
 def bar(**changes: Any) -> Arm:

@@ -209,7 +209,7 @@ def test_times_are_those_of_a_polynomial_that_keeps_the_speed() -> None:
     [(1e-9, 6, "0.0"), (-1e-9, 6, "0.0"), (-0.1234567, 6, "-0.123457"), (1e7, 6, "10000000.0"), (30.0, 6, "30.0")],
 )
 def test_numbers_have_no_exponent_and_no_minus_zero(value: float, digits: int, text: str) -> None:
-    assert decimal(value, digits) == text
+    assert decimal(value, 1.0, digits) == text
 
 
 NAMES = {

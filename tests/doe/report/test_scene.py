@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from doe.report.design import plan_section
 from doe.report.page import page
-from doe.report.scene import FINE, error_arrows, looks, scene, shape, simplified
+from doe.report.scene import WHOLE, error_arrows, scene, shape, simplified
 from identification import Plan, design_model, load_plan
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
@@ -92,7 +92,7 @@ def test_triangles_are_read_as_they_were_written() -> None:
     whole, faces = (np.frombuffer(b64decode(said[key]), "<u2").reshape(-1, 3) for key in ("vertices", "faces"))
     corners = (said["low"] + said["step"] * whole)[faces]
     size = 200.0
-    assert said["step"] == pytest.approx(size / FINE, rel=1e-6)
+    assert said["step"] == pytest.approx(size / WHOLE, rel=1e-6)
     middle = np.sort(triangles[np.linalg.norm(np.ptp(triangles, axis=1), axis=1) > 0].mean(axis=1).sum(axis=1))
     assert set(corners.mean(axis=1).sum(axis=1).round(1)) <= {
         x for v in middle for x in (v.round(1), (v + 0.05).round(1), (v - 0.05).round(1))
@@ -111,13 +111,13 @@ def test_a_body_without_triangles_looks_like_its_pieces() -> None:
         (Body("ball", 2, ball), sphere, 0.03),
         (Body("brick", 0, boxes=brick), 8.0 * half.prod(), 1e-12),
     ):
-        triangles = looks(body)
+        triangles = body.looks()
         outward = np.linalg.det(triangles - triangles.mean(axis=(0, 1)))  # counterclockwise from outside
         assert (outward > -1e-6).all()
         assert outward.sum() / 6.0 == pytest.approx(volume, rel=error)
-    away = np.linalg.norm(looks(Body("ball", 2, ball)) - start, axis=-1)
+    away = np.linalg.norm(Body("ball", 2, ball).looks() - start, axis=-1)
     np.testing.assert_allclose(away, radius)
-    local = np.abs((looks(Body("brick", 0, boxes=brick)) - brick[0, :3]) @ turn)
+    local = np.abs((Body("brick", 0, boxes=brick).looks() - brick[0, :3]) @ turn)
     np.testing.assert_allclose(local, np.broadcast_to(half, local.shape))
 
 
@@ -210,6 +210,10 @@ def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
     seen.page.add_style_tag(content="canvas { outline: none !important }")  # and is not looked at below
     first = picture(seen)
     assert len(np.unique((first * 255).astype(int).reshape(-1, 3), axis=0)) > 200  # shaded, not blank
+    script = "plans[0].cell.seen.map(one => [...one.toArray(), ...one.clone().project(plans[0].cell.camera).toArray()])"
+    at_first = np.array(seen.page.evaluate(script))
+    assert np.abs(at_first[:, 3:5]).max() < 1.0
+    assert [-400.0, 400.0, -190.0] in at_first[:, :3].round().tolist()  # a corner of the table
     keys.press("ArrowRight")
     assert where.inner_text() == "Run 2, place 2 of 14"
     second = picture(seen)

@@ -136,7 +136,7 @@ def from_the_hole(goal: np.ndarray, real: Arm) -> float:
     found = real.calibration
     lengths = real.lengths + found.length_errors
     low, high = real.lower[1:], real.upper[1:]
-    for levels in (121, 81, 81):
+    for levels in (61, 61, 61, 61):
         grids = [np.linspace(a, b, levels) for a, b in zip(low, high, strict=True)]
         theta, z = 0.0, lengths[0] + 0.0j
         for j, grid in enumerate(np.meshgrid(*grids, indexing="ij", sparse=True)):

@@ -36,19 +36,6 @@ def test_names_say_the_setting_only_where_they_must() -> None:
     assert alone.names[6:8] == (f"{RIPPLE}:1.a", f"{RIPPLE}:1.b")
 
 
-def test_position_is_the_sum_of_all_ripples() -> None:
-    generator = np.random.default_rng(3)
-    q, values = generator.uniform(-np.pi, np.pi, (5, 3)), generator.normal(0.0, 0.01, 6)
-    a, b = values[::2], values[1::2]
-    joint, k = np.array([0, 1, 0]), np.array([20, 18, 29])
-    angles = q.copy()
-    for i in range(3):
-        angles[:, joint[i]] += a[i] * np.cos(k[i] * q[:, joint[i]]) + b[i] * np.sin(k[i] * q[:, joint[i]])
-    tip = np.exp(1j * np.cumsum(angles, axis=1)) @ LENGTHS
-    found = Model(ARM).position(q, np.r_[np.zeros(6), values])
-    np.testing.assert_allclose(found, np.column_stack([tip.real, tip.imag]), atol=1e-9)
-
-
 def test_all_are_estimated_and_known_values_stay() -> None:
     truth = ARM.with_effects(ripple(1, 20, a=1e-3, b=2e-3), ripple(2, 18, a=-2e-3, b=0.0), ripple(1, 29, a=0.0, b=3e-3))
     q = np.random.default_rng(4).uniform(-np.pi, np.pi, (40, 3))

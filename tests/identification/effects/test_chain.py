@@ -36,14 +36,6 @@ def test_loads_beyond_a_link() -> None:
     np.testing.assert_allclose(number(chain().moment(1)), [0.0, 0.0, lever[0] * -9.0 - lever[1] * 2.0], atol=1e-13)
 
 
-def test_conditions_stand_where_their_table_has_them() -> None:
-    made = chain()
-    values = [
-        number(part).tolist() for part in (made.payload, made.temperature, made.time, made.session, made.directions)
-    ]
-    assert values == [[PAYLOAD], [1.5], [-0.25], [2.0], [1.0, -1.0]]
-
-
 def test_without_gravity_there_are_no_torques() -> None:
     with pytest.raises(InputError, match=r"needs gravity torques, add a \[gravity\] table"):
         _ = chain(Arm(LENGTHS)).torques

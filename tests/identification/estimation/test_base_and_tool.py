@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import TOGETHER, flange_turns
-from identification.inspection.inspection import inspect
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements
@@ -90,14 +89,12 @@ def test_one_orientation_is_the_cause(wobble: float, turned: str) -> None:
     assert not any("too few measurements" in warning for warning in found.warnings)
     if wobble:
         return
-    assert inspect(ARM, measured(q)).problems == (said,)
     generator = np.random.default_rng(6)
     turned = np.concatenate([q, generator.uniform(-1.2, 1.2, (15, 6))])
     better = fitted(turned)
     assert sentences(better) == []
     assert better.expected_tip_measured is not None
     assert better.expected_tip_measured < 0.5
-    assert inspect(ARM, measured(turned)).problems == ()
 
 
 def test_one_axis_is_the_cause() -> None:

@@ -61,17 +61,17 @@ def same(model: Model, fits: Solution, rows: list[Measurements], among: list[int
 @pytest.mark.parametrize(("name", "spread"), [(name, 2.0 * (k % 2)) for k, name in enumerate(EFFECTS)])
 def test_equals_single_fits_and_scipy(name: str, spread: float) -> None:
     model, postures = Model(arm(*EFFECTS[name])), plan(30)
-    positions = batch(model, postures, 1500, spread)  # more than one chunk
-    among = [*range(5), *range(1495, 1500)]
+    positions = batch(model, postures, 700, spread)  # more than one chunk
+    among = [*range(3), *range(697, 700)]
     rows = [Measurements(postures, positions[k]) for k in among]
-    same(model, estimate_batch(model, postures, positions), rows, among, 2)
+    same(model, estimate_batch(model, postures, positions), rows, among, 1)
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_on_plans_of_their_own(name: str) -> None:
     model = Model(arm(*EFFECTS[name]))
-    postures = np.random.default_rng(9).uniform(-np.pi, np.pi, (900, 25, 4))  # more than one chunk
-    positions, among = each(model, postures), [0, 1, 2, 897, 898, 899]
+    postures = np.random.default_rng(9).uniform(-np.pi, np.pi, (820, 25, 4))  # more than one chunk
+    positions, among = each(model, postures), [0, 1, 818, 819]
     rows = [Measurements(postures[k], positions[k]) for k in among]
     same(model, estimate_each(model, postures, positions), rows, among, 1)
 
@@ -162,7 +162,3 @@ def test_bad_input() -> None:
         estimate_batch(model, plan(3), np.zeros((5, 3, 2)))
     with pytest.raises(JobError, match=r"does not identify: joint_offset:1 \+ base_rotation.angle"):
         estimate_batch(Model(arm(EffectSpec("base_rotation"))), plan(20), np.zeros((5, 20, 2)))
-    with pytest.raises(InputError, match=r"postures: shape"):
-        estimate_each(model, plan(10), np.zeros((1, 10, 2)))
-    with pytest.raises(InputError, match=r"positions: shape \(1, 9, 2\), allowed: \(1, 10, 2\)"):
-        estimate_each(model, plan(10)[None], np.zeros((1, 9, 2)))

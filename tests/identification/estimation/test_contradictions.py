@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification.arm import Arm, Calibration
-from identification.estimation import Identification, estimate, estimate_with_prior
+from identification.estimation import Identification, estimate
 from identification.estimation.problem import Prior, Problem, contradicted, released_drops
 from identification.measurements import Measurements
 from identification.model import Model
@@ -36,7 +36,7 @@ def means(earlier: Calibration) -> np.ndarray:
 
 
 def with_prior(earlier: Calibration, data: Measurements, sigma: str | None = None) -> Identification:
-    return estimate_with_prior(MODEL, data, Prior({}, earlier), sigma=sigma)  # type: ignore[arg-type]
+    return estimate(MODEL, data, prior=Prior({}, earlier), sigma=sigma)  # type: ignore[arg-type]
 
 
 def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:
@@ -68,14 +68,14 @@ def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:
 
 @pytest.mark.parametrize("factor", [1.0, 3.0])
 def test_data_that_agree_are_rarely_accused(factor: float) -> None:
-    """The level is 1 % of data sets: of 60, more than 4 have probability 4e-4. Also where sigma is three times too
+    """The level is 1 % of data sets: of 40, more than 3 have probability 7e-4. Also where sigma is three times too
     small."""
     accused = 0
-    for seed in range(60):
+    for seed in range(40):
         generator = np.random.default_rng(100 + seed)
         earlier, data = before(generator), measured(generator, 10, TRUTH, factor * SIGMA)
         accused += bool(contradicted(Problem.of(MODEL, data, prior=Prior({}, earlier)), TRUTH))
-    assert accused <= 4
+    assert accused <= 3
 
 
 @pytest.mark.parametrize("sigma", [None, "given", "estimated"])
@@ -116,12 +116,12 @@ def test_too_few_rows_to_tell() -> None:
 
 def test_an_error_of_degrees_accuses_no_length() -> None:
     """The tip of a zero 3 deg off moves on an arc, by 0.5 mm from its tangent, which looks like another length: ten
-    deviations of the measurements. Of 20 sets, chance names one more in 1 %."""
+    deviations of the measurements. Of 12 sets, chance names one more in 1 %."""
     more = 0
-    for seed in range(20):
+    for seed in range(12):
         generator = np.random.default_rng([5, seed])
         earlier, moved = before(generator), TRUTH + np.radians(3.0) * np.eye(6)[3 + seed % 3]
         names = [one.name for one in with_prior(earlier, measured(generator, 10, moved)).contradictions]
         assert names[0] == f"joint_offset:{1 + seed % 3}"
         more += len(names) > 1
-    assert more <= 2
+    assert more <= 1

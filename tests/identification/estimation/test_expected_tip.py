@@ -10,12 +10,10 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate, estimate_batch
-from identification.estimation.doubts import expected_tip, size_left_open
+from identification.estimation.doubts import expected_tip
 from identification.files.arm import load_arm
-from identification.instruments import Distance, Instrument, Plane, Sphere
 from identification.measurements import load_measurements
 from identification.model import Model
-from tests.doe.six_axis import CHAIN
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10"
@@ -84,13 +82,13 @@ def test_limits_of_half_a_turn_are_limits_as_any_others() -> None:
 
 def test_postures_like_those_measured_fill_no_box_of_angles() -> None:
     """Joints that move together, as on a grid of places or along paths: new postures drawn as the rows were are
-    predicted as well as is said, of 120 plans of 12 rows; random angles of the same ranges far worse."""
+    predicted as well as is said, of 60 plans of 12 rows; random angles of the same ranges far worse."""
     model, said, off, box = Model(arm(sigma=SIGMA)), [], [], []
 
     def postures(generator: np.random.Generator, count: int) -> np.ndarray:
         return generator.uniform(-2.0, 2.0, (count, 1)) * [1.0, -0.8, 0.5, 0.3] + generator.normal(0.0, 0.2, (count, 4))
 
-    for seed in range(120):
+    for seed in range(60):
         generator = np.random.default_rng([13, seed])
         q, fresh = postures(generator, 12), postures(generator, 50)
         found = estimate(model, data(model, q, seed=seed), sigma=SIGMA)
@@ -98,19 +96,19 @@ def test_postures_like_those_measured_fill_no_box_of_angles() -> None:
         for there, errors in ((fresh, off), (generator.uniform(q.min(axis=0), q.max(axis=0), (50, 4)), box)):
             difference = model.position(there, found.parameters) - model.position(there, truth(model))
             errors.append(np.mean(np.sum(difference**2, axis=1)))
-    error = np.std(off) / np.sqrt(120.0)
+    error = np.std(off) / np.sqrt(60.0)
     assert np.mean(said) == pytest.approx(np.mean(off), abs=4.0 * error)
     assert np.mean(box) > 2.0 * np.mean(off)
 
 
 @pytest.mark.filterwarnings("ignore:.*columns are not used")  # orientations
 def test_a_real_robot_is_off_by_what_is_said() -> None:
-    """40 rows of a sample of a session of the UR10, five times, against the fit of the others: what is said is right to
-    a third. Random angles within those measured would be 4 times as far off: its postures fill no box of angles."""
+    """40 rows of a sample of a session of the UR10, three times, against the fit of the others: what is said is right
+    to a third. Random angles within those measured would be 4 times as far off: its postures fill no box of angles."""
     robot = load_arm(UR10 / "ur10.toml")
     rows, model = load_measurements(UR10 / "series_A.csv", robot), Model(robot)
     generator, said, off = np.random.default_rng(15), [], []
-    for _ in range(5):
+    for _ in range(3):
         order = generator.permutation(len(rows))
         few, rest = rows.rows(np.sort(order[:40])), rows.rows(np.sort(order[40:]))
         found, best = estimate(model, few), estimate(model, rest)
@@ -118,15 +116,3 @@ def test_a_real_robot_is_off_by_what_is_said() -> None:
         said.append(found.expected_tip_measured**2)
         off.append(np.mean(np.sum((left[0] - left[1]) ** 2, axis=1)))
     assert np.sqrt(np.mean(said) / np.mean(off)) == pytest.approx(1.0, abs=1.0 / 3.0)
-
-
-@pytest.mark.parametrize(
-    ("instrument", "said"),
-    [(Distance(), ""), (Sphere(15.0), ""), (Sphere(), "give radius_mm"), (Plane(), "only [machining] tells")],
-)
-def test_where_more_postures_do_not_show_the_size(instrument: Instrument, said: str) -> None:
-    """An arm twice as large touches planes, and spheres twice as large, at the same postures."""
-    found = size_left_open(Arm(replace(CHAIN, instrument=instrument)))
-    assert found.endswith(said)
-    assert bool(found) == bool(said)
-    assert size_left_open(limited()) == ""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm
-from identification.estimation import estimate, estimate_with_prior
+from identification.estimation import estimate
 from identification.estimation.doubts import left_out_rms
 from identification.estimation.problem import Prior
 from identification.measurements import Measurements
@@ -30,7 +30,7 @@ def refitted(rows: Measurements, groups: list[list[int]], prior: Prior | None = 
     squares = []
     for group in groups:
         others = rows.rows(np.setdiff1d(np.arange(len(rows)), group))
-        fit = estimate(MODEL, others) if prior is None else estimate_with_prior(MODEL, others, prior, sigma="given")
+        fit = estimate(MODEL, others) if prior is None else estimate(MODEL, others, prior=prior, sigma="given")
         there = MODEL.position(rows.postures[group], fit.parameters)
         squares += np.sum((rows.positions[group] - there) ** 2, axis=1).tolist()
     return float(np.sqrt(np.mean(squares)))
@@ -48,7 +48,7 @@ def test_each_posture_as_a_fit_without_it_predicts_it(name: str) -> None:
     """In the plane the model is linear in l_j cos and l_j sin of its angles: for small errors to second order in them,
     1e-2 rad here, of a change of the fit of 0.1 mm."""
     rows, prior, near = ROWS[name]
-    fit = estimate(MODEL, rows) if prior is None else estimate_with_prior(MODEL, rows, prior, sigma="given")
+    fit = estimate(MODEL, rows) if prior is None else estimate(MODEL, rows, prior=prior, sigma="given")
     found = left_out_rms(fit, rows)
     assert found == pytest.approx(refitted(rows, [[k] for k in range(len(rows))], prior), rel=near)
     assert found > fit.rms_after

@@ -23,7 +23,6 @@ from identification.estimation.uncertainty import (
     lack_of_fit,
     quantile_95,
     sandwich,
-    stretches,
     uncertainty,
 )
 from identification.information import spectrum
@@ -73,7 +72,7 @@ def test_what_is_relied_upon(factor: float, rows: int, kind: str, said: bool) ->
         estimate(Model(arm()), measurements, sigma="given")
 
 
-@pytest.mark.parametrize(("factor", "ripple"), [(1.0, 0.0), (0.3, 0.0), (3.0, 0.0), (1.0, 2e-3)])
+@pytest.mark.parametrize(("factor", "ripple"), [(1.0, 0.0), (0.3, 0.0), (1.0, 2e-3)])
 def test_intervals_hold_whatever_sigma_is_and_with_a_ripple_that_is_not_modelled(factor: float, ripple: float) -> None:
     """Coverage of 8 parameters in 80 sets of 20 postures; 3.5 standard errors, sets counting as independent."""
     rng, model, held = np.random.default_rng(8), Model(arm(sigma=factor * SIGMA)), []
@@ -117,7 +116,7 @@ def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
     bread = np.linalg.inv(columns.T @ columns)
     exact = bread @ columns.T @ rho ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))) @ columns @ bread
     rng, variances = np.random.default_rng(10), []
-    for _ in range(60):
+    for _ in range(30):
         rows, root = fitted(columns, autoregression(rng, m, rho))
         found = uncertainty(rows, spectrum(columns, np.ones(2)), sigma_given=False)
         assert (found.kind, found.clusters) == ("sandwich", "stretches")
@@ -132,20 +131,6 @@ def test_white_noise_is_seldom_taken_for_correlated() -> None:
     rng, columns = np.random.default_rng(11), np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
     taken = [correlated(*fitted(columns, rng.standard_normal(60))) > 1 for _ in range(400)]
     assert np.mean(taken) < 0.03
-
-
-def test_length_of_the_stretches() -> None:
-    """Carlstein's, and no more than 40 of them; 12 rows in stretches of 5 are two of 6."""
-    columns = np.ones((4000, 1))
-    rows, root = fitted(columns, autoregression(np.random.default_rng(12), 4000, 0.5))
-    assert correlated(rows, root) == 100  # 4000 / 40; Carlstein's 16 (1 / 0.75)^(2/3) = 19
-    short, root = fitted(columns[:100], autoregression(np.random.default_rng(12), 100, 0.9))
-    (scores,) = (short.residual.T * root[0, 0],)
-    rho = np.sum(scores[0, 1:] * scores[0, :-1]) / np.sum(scores**2)
-    assert correlated(short, root) == int(np.ceil(100.0 ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0)))
-    order = np.random.default_rng(13).permutation(12)
-    groups = stretches(order, 5)
-    assert groups[order].tolist() == [0] * 6 + [1] * 6
 
 
 def test_lack_of_fit_is_the_f_test_of_the_analysis_of_variance() -> None:

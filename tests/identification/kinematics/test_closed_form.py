@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
 from identification.arm import Arm, EffectSpec
 from identification.errors import InputError
@@ -18,7 +16,7 @@ BASE = (EffectSpec("base_offset"),)
 
 
 @pytest.mark.parametrize("effects", [(), BASE], ids=["base", "base_offset"])
-@pytest.mark.parametrize("m", [5, 20, 200])
+@pytest.mark.parametrize("m", [5, 200])
 def test_equals_the_converged_iteration_of_the_paper(effects: tuple[EffectSpec, ...], m: int) -> None:
     """Section III: the linearised solution of eq. 11, from zero errors, again and again."""
     model = Model(arm(*effects))
@@ -45,12 +43,10 @@ def test_equals_scipy_with_weights(effects: tuple[EffectSpec, ...], m: int) -> N
     assert weighted <= 2.0 * other.cost * (1.0 + 1e-12)
 
 
-@given(st.integers(1, 5), st.integers(0, 2**32))
-@example(12, 0)
-@settings(max_examples=6)
-def test_exact_data_give_the_exact_arm_whatever_the_offsets(n: int, seed: int) -> None:
+@pytest.mark.parametrize("n", [1, 3, 6])
+def test_exact_data_give_the_exact_arm_whatever_the_offsets(n: int) -> None:
     """Offsets of any size, even half a turn, and lengths 30 % off: there is no start to be poor."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(n)
     lengths = generator.uniform(50.0, 300.0, n)
     model = Model(Arm(lengths, effects=BASE))
     true = np.r_[

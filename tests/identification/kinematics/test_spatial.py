@@ -8,8 +8,6 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from identification.arrays import Array
@@ -112,21 +110,12 @@ def test_what_there_is_to_find() -> None:
     assert placed == still | {name: kind for name, kind in first.items() if name != "rotation_z:1"}
 
 
-def test_every_error_against_exponentials(chain: KinematicChain) -> None:
-    generator = np.random.default_rng(6)
-    names = chain.every_parameter.names
-    assert len(names) == 6 + 3 + 7 * len(chain)
-    for q in postures(chain, 5):
-        values = generator.uniform(-0.3, 0.3, len(names))
-        expected = tip_by_exponentials(chain, q, dict(zip(names, values, strict=True)), chain.tools["1"])
-        np.testing.assert_allclose(position_and_jacobian(chain, q, values)[0], expected, atol=1e-9)
-
-
 def test_frames_points_and_orientation_against_exponentials(chain: KinematicChain) -> None:
     """Of one chain with errors: `points` begins at the base, whose own pose it leaves out."""
     generator = np.random.default_rng(8)
     posed = replace(chain, angle_scale=500.0)
-    names = posed.parameters().names
+    names = posed.every_parameter.names
+    assert len(names) == 6 + 6 + 7 * len(chain)
     values = dict(zip(names, generator.uniform(-0.3, 0.3, len(names)), strict=True))
     for q in postures(posed, 3):
         places = places_by_exponentials(posed, q, values)
@@ -207,27 +196,6 @@ def test_a_shift_along_the_axes_of_the_base_turns_by_them() -> None:
 
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
-
-
-def by_complex_numbers(lengths: np.ndarray, posture: np.ndarray) -> list[complex]:
-    """Base to tip, one joint at a time: every link turned by the joints up to it."""
-    points = [0j]
-    for j, length in enumerate(lengths):
-        points.append(points[-1] + length * np.exp(1j * sum(posture[: j + 1])))
-    return points
-
-
-@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
-def test_errors_lengthen_links_and_turn_joints_in_symbols_too(n: int, seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    lengths, posture = generator.uniform(10.0, 500.0, n), generator.uniform(-4.0, 4.0, n)
-    errors, offsets = generator.normal(0.0, 1.0, n), generator.normal(0.0, 0.1, n)
-    chain, q = planar_chain(lengths), ca.SX.sym("q", n)
-    values = chain.parameters().mapping(np.r_[errors, offsets])
-    symbolic = ca.Function("points", [q], [ca.horzcat(*chain.symbolic_points(q, values))])
-    points = np.array(symbolic(posture)).T @ [1.0, 1.0j]
-    np.testing.assert_allclose(points, by_complex_numbers(lengths + errors, posture + offsets), rtol=0, atol=1e-10)
-    np.testing.assert_allclose(chain.points(posture[None], values)[0] @ [1.0, 1.0j], points, atol=1e-10)
 
 
 def test_bent_links_displace_and_turn_what_follows() -> None:

@@ -56,14 +56,6 @@ def test_found_from_nothing(known: tuple[str, ...]) -> None:
     assert np.linalg.norm(left, axis=1).max() < 0.5
 
 
-def test_what_is_known_stays() -> None:
-    chain = replace(CHAIN, base=BASE, tools=TOOLS, settled=frozenset({"base", "tool"}))
-    model = Model(Arm(chain))
-    assert placed_model(model, measured(TRUE)) is model
-    planar = Model(Arm([300.0, 200.0]))
-    assert placed_model(planar, Measurements(np.zeros((1, 2)), np.zeros((1, 2)))) is planar
-
-
 BAR = Arm(replace(DRAWN, instrument=Distance(), base=pose([-700.0, 200.0, -300.0])), sigma=0.01)
 POSTURES = np.random.default_rng(0).uniform(-2.0, 2.0, (30, 6))
 

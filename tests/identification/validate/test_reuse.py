@@ -10,7 +10,7 @@ import pytest
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.errors import InputError
-from identification.estimation import estimate, estimate_with_prior
+from identification.estimation import estimate
 from identification.estimation.problem import Prior
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
@@ -59,7 +59,7 @@ def test_an_earlier_calibration_as_prior_is_the_fit_of_both() -> None:
     words = ["lengths", "base_offset"]
     calibrated = estimate(only(ARM, words), first, sigma="given").calibrated_arm()
     model = only(ARM, words)
-    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model, second)), sigma="given")
+    found = estimate(model, second, prior=Prior({}, earlier(calibrated, model, second)), sigma="given")
     base_1, base_2 = np.zeros((24 + 8, 2)), np.zeros((24 + 8, 2))
     base_1[:24], base_2[24:] = np.tile(np.eye(2), (12, 1)), np.tile(np.eye(2), (4, 1))
     lengths = np.concatenate([columns(first.postures), columns(second.postures)])
@@ -78,7 +78,7 @@ def test_what_is_held_conditions_the_prior() -> None:
     calibrated = estimate(only(ARM, ["lengths"]), first, sigma="given").calibrated_arm()
     known = Calibration({**FIXED.values, "length_error:1": 0.7})
     model = only(replace(ARM, calibration=known), ["length_error:2", "length_error:3"])
-    found = estimate_with_prior(model, second, Prior({}, earlier(calibrated, model, second)), sigma="given")
+    found = estimate(model, second, prior=Prior({}, earlier(calibrated, model, second)), sigma="given")
     both = np.concatenate([columns(first.postures), columns(second.postures)])
     expected = np.linalg.lstsq(both[:, 1:], np.r_[one, other] - 0.7 * both[:, 0], rcond=None)[0]
     np.testing.assert_allclose(found.parameters, expected, rtol=0, atol=1e-8)

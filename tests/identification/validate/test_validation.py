@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
-from identification.estimation import estimate, estimate_with_prior
+from identification.estimation import estimate
 from identification.files.arm import load_arm
 from identification.gap.diagnose import diagnose
 from identification.gap.library_prior import given_by, library_prior
@@ -345,10 +345,8 @@ def test_a_prior_of_further_effects_is_judged_beside_the_geometry(compliant: boo
     rng, arm = np.random.default_rng(6), drawn_arm()
     truth = small_arm(rng, compliance=np.array([0.0, 2e-4, 1e-4, 0.0, 0.0, 0.0]) * compliant)
     data = measured(truth, random_postures(24, rng), rng)
-    library = library_prior(
-        arm, given_by(data), names=["joint_compliance", "backlash", "encoder_eccentricity", "gear_ratio"]
-    )
-    found = estimate_with_prior(Model(library.arm), data, library.prior)
+    library = library_prior(arm, given_by(data), names=["joint_compliance", "backlash"])
+    found = estimate(Model(library.arm), data, prior=library.prior)
     offered = prior_judged(lambda: estimate(Model(arm), data), found, data)
     assert offered is not None
     assert (offered.by, offered.rows, offered.better) == ("cross-validation", 72, compliant)

@@ -11,7 +11,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.effects import Effect, Parameter, register
 from identification.effects.base import _LIBRARY
 from identification.errors import InputError
-from identification.estimation import estimate_with_prior
+from identification.estimation import estimate
 from identification.gap.library_prior import library_prior
 from identification.measurements import Measurements
 from identification.model import Model
@@ -132,7 +132,7 @@ def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
         postures = generator.uniform(-np.pi, np.pi, (240, 2))
         real = Model(found.arm).position(postures, truth) + own * generator.standard_normal((240, 2))
         data = Measurements(postures[:40], real[:40] + 0.02 * generator.standard_normal((40, 2)))
-        fit = estimate_with_prior(Model(found.arm), data, found.prior)
+        fit = estimate(Model(found.arm), data, prior=found.prior)
         assert fit.expected_tip is not None
         missed = real[40:] - fit.model.position(postures[40:], fit.parameters)
         said.append(fit.expected_tip**2)
