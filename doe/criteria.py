@@ -100,12 +100,7 @@ class Criterion(ABC):
 
     @property
     def smooth(self) -> Criterion:
-        """What gradient methods climb: another one where the criterion has no second derivatives."""
-        return self
-
-    @property
-    def surrogate(self) -> Criterion:
-        """What many postures are compared by: another one where the criterion is slow to compute."""
+        """What searches climb and compare postures by: another one where the criterion has no second derivatives."""
         return self
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
@@ -221,10 +216,8 @@ class InverseTrace(Criterion):
         """(p, p) W."""
 
     def value(self, information: Array) -> Array:
-        inverse = inverses(information)
-        none = np.isinf(inverse[..., 0, 0])
-        finite = np.where(none[..., None, None], 0.0, inverse)
-        return np.where(none, -np.inf, -np.sum(finite * self.weight(information.shape[-1]), axis=(-2, -1)))
+        inverse, none = _finite_inverses(information)
+        return np.where(none, -np.inf, -np.sum(inverse * self.weight(information.shape[-1]), axis=(-2, -1)))
 
     def gradient(self, information: Array) -> Array:
         inverse = np.linalg.inv(information)
@@ -297,9 +290,8 @@ class PowerMean(Criterion):
     name, power = "power_mean", 1
 
     def value(self, information: Array) -> Array:
-        inverse = inverses(information)
-        none = np.isinf(inverse[..., 0, 0])
-        return np.where(none, -np.inf, self._of(np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse)))
+        inverse, none = _finite_inverses(information)
+        return np.where(none, -np.inf, self._of(inverse))
 
     def _of(self, inverse: Array) -> Array:
         scale = np.trace(inverse, axis1=-2, axis2=-1)
@@ -328,7 +320,7 @@ class E(Criterion):
 
     Not invariant to units (lengths in mm, angles times link length). Not differentiable where the eigenvalue is
     multiple, which an optimum usually is: the gradient, v v^T of its eigenvector, is one of many there. Solvers climb
-    the power mean of k = 32, within p^(1/k) of it, 7 % for p = 8, and compare postures by that of k = 8.
+    the power mean of k = 32, within p^(1/k) of it, 7 % for p = 8.
     """
 
     name, power = "E", 1
@@ -337,15 +329,9 @@ class E(Criterion):
     def smooth(self) -> Criterion:
         return PowerMean(32)
 
-    @property
-    def surrogate(self) -> Criterion:
-        return PowerMean(8)
-
     def value(self, information: Array) -> Array:
-        inverse = inverses(information)
-        none = np.isinf(inverse[..., 0, 0])
-        finite = np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse)
-        return np.where(none, -np.inf, 1.0 / np.linalg.eigvalsh(finite)[..., -1])
+        inverse, none = _finite_inverses(information)
+        return np.where(none, -np.inf, 1.0 / np.linalg.eigvalsh(inverse)[..., -1])
 
     def gradient(self, information: Array) -> Array:
         vector = np.linalg.eigh(information)[1][..., 0]
@@ -388,3 +374,10 @@ def inverses(information: Array) -> Array:
     lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
     return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])
+
+
+def _finite_inverses(information: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(..., p, p) inverses, the unit matrix where M is singular; and (...) where it is."""
+    inverse = inverses(information)
+    none = np.isinf(inverse[..., 0, 0])
+    return np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse), none

@@ -138,13 +138,11 @@ def discriminate(
     runs: int,
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
-    pool: Array | None = None,
     stop: Stop = never,
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
-    payloads : [kg] that can be hung on the arm, default its own only;  pool : (N, n) [rad] to choose from, default
-        random postures that are allowed;  stop : asked before every choice, see `t_optimal`
+    payloads : [kg] that can be hung on the arm, default its own only;  stop : asked before every choice
 
     Raises `InputError` for a diagnosis that is not ambiguous, or `runs` < 1, or if no posture is allowed.
     """
@@ -155,8 +153,7 @@ def discriminate(
             f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
     generator = np.random.default_rng(seed)
-    if pool is None:
-        pool = random_postures(DesignProblem.of(Model(arm)), 1500, generator)  # effort
+    pool = random_postures(DesignProblem.of(Model(arm)), 1500, generator)  # effort
     # a payload and directions of approach for each posture, at random
     usual = 0.0 if arm.gravity is None else arm.gravity.payload
     payload = generator.choice(np.array(payloads or (usual,)), len(pool))

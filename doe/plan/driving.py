@@ -208,7 +208,10 @@ def one_turn(problem: DesignProblem, room: Room, generator: np.random.Generator)
     criterion nor a list of postures tells the difference: into one turn each, which ends where the arm is least often
     free. Straight moves are shorter then, and more of them are free."""
     lower, upper, whole = problem.lower, problem.upper, 2.0 * np.pi
-    first, wound = lower.copy(), turns(problem.model) & (upper - lower > 1.01 * whole) & (problem.choices is None)
+    first, wound = (
+        lower.copy(),
+        turns(problem.model) & (upper - lower > 1.01 * whole) & (problem.choices is None or problem.sampled),
+    )
     drawn = random_postures(problem, max(problem.fewest_runs, 50), generator)
     for j in np.flatnonzero(wound):
         other = drawn.copy()

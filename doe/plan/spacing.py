@@ -90,7 +90,7 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
         if len(places := with_room(problem, around, others)):
             information = information_matrix(problem.scaled_jacobians(others)) / len(others)
             jacobians = problem.scaled_jacobians(places) / np.sqrt(len(others))
-            values = problem.criterion.surrogate.values_after_adding(information[None], jacobians[None])[0]
+            values = problem.criterion.smooth.values_after_adding(information[None], jacobians[None])[0]
             plan[row] = places[np.argmax(values)]
     return plan
 
@@ -124,7 +124,7 @@ def with_additions(problem: DesignProblem, plan: Array, count: int, generator: G
             return None
         before = total / (total + 1.0) * problem.information(longer)[None]
         offered = problem.scaled_jacobians(places)[None] / np.sqrt(total + 1.0)
-        return np.asarray(places[np.argmax(problem.criterion.surrogate.values_after_adding(before, offered)[0])])
+        return np.asarray(places[np.argmax(problem.criterion.smooth.values_after_adding(before, offered)[0])])
 
     longer, listed = np.array(plan), problem.choices
     if listed is not None:

@@ -150,7 +150,7 @@ class Clearance:
     def distance(self, postures: Array) -> Array:
         """(m, k) [mm] signed distances of the pairs at postures (m, n)."""
         rows = np.atleast_2d(np.asarray(postures, dtype=float))
-        size = 1 + 2**17 // (1 + len(self._pieces))  # at once: 4 MB an array
+        size = 1 + 2**17 // (1 + len(self._pieces))  # at once: 1 MB an array
         parts = [self._seen(rows[k : k + size]).least for k in range(0, len(rows), size)]
         return np.concatenate([np.empty((0, len(self.pairs))), *parts])
 
@@ -171,17 +171,17 @@ class Clearance:
         if near:
             runs = len({run for run, *_ in near})
             lines.append(f"Collisions: {runs} of {len(postures)} postures bring bodies too near to each other:")
-        for run, pair, gap in near:
-            amount = f"overlap by {-gap:.1f} mm" if gap < 0.0 else f"are {gap:.1f} mm apart"
-            lines.append(f"  run {run}: {_and(pair)} {amount}")
-        narrow = [f"{_and(self.pairs[k])} ({self.asked[k]:.0f} mm)" for k in np.flatnonzero(self.asked < self.usual)]
+        lines += [f"  run {run}: {distance_in_words(pair, gap)}" for run, pair, gap in near]
+        touching, clear = ([" and ".join(pair) for pair in pairs] for pairs in (self.touching, self.clear))
+        few = np.flatnonzero(self.asked < self.usual)
+        narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.0f} mm)" for k in few]
         if not near:
             kept = _counted(len(self.pairs) - len(narrow))
             lines.append(f"Collisions: {kept} of bodies stay {self.usual:g} mm apart in all {len(postures)} postures.")
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
-            ("Not looked at, since they touch wherever the arm goes", [*map(_and, self.touching)]),
-            ("Not looked at, since they never touch as they are drawn", [*map(_and, self.clear)]),
+            ("Not looked at, since they touch wherever the arm goes", touching),
+            ("Not looked at, since they never touch as they are drawn", clear),
         ):
             rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
             lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []
@@ -232,7 +232,7 @@ class Clearance:
         at, one, box = run[chosen], first[piece[chosen]], second[piece[chosen]] - capsules
         a, b = (self._in_box(end[:, at, one], box) for end in placed)
         size = self._boxes[box, 12:].T
-        exact[chosen] = from_box(a + nearest_to_box(a, b, size) * (b - a), size) - radius[piece[chosen]]
+        exact[chosen] = from_box(a + nearest_to_box(a, b, size)[0] * (b - a), size) - radius[piece[chosen]]
         groups = np.flatnonzero(np.diff(run * count + pair[piece], prepend=-1))
         distance = np.minimum.reduceat(exact, groups)
         ranks = np.where(exact == np.repeat(distance, np.diff(groups, append=len(run))), piece, len(pair))
@@ -269,9 +269,7 @@ class Clearance:
         if len(wall := np.flatnonzero(~axis & (second < capsules + len(self._boxes)))):
             box = second[wall] - capsules
             start, end = self._in_box(a[:, wall], box), self._in_box(b[:, wall], box)
-            half = self._boxes[box, 12:].T
-            share[wall] = nearest_to_box(start, end, half)
-            away = away_from_box(start + share[wall] * (end - start), end - start, half)
+            share[wall], away = nearest_to_box(start, end, self._boxes[box, 12:].T)
             normal[:, wall] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), away)
         # (m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide
         along, turning = seen.frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], turns(self.model)[:, None]
@@ -325,15 +323,11 @@ class Slopes:
 
 def distance_in_words(pair: Sequence[str], gap: float) -> str:
     """Of two bodies;  gap : signed distance [mm]"""
-    return f"{_and(pair)} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
+    return f"{' and '.join(pair)} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
 
 
 def _counted(pairs: int) -> str:
     return f"{pairs} pair{'s' * (pairs != 1)}"
-
-
-def _and(pair: Sequence[str]) -> str:
-    return " and ".join(pair)
 
 
 # -- geometry: vectors run along the first axis of arrays --------------------------------------------------------------
@@ -361,51 +355,30 @@ def from_box(points: Array, half: Array) -> Array:
     return np.asarray(np.sqrt(dot(away, away)) + np.minimum(deepest, 0.0))
 
 
-def nearest_to_box(a: Array, b: Array, half: Array) -> Array:
-    """(N,) shares of the way from a to b (3, N) to the point nearest to a box, or deepest in it.
+def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
+    """Of segments a-b (3, N) the shares (N,) of the way to the point nearest to a box, or deepest in it, and (3, N) the
+    directions in which the segments get away from there.
 
-    The derivative of the squared distance grows along the way, and linearly between the planes of the box's faces.
-    Inside, where it is zero, the deepest point is found by thirds.
+    The distance is convex along the way: its slope is halved in. Inside a box the deepest point is equally deep under
+    two faces: the direction is that mixture of both from which the segment does not slide away.
     """
-    along, n = b - a, np.arange(a.shape[1])
-    crossed = np.concatenate([half - a, -half - a]) / np.tile(np.where(np.abs(along) > TINY, along, np.inf), (2, 1))
-    shares = np.concatenate([np.zeros((1, len(n))), np.sort(np.clip(crossed, 0.0, 1.0), axis=0), np.ones((1, len(n)))])
-    points = a + shares[:, None] * along
-    slopes = np.sum(along * np.sign(points) * np.maximum(np.abs(points) - half, 0.0), axis=1)  # (8, N)
-    after = np.where((slopes >= 0.0).any(axis=0), np.argmax(slopes >= 0.0, axis=0), len(shares) - 1)
-    before = np.maximum(after - 1, 0)
-    low, high = slopes[before, n], slopes[after, n]
-    part = np.where(high > 0.0, -low / np.where(high > low, high - low, 1.0), 1.0)
-    nearest = shares[before, n] + np.clip(part, 0.0, 1.0) * (shares[after, n] - shares[before, n])
-    inside = np.flatnonzero(from_box(a + nearest * along, half) < ROUNDING)
-    if len(inside):
-        a, along, half = a[:, inside], along[:, inside], half[:, inside]
-        low, high = np.zeros(len(inside)), np.ones(len(inside))
-        for _ in range(40):  # to 1e-7 of the way
-            one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
-            nearer = from_box(a + one * along, half) < from_box(a + other * along, half)
-            low, high = np.where(nearer, low, one), np.where(nearer, other, high)
-        nearest[inside] = 0.5 * (low + high)
-    return nearest
 
+    def out(share: Array) -> Array:  # of the nearest face, edge or corner, of any length
+        point = a + share * along
+        beyond = np.abs(point) - half
+        deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
+        return np.copysign(np.where(deepest > 0.0, np.maximum(beyond, 0.0), beyond == deepest), point)
 
-def away_from_box(points: Array, along: Array, half: Array) -> Array:
-    """(3, ...) directions in which axes get away from boxes, by their nearest points and the directions they run along.
-
-    Inside a box the deepest point of an axis is equally deep under two faces: that mixture of both from which the axis
-    does not slide away.
-    """
-    beyond = np.abs(points) - half
-    order = np.argsort(-beyond, axis=0)[:2]
-    faces = np.sign(points) * np.moveaxis(np.eye(3)[order], -1, 1)  # (2, 3, ...)
-    slides = [dot(face, along) for face in faces]
-    depth = np.take_along_axis(beyond, order, axis=0)
-    tied = (depth[0] - depth[1] < 1e-6) & (slides[0] * slides[1] < 0.0)
-    share = np.where(tied, slides[1] / np.where(tied, slides[1] - slides[0], 1.0), 1.0)
-    out = np.maximum(beyond, 0.0)
-    length = np.sqrt(dot(out, out))
-    away = np.sign(points) * out / np.maximum(length, TINY)
-    return np.where(length > 0.0, away, share * faces[0] + (1.0 - share) * faces[1])
+    along, low, high = b - a, np.zeros(a.shape[1]), np.ones(a.shape[1])
+    for _ in range(20):  # to 1e-6 of the way
+        middle = 0.5 * (low + high)
+        rises = dot(out(middle), along) >= 0.0
+        low, high = np.where(rises, low, middle), np.where(rises, middle, high)
+    back, ahead = (each / np.maximum(np.sqrt(dot(each, each)), TINY) for each in (out(low), out(high)))
+    falling, rising = dot(back, along), dot(ahead, along)
+    between = (falling < 0.0) & (rising > 0.0)
+    weight = np.where(between, rising / np.where(between, rising - falling, 1.0), falling >= 0.0)
+    return np.where(falling >= 0.0, low, high), weight * back + (1.0 - weight) * ahead
 
 
 def drawn_touch(one: Any, other: Any, frames: Array, fine: float = 4.0) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -107,18 +106,25 @@ def program(
         raise InputError(f"--robot {robot}: {n} joints, allowed: {least} to {language.most}")
     if not 0.0 <= settle <= 300.0:  # a FANUC waits 327 s at most
         raise InputError(f"--settle: {settle:g} s, allowed: 0 to 300")
-    shown = replace(plan, joint_types=arm.joint_types).units
-    slides = np.array([unit == "mm" for unit in shown])
+    plan = replace(plan, joint_types=arm.joint_types)
+    slides = np.array([unit == "mm" for unit in plan.units])
     if robot == "ur" and slides.any():
         raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
     via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
+    ends = np.array(arm.column_limits)  # NaN where there are none
+    ends = np.where(slides, ends, np.degrees(ends))
+    columns, runs = plan.displayed, np.where(via, 0, np.cumsum(~via)).tolist()
+    for row, j in np.argwhere((columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4))[
+        :1
+    ]:  # [deg, mm] rounding of files
+        found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
+        raise InputError(f"{found}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
     check_rows(arm, plan.postures, via)
-    columns, runs = in_units(arm, plan.postures), np.where(via, 0, np.cumsum(~via)).tolist()
     units = [language.length if slide else language.angle for slide in slides]
     order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
     inner, outer = order[: language.arm], order[language.arm :]
     positions = [[decimal(x, *UNITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
-    arrivals, departures = schedule(columns, slides, ~via, speed, settle, limits_in_units(arm))
+    arrivals, departures = schedule(columns, slides, ~via, speed, settle, ends)
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
     planned = f"{max(runs)} runs, {speed} % speed, {settle:g} s to settle"
@@ -133,7 +139,10 @@ def program(
         "names": [SPECIAL.sub("_", joint.name) or f"joint_{j}" for j, joint in enumerate(arm.chain.joints, 1)],
         "units": [units[j] for j in inner],
         "external_units": [units[j] for j in outer],
-        "postures": list(listed(columns, runs)),
+        "postures": [  # what the pendant shows, for a dry run
+            f"{k:3d} {f'run {run}' if run else 'via':8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
+            for k, run, row in zip(count(1), runs, columns, strict=False)
+        ],
         "moves": [
             Move(run, [row[j] for j in inner], [row[j] for j in outer], a, d, f"run {run}" if run else "via")
             for run, row, a, d in zip(runs, positions, arrivals, departures, strict=True)
@@ -144,16 +153,12 @@ def program(
         for run, row, a in zip(runs, columns.tolist(), arrivals, strict=True)
     ]
     text = rendered_template(language.template, template, known)
-    return Program(text, identifier, moves, shown, departures[-1] / 1000.0)
+    return Program(text, identifier, moves, plan.units, departures[-1] / 1000.0)
 
 
 def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
-    """Raises `InputError` for the first row beyond a joint limit or a constraint; a way-point need not be seen, and
-    where bodies are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
-    columns, (low, high), rounding = in_units(arm, postures), limits_in_units(arm), 1e-4  # [deg, mm] in a file
-    for row, j in np.argwhere((columns < low - rounding) | (columns > high + rounding))[:1]:
-        found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
-        raise InputError(f"{found}, allowed: {low[j]:.7g} to {high[j]:.7g}")
+    """Raises `InputError` for the first row that breaks a constraint; a way-point need not be seen, and where bodies
+    are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
     constraints = constraints_of(Model(arm))
     room = room_of(constraints)
     for constraint in constraints:
@@ -165,17 +170,6 @@ def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
         raise InputError(f"row {row + 1}: a way-point in which bodies collide, allowed: one with half the clearance")
     for sentence in in_sentences(unproven(constraints, postures) or []):
         warnings.warn(sentence.strip(), UserWarning, stacklevel=4)
-
-
-def in_units(arm: Arm, postures: Array) -> Array:
-    """(m, n) what the controller shows [deg, mm] at postures (m, n) [rad, mm]."""
-    return Plan(postures, joint_types=arm.joint_types).displayed
-
-
-def limits_in_units(arm: Arm) -> Array:
-    """(2, n) limits of what the controller shows [deg, mm]; NaN where there are none (`Arm.column_limits`)."""
-    ends = np.array(arm.column_limits)
-    return np.where([unit == "mm" for unit in Plan(ends, joint_types=arm.joint_types).units], ends, np.degrees(ends))
 
 
 def decimal(value: float, unit: float, digits: int) -> str:
@@ -200,12 +194,6 @@ def schedule(
     return np.ceil(arrivals * 1000.0).astype(int).tolist(), np.ceil(departures * 1000.0).astype(int).tolist()
 
 
-def listed(columns: Array, runs: list[int]) -> Iterable[str]:
-    """A line for each row: what the pendant shows there, for a dry run."""
-    for number, run, row in zip(count(1), runs, columns, strict=False):
-        yield f"{number:3d} {f'run {run}' if run else 'via':8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
-
-
 def rendered_template(own: str, template: Path | None, known: dict[str, Any]) -> str:
     """The text of a template, its own or a user's file, which runs in jinja's sandbox and knows these variables.
 
@@ -214,6 +202,7 @@ def rendered_template(own: str, template: Path | None, known: dict[str, Any]) ->
     from jinja2 import PackageLoader, StrictUndefined, TemplateError
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
+    failures = TemplateError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)
     if template is None:
@@ -225,15 +214,7 @@ def rendered_template(own: str, template: Path | None, known: dict[str, Any]) ->
         raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
     except UnicodeDecodeError:
         raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
-    except (
-        TemplateError,
-        ArithmeticError,
-        AttributeError,
-        LookupError,
-        TypeError,
-        ValueError,
-        RecursionError,
-    ) as error:
+    except failures as error:
         line = getattr(error, "lineno", None)
         where = f"{template}: " if line is None else f"{template}: line {line}: "
         allowed = f"allowed: a jinja template of the variables {', '.join(known)}"

@@ -64,7 +64,7 @@ class Exchange:
                 chosen = np.array([plan for _, plan in best])[generator.integers(len(best), size=len(started))]
                 kept = generator.random(started.shape[:2]) > 0.25
                 started = np.where(kept[..., None], chosen, started)
-            plans, values = self.improve(problem, started, generator, budget)
+            plans, values = Batch(problem, started, self.grid(problem)).improved(generator, budget)
             if climb is None:
                 yield from (Offer(plan, 1, independent=True) for plan in plans)
                 continue
@@ -92,12 +92,6 @@ class Exchange:
             return postures
 
         return fill(problem, count * runs, on_grid, generator).reshape(count, runs, problem.joints)
-
-    def improve(
-        self, problem: DesignProblem, plans: Array, generator: Generator, budget: Budget
-    ) -> tuple[Array, Array]:
-        """Plans (s, m, n) that no single exchange improves, and their values (s,), best first."""
-        return Batch(problem, plans, self.grid(problem)).improved(generator, budget)
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
@@ -203,7 +197,7 @@ class Batch:
         self, problem: DesignProblem, plans: Array, offered: Array, chosen: NDArray[np.intp] | None = None
     ) -> None:
         self.problem, self.plans, self.offered, self.chosen = problem, plans, offered, chosen
-        self.criterion, self.total = problem.criterion.surrogate, plans.shape[1] + problem.prior.runs
+        self.criterion, self.total = problem.criterion.smooth, plans.shape[1] + problem.prior.runs
         self.running = np.arange(len(plans) if len(problem.searched_joints) else 0)
         self.listed = self._jacobians(offered) if chosen is not None else np.empty(0)
         self.jacobians = self.listed[chosen] if chosen is not None else self._jacobians(plans)

@@ -23,7 +23,7 @@ from doe.bounds.planar_theorem import applies
 from doe.design import Design
 from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
-from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints
+from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints, with_additions
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange, Fedorov, Gradient
@@ -159,10 +159,8 @@ def solve(
         budget = first if late else whole
         try:
             for name, offer in _offers(problem, runs, chosen, solver is None, seed, begin, budget):
-                postures = spread_free_joints(
-                    problem, problem.clip(offer.postures), np.random.default_rng([seed, runs])
-                )
-                postures = separated(problem, postures)
+                clipped, dice = problem.clip(offer.postures), np.random.default_rng([seed, runs])
+                postures = separated(problem, spread_free_joints(problem, clipped, dice))
                 value = allowed_value(problem, postures)
                 done += offer.starts
                 if best is None or (value > best_value and accepted(postures)):
@@ -188,16 +186,15 @@ def solve(
         if best is None:
             raise JobError(f"design: no plan that identifies all {p} parameters was found by {chosen.name}")
         best_bound = best_known_bound(problem, runs, whole.ended) if late else best_bound
+        if bound is None:
+            best_bound = bound_that_holds(problem, best_bound, best, problem.objective(best), whole.ended)
         plan = Plan(best, joint_types=problem.model.joint_types, fit=problem.fit)
         design = Design(problem, plan, best_bound, status, best_name, done, perf_counter() - began)
-        if bound is None:
-            held = bound_that_holds(problem, best_bound, design.plan.postures, design.value, whole.ended)
-            design = replace(design, bound=held)
     if not np.isfinite(design.value):
         if throw:
             raise JobError(_reason(design))
         return replace(design, status=Status.not_identifiable)
-    if throw and not np.isfinite(allowed_value(problem, design.plan.postures)):
+    if throw and not np.isfinite(best_value):
         apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
     return design
@@ -223,14 +220,11 @@ def _offers(
         optimal = optimal_plans(problem, runs, np.random.default_rng(seed), stop=budget.ended)
         yield from (("analytic", Offer(plan, 1)) for plan in islice(optimal, 1))
         if runs > LONG_PLAN:
-            exchange = Exchange()
-            # a plan from theory of a few runs less, the others chosen by exchange, before and after
+            # a plan from theory of a few runs less, and the postures that add most to it
             for fewer in range(runs - 1, max(runs - 64, problem.fewest_runs) - 1, -1):
                 some = next(optimal_plans(problem, fewer, generator, 12, budget.ended), None)
-                if some is not None:
-                    plan = np.vstack([some, exchange.begin(problem, 1, runs - fewer, generator)[0]])
-                    yield solver.name, Offer(plan)
-                    yield solver.name, Offer(exchange.improve(problem, plan[None], generator, budget)[0][0], 1)
+                if some is not None and (plan := with_additions(problem, some, runs - fewer, generator)) is not None:
+                    yield solver.name, Offer(plan, 1)
                 if some is not None or budget.ended():
                     break
             # good postures are few: time may end before those of better plans are moved apart
@@ -268,7 +262,7 @@ def _reason(design: Design) -> str:
     else:
         many = listed_candidates(problem, problem.choices)
     seen, names = spectrum(plan_jacobians(problem, many), np.ones(p)), problem.model.parameters.names
-    aliases = seen.identifiability(names, np.ones(p)).combinations
+    aliases = seen.combinations(names, np.ones(p))
     if aliases and problem.choices is not None:
         return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"

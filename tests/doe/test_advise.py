@@ -30,6 +30,7 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
         assert found.accuracy(design) == pytest.approx(0.1 / np.sqrt(len(design.plan)), rel=1e-6)
     assert len(found.smallest.plan) == 7
     assert found.efficient_runs() == found.runs
+    assert replace(found, target=1e-3).smallest is None
     said = advice_sentence(found)
     assert said.startswith("7 runs suffice for 0.04 mm in each length, if the model is right; at the tip ")
     assert said.endswith(
@@ -39,10 +40,6 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
     data = json.loads(json.dumps(found.to_json(), allow_nan=False))
     assert data["smallest_runs"] == 7
     assert [row["runs"] for row in data["rows"]] == list(found.runs)
-
-
-def test_a_target_out_of_reach_has_no_number() -> None:
-    assert advise(FREE, [4, 5], target=1e-3).smallest is None
 
 
 def test_bad_input() -> None:
@@ -73,7 +70,7 @@ def test_one_joint_alone_by_its_lever() -> None:
 def test_more_runs_never_tell_less(arm: Arm) -> None:
     """Whole information and its inverse from complex numbers; no posture added to a plan beats the plan of one more."""
     lengths, n = np.array(arm.lengths), arm.links
-    plans = [d.plan.postures for d in advise(problem(arm), range(n, n + 4), seconds=0.8).designs]
+    plans = [d.plan.postures for d in advise(problem(arm), range(n, n + 3), seconds=0.4).designs]
     corners = np.array(list(product(*zip(arm.lower, arm.upper, strict=True))))
     places = np.concatenate([corners, np.random.default_rng(0).uniform(arm.lower, arm.upper, (300, n))])
     for fewer, more in pairwise(plans):

@@ -113,21 +113,6 @@ def test_whole_turns_are_no_violation_where_a_joint_may_take_every_angle_and_the
     assert len(score_plan(problem(free, EffectSpec("gear_ratio", 1)), turned).outside) > 0  # it sees the turns
 
 
-def test_no_bound_is_looked_for_where_none_applies(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twelve links that bend: its search took over a minute, for an efficiency of 1.077 of a bound that is none."""
-
-    def searched(*_: object) -> None:
-        raise AssertionError("a bound was searched for")
-
-    monkeypatch.setattr("doe.design.best_known_bound", searched)
-    plan = np.random.default_rng(0).uniform(-3.0, 3.0, (30, 4))
-    design = score_plan(problem(FOUR, ECCENTRICITY), plan)
-    assert design.bound is design.efficiency is design.to_json()["efficiency"] is None
-    assert "outside joint limits" in str(design.no_efficiency)
-    with pytest.raises(AssertionError, match="searched for"):
-        score_plan(problem(FOUR, ECCENTRICITY), plan * 0.3)
-
-
 def test_travels_to_workers_and_caches() -> None:
     """Also after use, when CasADi functions hang on the problem, and with effects, whose values are read-only."""
     design = score_plan(problem(FOUR, ECCENTRICITY), some_plan())

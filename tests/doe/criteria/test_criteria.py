@@ -96,7 +96,7 @@ def test_gradient(phi: Criterion, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_curvature(phi: Criterion, seed: int) -> None:
     generator = np.random.default_rng(seed)
-    information = random_information(generator)
+    information = random_information(generator) if seed else np.eye(P)  # where all eigenvalues meet
     directions = np.array([random_direction(generator) for _ in range(4)])
     step = 1e-6
     changes = [
@@ -105,17 +105,6 @@ def test_curvature(phi: Criterion, seed: int) -> None:
     expected = [[np.sum(change * y) for y in directions] for change in changes]
     found = phi.curvature(information, directions)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
-
-
-def test_curvature_of_a_power_mean_where_eigenvalues_meet() -> None:
-    """At the identity every eigenvalue is the same: the quotient in the formula is a limit."""
-    directions = np.array([random_direction(np.random.default_rng(s)) for s in range(3)])
-    phi, step = PowerMean(32), 1e-5
-    changes = [
-        (phi.gradient(np.eye(P) + step * x) - phi.gradient(np.eye(P) - step * x)) / (2 * step) for x in directions
-    ]
-    expected = [[np.sum(change * y) for y in directions] for change in changes]
-    np.testing.assert_allclose(phi.curvature(np.eye(P), directions), expected, rtol=1e-4)
 
 
 @settings(max_examples=40)
@@ -159,10 +148,9 @@ def test_gain_of_adding_a_block(phi: Criterion) -> None:
 
 
 def test_stand_ins_of_criteria_without_derivatives() -> None:
-    """Gradient methods climb Phi_32 instead of E, exchange compares by Phi_8; a smooth criterion stands for itself."""
+    """Searches climb Phi_32 instead of E; a smooth criterion stands for itself."""
     assert E().smooth == PowerMean(32)
-    assert E().surrogate == PowerMean(8)
-    assert D().smooth == D().surrogate == D()
+    assert D().smooth == D()
 
 
 def test_names() -> None:
@@ -234,13 +222,6 @@ def test_what_has_full_rank_never_is(drawn: tuple[int, int, int, np.random.Gener
     assert float(D().value(information)) == pytest.approx(expected, abs=1e-9 + 10.0 * worst)
     for name, phi in criteria(p).items():
         assert np.isfinite(phi.value(information)), name
-
-
-def test_a_column_that_is_rounding_beside_the_others_is_none() -> None:
-    """Its own direction apart: cos 90 deg is 6e-17 of the column that it stands in."""
-    rows = np.random.default_rng(0).normal(size=(20, 4))
-    rows[:, 2] *= 6e-17
-    assert D().value(rows.T @ rows) == -np.inf
 
 
 @pytest.mark.parametrize("phi", criteria(8).values(), ids=criteria(8))

@@ -126,15 +126,6 @@ def test_same_seed_same_postures_and_payload_is_a_choice() -> None:
     assert discriminate(ARM, found, data, 3, seed=4).payload is None
 
 
-def test_postures_come_from_a_list_that_is_given() -> None:
-    """Of a list with the best of all postures, this one is taken first."""
-    found, data = ambiguous()
-    best = discriminate(ARM, found, data, 1, seed=1).plan.postures[0]
-    pool = np.vstack([data.postures, best])
-    assert np.all(discriminate(ARM, found, data, 1, pool=pool).plan.postures == best)
-    assert all(np.any(np.all(pool == q, axis=1)) for q in discriminate(ARM, found, data, 3, pool=pool).plan.postures)
-
-
 def test_bad_input() -> None:
     found, data = ambiguous()
     with pytest.raises(InputError, match="runs: 0"):
@@ -172,6 +163,3 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     assert rms_distance(first - second) > rms_distance(usual)
     assert all(size > 0.0 for size in chosen.pairs.values())
     assert list(chosen.columns) == ["run", "q1_deg", "q2_deg", "q3_deg"]
-    assert np.shape(chosen.to_json()["postures_deg"]) == (4, 3)
-    sliding = replace(chosen, plan=replace(chosen.plan, joint_types=("revolute", "prismatic", "revolute")))
-    assert list(sliding.columns) == ["run", "q1_deg", "q2_mm", "q3_deg"]

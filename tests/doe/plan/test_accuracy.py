@@ -87,11 +87,6 @@ def test_value_of_criterion_i_in_mm() -> None:
     assert score(plain, plan).to_json()["expected_error_mm"] is None
 
 
-def test_none_without_sigma_or_enough_runs() -> None:
-    assert expected_deviations(problem(Arm(FOUR.lengths)), fourier(4, 4)) is None
-    assert expected_deviations(problem(FOUR), np.zeros((4, 4))) is None
-
-
 def test_weights_share_the_runs_out() -> None:
     plan = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (6, 4))
     weights = np.array([3, 1, 1, 1, 1, 1]) / 8
@@ -108,6 +103,7 @@ def test_none_where_only_rounding_makes_the_information_regular() -> None:
     plan = np.array(list(product((-1.0, 1.0), half_turn, (-1.0, 1.0), (-1.0, 0.5))))
     assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1), ECCENTRICITY), plan) is None
     assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1)), plan) is not None
+    assert expected_deviations(problem(Arm(FOUR.lengths)), fourier(4, 4)) is None  # no sigma
 
 
 # -- observability -----------------------------------------------------------------------------------------------------
@@ -179,13 +175,10 @@ def test_measured_postures_count() -> None:
     assert shared == pytest.approx(tip_error(PLAIN, WIDE, POSTURES).to_json(), rel=1e-9)
 
 
-def test_too_few_runs_have_no_error() -> None:
-    assert tip_error(PLAIN, WIDE, POSTURES[:1]) == TipError()
-
-
 def test_where_no_sizes_are_known_there_is_none() -> None:
     assert TipErrors.of(DesignProblem.of(Model(Arm([300.0, 200.0])))) is None
     assert TipErrors.of(WIDE) is None
+    assert tip_error(PLAIN, WIDE, POSTURES[:1]) == TipError()  # nor of too few runs
 
 
 def test_of_a_diagnosed_arm_nothing_is_missing() -> None:

