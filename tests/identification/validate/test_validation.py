@@ -345,9 +345,7 @@ def test_a_prior_of_further_effects_is_judged_beside_the_geometry(compliant: boo
     rng, arm = np.random.default_rng(6), drawn_arm()
     truth = small_arm(rng, compliance=np.array([0.0, 2e-4, 1e-4, 0.0, 0.0, 0.0]) * compliant)
     data = measured(truth, random_postures(24, rng), rng)
-    library = library_prior(
-        arm, given_by(data), names=["joint_compliance", "backlash", "encoder_eccentricity", "gear_ratio"]
-    )
+    library = library_prior(arm, given_by(data), names=["joint_compliance", "backlash"])
     found = estimate(Model(library.arm), data, prior=library.prior)
     offered = prior_judged(lambda: estimate(Model(arm), data), found, data)
     assert offered is not None
