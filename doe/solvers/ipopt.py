@@ -37,12 +37,9 @@ from identification import Array, InputError
 class Ipopt:
     """Interior point method from random postures.
 
-    tolerance : of IPOPT's optimality error;  iterations : at most, per start
     warm : True: stay near the start (it is nearly optimal already), False: first move away from the limits
     """
 
-    tolerance: float = 1e-10
-    iterations: int = 150
     warm: bool = False
     name: str = "ipopt"
 
@@ -92,8 +89,8 @@ class Climber:
             "ipopt.sb": "yes",
             "show_eval_warnings": False,
             "no_nlp_grad": True,
-            "ipopt.tol": settings.tolerance,
-            "ipopt.max_iter": settings.iterations,
+            "ipopt.tol": 1e-10,
+            "ipopt.max_iter": 150,
             "ipopt.acceptable_tol": 1e-3,  # optimal plans are often a continuum, along which IPOPT would crawl:
             "ipopt.acceptable_obj_change_tol": 1e-11,  # it stops when the value stands still for some iterations
             "ipopt.acceptable_iter": 4,
@@ -194,7 +191,7 @@ class Climber:
         names = [ca.nlpsol_out(k) for k in range(ca.nlpsol_n_out())]
         state = {name: ca.Sparsity.dense(counts.get(name, 0), min(counts.get(name, 0), 1)) for name in names}
         made["iteration_callback"] = NumpyFunction(
-            "stop", state, {"ret": scalar}, lambda *_: [np.array([float(self.interrupted or self.budget.out_of_time)])]
+            "stop", state, {"ret": scalar}, lambda *_: [np.array([float(self.interrupted or self.budget.ended())])]
         )
         return made
 
