@@ -162,7 +162,3 @@ def test_bad_input() -> None:
         estimate_batch(model, plan(3), np.zeros((5, 3, 2)))
     with pytest.raises(JobError, match=r"does not identify: joint_offset:1 \+ base_rotation.angle"):
         estimate_batch(Model(arm(EffectSpec("base_rotation"))), plan(20), np.zeros((5, 20, 2)))
-    with pytest.raises(InputError, match=r"postures: shape"):
-        estimate_each(model, plan(10), np.zeros((1, 10, 2)))
-    with pytest.raises(InputError, match=r"positions: shape \(1, 9, 2\), allowed: \(1, 10, 2\)"):
-        estimate_each(model, plan(10)[None], np.zeros((1, 9, 2)))
