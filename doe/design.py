@@ -64,7 +64,7 @@ class Design:
         parameters = self.problem.model.parameters
         jacobians = plan_jacobians(self.problem, self.plan.postures, self.plan.weights)
         ones = np.ones(len(parameters))
-        return spectrum(jacobians, ones).identifiability(parameters.names, ones).combinations
+        return spectrum(jacobians, ones).combinations(parameters.names, ones)
 
     @cached_property
     def outside(self) -> tuple[int, ...]:

@@ -19,12 +19,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.arrays import Array, readonly
+from identification.arrays import Array
 
 RANK_TOLERANCE = 1e-9  # of the largest singular value
 PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of that leaves three digits
@@ -141,14 +140,16 @@ class Spectrum:
         """(p, rank) whose product with its transpose is the covariance; J @ root has orthonormal columns."""
         return self.directions[:, : self.rank] / self.values[: self.rank] / self.lengths[:, None]
 
-    def identifiability(self, names: Sequence[str], scales: Array) -> Identifiability:
-        """Which of the parameters of these names are estimable, and the combinations that cannot be distinguished;
-        scales : (p,) `Model.scales` [mm/unit]"""
-        identifiable = np.linalg.norm(self.null_space, axis=1) <= TOUCHED
-        identifiable.setflags(write=False)
+    @property
+    def identifiable(self) -> NDArray[np.bool_]:
+        """(p,) True where the parameter itself is estimable."""
+        return np.asarray(np.linalg.norm(self.null_space, axis=1) <= TOUCHED)
+
+    def combinations(self, names: Sequence[str], scales: Array) -> tuple[str, ...]:
+        """What of the parameters of these names cannot be distinguished, in words (`describe`), as a sparse basis of
+        the null space;  scales : (p,) `Model.scales` [mm/unit]"""
         basis = sparse_basis(self.null_space) / self.lengths[:, None] * scales[:, None]
-        basis /= np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
-        return Identifiability(self.rank, identifiable, readonly(basis), tuple(describe(v, names) for v in basis.T))
+        return tuple(describe(direction, names) for direction in basis.T)
 
     def determined(self, jacobian: Array) -> float:
         """How many of p parameters the data determine, a prior the rest: tr J (J^T J + R^T R)^-1 J^T.
@@ -181,39 +182,6 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, 
         least = np.min(strengths, initial=np.inf, where=significant(strengths, rounding_share(p)))
         tolerance = float(np.clip(0.1 * least / values[0], rounding_share(p), tolerance))
     return Spectrum(lengths, values, turned.T, p).truncated(tolerance)
-
-
-def covariances(jacobians: Array, scales: Array, sigma: float = 1.0) -> Array:
-    """(K, p, p) sigma^2 (sum J^T J)^-1 (eq. 16) of many Jacobians (K, m, d, p); not a number where not all is
-    estimable."""
-    count, *_, p = jacobians.shape
-    rows = jacobians.reshape(count, -1, p)
-    lengths = np.maximum(np.sqrt(np.einsum("kip,kip->kp", rows, rows)), np.finfo(float).tiny)
-    rows = rows / lengths[:, None, :]
-    values, vectors = np.linalg.eigh(np.swapaxes(rows, 1, 2) @ rows)
-    sizes, vectors = lengths / scales, vectors / lengths[:, :, None]
-    # full rank by far; a normal matrix holds half the digits, the rest needs singular values
-    clear = (values[:, 0] > CLEAR) & (np.min(sizes, axis=1) > np.sqrt(CLEAR) * np.max(sizes, axis=1))
-    inverse = (vectors / np.where(clear[:, None], values, np.nan)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    for k in np.flatnonzero(~clear):
-        one = spectrum(jacobians[k], scales)
-        inverse[k] = one.covariance if one.rank == p else np.nan
-    return sigma**2 * inverse
-
-
-class Identifiability(NamedTuple):
-    """Which of p parameters a plan makes estimable.
-
-    rank : number of estimable combinations
-    identifiable : (p,) True where the parameter itself is estimable
-    null_space : (p, p - rank) sparse basis of what is not estimable, in `scales` * parameters [mm], largest entry 1
-    combinations : the basis in words, see `describe`
-    """
-
-    rank: int
-    identifiable: NDArray[np.bool_]
-    null_space: Array
-    combinations: tuple[str, ...]
 
 
 def describe(direction: Array, names: Sequence[str]) -> str:

@@ -118,13 +118,10 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
         provenance[ROW_DIGESTS] = union(kept)
     new, old = (range_of(one, kinds) for one in provenances)
     if new is not None and old is not None:
-        widest = []  # [rad, mm] of both: of a revolute joint by the whole turns that leave it the narrowest
-        for joint, before_joint, kind in zip(new.T, old.T, kinds, strict=True):
-            away = round((before_joint.mean() - joint.mean()) / TURN) + np.arange(-1, 2)
-            turns = TURN * away if kind == REVOLUTE else [0.0]
-            hulls = [[min(before_joint[0], joint[0] + s), max(before_joint[1], joint[1] + s)] for s in turns]
-            widest.append(min(hulls, key=np.ptp))
-        provenance |= joint_range(np.transpose(widest), kinds)
+        # [rad, mm] of both, the new one moved by whole turns next to the old one
+        turns = np.where(np.array(kinds) == REVOLUTE, TURN * np.round((old - new).mean(axis=0) / TURN), 0.0)
+        both = np.minimum(old[0], new[0] + turns), np.maximum(old[1], new[1] + turns)
+        provenance |= joint_range(np.array(both), kinds)
     return replace(calibration, provenance=MappingProxyType(provenance))
 
 

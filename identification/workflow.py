@@ -585,14 +585,12 @@ def diagnose_files(
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
-@declares("armcal validate calibrated.toml other_session.csv --picture transfer.png")
+@declares("armcal validate calibrated.toml other_session.csv")
 def validate_files(
     model: Path,
     data: Path,
     *,
     refit: Literal["base", "offsets", "none"] = "base",
-    picture: Picture | None = None,
-    force: bool = False,
 ) -> Answer:
     """How well a calibrated model predicts other measurements.
 
@@ -613,10 +611,6 @@ def validate_files(
     beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     result = validation.to_json()
     actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
-    if picture is not None:
-        from identification.documents.pictures import validation_figure
-
-        write_together({picture: validation_figure(validation)}, force)
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 

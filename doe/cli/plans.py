@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
@@ -107,22 +106,10 @@ def design_problem(
     return problem
 
 
-def written(contents: Mapping[Path | None, str | tuple[Any, ...]], force: bool, what: str = "") -> list[str]:
-    """Write the files that were asked for, all or none, pictures among them; the lines that report the texts.
-
-    contents : file -> its text, or a picture: the name of a function of doe/report/figures.py, and its arguments; None:
-        not asked for
-    what : the text is
-    """
-
-    def draw(name: str, *of: Any) -> Figure:
-        from doe.report import figures  # matplotlib takes longer to load than a small design
-
-        picture: Figure = getattr(figures, name)(*of)
-        return picture
-
+def written(contents: Mapping[Path | None, str | Figure], force: bool, what: str) -> list[str]:
+    """Write the files that were asked for (None: not), all or none; the lines that report the texts, of `what`."""
     wanted = {path: content for path, content in contents.items() if path is not None}
-    write_together({path: c if isinstance(c, str) else partial(draw, *c) for path, c in wanted.items()}, force=force)
+    write_together(wanted, force=force)
     return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
 
 
@@ -178,6 +165,7 @@ def design_files(
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
+    picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import tip_beside_random
@@ -226,7 +214,12 @@ def design_files(
     data |= driven.to_json()
     extra += driven.in_words()
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
-    extra += written({out: text, picture: ("plan_figure", loaded, design.plan.postures)}, force, "plan")
+    files: dict[Path | None, str | Figure] = {out: text}
+    if picture is not None:
+        from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
+
+        files[picture] = plan_figure(loaded, design.plan.postures)
+    extra += written(files, force, "plan")
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
@@ -234,7 +227,7 @@ def design_files(
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
-@verb("armcal score arm.toml plan.csv --picture plan.png")
+@verb("armcal score arm.toml plan.csv")
 def score_files(
     arm: Path,
     plan: Path,
@@ -242,9 +235,7 @@ def score_files(
     seconds: Seconds = 20.0,
     robust: bool = False,
     missing: Names | None = None,
-    picture: Picture | None = None,
     package_dir: tuple[Path, ...] = (),
-    force: bool = False,
 ) -> Answer:
     """Judge a plan of your own against the bound.
 
@@ -295,12 +286,11 @@ def score_files(
         data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
-    written({picture: ("plan_figure", loaded, judged.postures)}, force)
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
-@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02 --picture advice.png")
+@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
 def advise_files(
     arm: Path,
     *,
@@ -308,9 +298,7 @@ def advise_files(
     only: tuple[Names, ...] = (),
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
-    picture: Picture | None = None,
     package_dir: tuple[Path, ...] = (),
-    force: bool = False,
     seed: int = 0,
     progress: Progress = silent,
 ) -> Answer:
@@ -349,7 +337,6 @@ def advise_files(
         enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
         shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
     shown.append(advice_document(advice).plus(*doubts))
-    written({picture: ("advice_figure", advice)}, force)
     return with_collisions(Answer(data, shown, warnings=doubts), problem)
 
 

@@ -40,7 +40,6 @@ UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))
 EVERYWHERE = {  # options that mean the same wherever they are
     "force": "Overwrite existing files.",
     "package_dir": "Folder in which packages of the URDF's meshes are; may be repeated.",
-    "picture": "Draw it (.png, .svg, .pdf).",
 }
 LONGEST_LINE = 1000  # characters of a message
 

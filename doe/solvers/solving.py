@@ -262,7 +262,7 @@ def _reason(design: Design) -> str:
     else:
         many = listed_candidates(problem, problem.choices)
     seen, names = spectrum(plan_jacobians(problem, many), np.ones(p)), problem.model.parameters.names
-    aliases = seen.identifiability(names, np.ones(p)).combinations
+    aliases = seen.combinations(names, np.ones(p))
     if aliases and problem.choices is not None:
         return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"

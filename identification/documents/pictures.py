@@ -35,7 +35,6 @@ from identification.model import Model
 if TYPE_CHECKING:
     from identification.gap.detectability import Detectability
     from identification.gap.result import Diagnosis
-    from identification.validate import Validation
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
@@ -238,21 +237,6 @@ def draw_distances(axis: Axes, x: Array, pairs: Pairs) -> None:
     for (values, _), color in zip(pairs, (BEFORE, AFTER), strict=True):
         axis.plot(middle, [np.sqrt(np.mean(values[g] ** 2)) for g in groups], color=color, lw=1.8)
     axis.set(ylim=(0, None))
-
-
-def validation_figure(result: Validation) -> Figure:
-    """Distances of drawing and model in the order of measurement, and their residuals over the workspace."""
-    views = 1 + (result.residuals.shape[1] > 2)
-    figure = Figure(figsize=(10.0, 2.8 + 4.6 * views), layout="constrained")
-    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 1.7 * views]))
-    pairs = ((result.nominal_residuals, "drawing"), (result.residuals, "model"))
-    axis, order = top.subplots(), result.measurements.sequence
-    row = np.arange(1.0, len(order) + 1.0)
-    draw_distances(axis, row, [(distances(residuals[order]), name) for residuals, name in pairs])
-    axis.set(xlabel="measurement, in order", ylabel=f"distance [{reading_unit(result.arm)}]")
-    axis.legend(frameon=False, fontsize=8)
-    draw_workspace(bottom, result.arm, result.measurements.positions, pairs)
-    return figure
 
 
 # -- diagnoses ---------------------------------------------------------------------------------------------------------

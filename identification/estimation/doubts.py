@@ -150,22 +150,25 @@ def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
-    """Links whose length changes sign or by the order of the length; in space the correction of a frame that is the
-    largest, where no machining is that wrong, but a joint with the wrong sign is."""
-    limits, sentences = {ROTATION_ERROR: np.radians(30.0), TRANSLATION_ERROR: 0.1 * model.reach}, list[str]()
-    excess = [abs(x) / limits.get(p.kind, np.inf) for p, x in zip(model.parameters, parameters, strict=True)]
-    if excess[worst := int(np.argmax(excess))] > 1.0:
-        p = model.parameters[worst]
-        correction = f"{p.name} comes out as {parameters[worst] * p.to_file:.4g} {p.file_unit}"
-        other = "other units, joints in another order or with another sign? armcal check tells"
-        sentences.append(f"implausible: {correction}; {other}")
-    for p, value, estimable in zip(model.parameters, parameters, identifiable, strict=True):
-        if p.kind == LENGTH_ERROR and p.joint is not None and estimable:
-            length = float(model.arm.lengths[p.joint - 1])
-            if abs(value) > 0.5 * length:
-                comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
-                sentences.append(f"implausible: {comparison}; another arm, frame or unit?")
-    return sentences
+    """The correction that is the largest beside what machining can do: a link whose length changes sign or by the order
+    of the length; in space a frame, where a joint with the wrong sign is likelier."""
+    sizes = {ROTATION_ERROR: np.radians(30.0), TRANSLATION_ERROR: 0.1 * model.reach}
+    excess = np.zeros(len(parameters))
+    for k, (p, value) in enumerate(zip(model.parameters, parameters, strict=True)):
+        size = sizes.get(p.kind, np.inf)
+        if p.kind == LENGTH_ERROR and p.joint is not None and identifiable[k]:
+            size = 0.5 * float(model.arm.lengths[p.joint - 1])
+        excess[k] = abs(value) / size
+    worst = int(np.argmax(excess))
+    p, value = model.parameters[worst], float(parameters[worst])
+    if excess[worst] <= 1.0:
+        return []
+    if p.kind == LENGTH_ERROR:
+        length = float(model.arm.lengths[(p.joint or 0) - 1])
+        comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
+        return [f"implausible: {comparison}; another arm, frame or unit?"]
+    correction = f"{p.name} comes out as {value * p.to_file:.4g} {p.file_unit}"
+    return [f"implausible: {correction}; other units, joints in another order or with another sign? armcal check tells"]
 
 
 def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
@@ -255,11 +258,10 @@ def contradiction_warnings(contradictions: Sequence[Contradiction], without_prio
         f"{one.name} is {one.prior:.4g} +- {one.prior_std:.2g} {one.unit} in the earlier calibration, {one.value:.4g} "
         f"+- {one.std:.2g} by these measurements"
         + (f" (or instead {', '.join(one.instead)}: they do not tell)" if one.instead else "")
-        for one in contradictions[:3]
+        for one in contradictions
     )
-    rest = f"; and {len(contradictions) - 3} more" if len(contradictions) > 3 else ""
     words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
-    sentence = f"the measurements contradict the prior: {shown}{rest} (others as there)"
+    sentence = f"the measurements contradict the prior: {shown} (others as there)"
     do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
     lacks = "the model lacks what differs between both measurements: armcal diagnose"
     return [
@@ -320,12 +322,6 @@ def own_error(fit: Identification) -> float:
     return 0.0 if fit.prior is None or arm is None else fit.prior.own_error * float(np.sqrt(arm.dimension))
 
 
-def size_left_open(arm: Arm) -> str:
-    """What more postures do not help against: readings that an arm twice as large would give as well."""
-    readings, remedy = arm.chain.instrument.size_is_open
-    return f"; but however many, {readings} fit an arm of any size: {remedy}" if readings else ""
-
-
 def hardly_determined(fit: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
     what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
@@ -345,13 +341,16 @@ def hardly_determined(fit: Identification) -> list[str]:
     everywhere = working_postures(arm.lower, arm.upper)
     if cause := base_and_tool(fit, lambda c: expected_tip(fit.model, fit.parameters, c, everywhere)):
         return cause
+    # what more postures do not help against: readings that an arm twice as large would give as well
+    readings, remedy_of_size = arm.chain.instrument.size_is_open
+    open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
     if few:
         doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
-        return [f"{FEW}: {doubt}{was}. Measure more postures{size_left_open(arm)}"]
+        return [f"{FEW}: {doubt}{was}. Measure more postures{open_size}"]
     doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-    remedy = f"Keep near these postures, or measure others{size_left_open(arm)}"
+    remedy = f"Keep near these postures, or measure others{open_size}"
     return [f"away from the postures measured {doubt}. {remedy}"]
 
 

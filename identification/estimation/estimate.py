@@ -30,12 +30,12 @@ from identification.estimation.problem import (
 )
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, limit_of, outlying, robust_squares, together, uncertainty
-from identification.information import RANK_TOLERANCE, Spectrum, covariances, spectrum
+from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
 from identification.running import Status, single_thread
@@ -208,7 +208,7 @@ def _identification(
     made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
-    told = decomposed.identifiability(model.names, model.scales)
+    identifiable, undetermined = decomposed.identifiable, decomposed.combinations(model.names, model.scales)
     # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least
     # squares (one Gauss-Newton step from the closed form)
     was, after = problem.start, problem.residuals(x)[0]
@@ -219,7 +219,7 @@ def _identification(
         was = was.copy()
         was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
     before = problem.residuals(was)[0]
-    sentences, implausible = doubts(model, x, told.identifiable, before, after, data)
+    sentences, implausible = doubts(model, x, identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell; rows nearer than half the limit
     # need no test with their leverage, which is small where rows are many
     used, held = problem.weights > 0.0, problem.prior_rows
@@ -233,13 +233,13 @@ def _identification(
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
     arm, status = getattr(model, "arm", None), solution.status[0]
     stands = arm is None or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
-    status = Status.not_identifiable if told.combinations else status
+    status = Status.not_identifiable if undetermined else status
     return Identification(
         model=model,
         parameters=x,
         covariance=made.covariance,
-        identifiable=told.identifiable,
-        not_identifiable=told.combinations,
+        identifiable=identifiable,
+        not_identifiable=undetermined,
         sigma=problem.sigma if has_sigma else scatter,
         sigma_known=has_sigma,
         chi2=rows.squares if has_sigma else None,
@@ -285,7 +285,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
     prior = Prior(model.prior) if model.prior else None
     problem = replace(Problem.of(model, plan, sigma if prior is None else "given", prior), positions=measured)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
-    if undetermined := decomposed.identifiability(model.names, model.scales).combinations:
+    if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
     solution = _not_fitted(len(measured), model)
     x, rss, status = solution.parameters, solution.rss, solution.status
@@ -359,37 +359,6 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
             lengths, inverse = lengths[going], inverse[going]
         x = x[going] + (gradient[going][:, None] @ inverse)[:, 0]
     return parameters, squares, stationary
-
-
-def estimate_each(
-    model: Model, postures: ArrayLike, positions: ArrayLike, conditions: Conditions | None = None
-) -> Solution:
-    """Fits every data set on its own plan, each as `estimate` would with equal weights.
-
-    postures : (K, m, n) [rad], each plan in the order of measurement;  positions : (K, m, d) [mm]
-    conditions : (K, m), None: those of that order
-    `parameters` are not numbers and `converged` is False where a plan does not make all parameters estimable.
-    Raises `InputError` for shapes that do not fit.
-    """
-    plans, measured = np.asarray(postures, dtype=float), np.asarray(positions, dtype=float)
-    n, d = model.joints, model.dimension
-    if plans.ndim != 3 or plans.shape[-1] != n:
-        raise InputError(f"postures: shape {plans.shape}, allowed: (K, m, {n})")
-    if measured.shape != (*plans.shape[:2], d):
-        raise InputError(f"positions: shape {measured.shape}, allowed: {(*plans.shape[:2], d)}")
-    solution, m = _not_fitted(len(plans), model), plans.shape[1]
-    for part in _chunks(len(plans), m):
-        of_sets = Conditions.in_order(plans[part], model.remembers) if conditions is None else conditions.rows(part)
-        problem = Problem(model, plans[part], of_sets, measured[part], np.ones(m))
-        jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
-        estimable = np.flatnonzero(np.isfinite(covariances(jacobians, model.scales)[:, 0, 0]))
-        if estimable.size:
-            solved = METHODS["linear" if problem.exact_form else "gauss_newton"](problem.rows(estimable))
-            sets = estimable + part.start
-            solution.parameters[sets], solution.rss[sets] = solved.parameters, solved.rss
-            solution.status[sets] = solved.status
-    solution.parameters[solution.status != Status.converged] = np.nan
-    return solution.finished()
 
 
 def _chunks(count: int, rows: int) -> Iterator[slice]:

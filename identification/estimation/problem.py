@@ -42,11 +42,6 @@ from identification.model import Model
 from identification.running import Status
 
 RELIANCE = ("given", "estimated")
-SOURCES = {  # what an effect needs -> where it comes from
-    "temperature": "with it",
-    "gravity": "an arm file with a [gravity] table",
-    "distance": "an arm file with an [instrument] of kind distance",
-}
 
 
 # -- the prior ---------------------------------------------------------------------------------------------------------
@@ -134,13 +129,18 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
     if p == 0:
         raise InputError("model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
+        arm = model.arm
         for need, lacks, what in (
-            ("temperature", measurements.temperature is None, "the column temperature_C, the measurements have none"),
-            ("gravity", model.arm.gravity is None, "gravity torques"),
-            ("distance", "distance" not in model.arm.chain.instrument.offers, "measured distances"),
+            ("temperature", measurements.temperature is None, "the column temperature_C, allowed: rows with it"),
+            ("gravity", arm.gravity is None, "gravity torques, allowed: an arm file with a [gravity] table"),
+            (
+                "distance",
+                "distance" not in arm.chain.instrument.offers,
+                "measured distances, allowed: an arm file with an [instrument] of kind distance",
+            ),
         ):
             if lacks and need in effect.needs:
-                raise InputError(f"effects: {effect.key} needs {what}, allowed: {SOURCES[need]}")
+                raise InputError(f"effects: {effect.key} needs {what}")
     p -= len({*model.prior, *(() if prior is None else prior.names)} & set(model.names))
     if d * m < p:
         counted = f"{d} m = {d * m} < p = {p}"

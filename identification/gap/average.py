@@ -1,10 +1,4 @@
-"""The model that predicts best: the average over the posterior, as an arm file has it.
-
-Where something may be missing that an arm file cannot have (functions of time and workspace), the posterior is that of
-what it can have alone, so that this describes as much of the data as it can. The parameters of all blocks that are
-likely enough have the mean and the covariance of the mixture of all explanations, E[cov] + cov[E]; the base's follow
-them.
-"""
+"""The model that predicts best: the average over the posterior, as an arm file has it."""
 
 from __future__ import annotations
 

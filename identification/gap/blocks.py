@@ -1,13 +1,7 @@
 """The dictionary: all blocks that may be missing, linearized at a fitted model, with columns scaled to unit size.
 
-A block is an effect of the library at a joint with its scanned settings (a family with one similar parameter a joint
-is one block); an error curve of a joint, a Gaussian process; a smooth function of time, or of the workspace; or the
-shift of a single row. Blocks that are no effect of the library say where something is missing, not what.
-
-Of effects with settings (the order k of a gear ripple, the time of a step) each value is a block, and together they
-have the weight of one unscanned effect. Gears cause waves with hundreds of periods per turn and of orders that are not
-whole numbers. All of them have the weight of one order together; only those that explain most at each joint are added
-to the dictionary, as the others have no probability to speak of.
+Blocks that are no effect of the library say where something is missing, not what. Of effects with settings each value
+is a block, and together they have the weight of one unscanned effect.
 
 The column of an effect is the lever of its place in the chain (derivative of the position with respect to what is added
 there, the same for all effects) times the slope (derivative of what is added with respect to the effect's parameter).
@@ -16,9 +10,9 @@ One CasADi function with the settings as arguments gives the slopes of one effec
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from itertools import pairwise, product
 from typing import Any
 
@@ -62,7 +56,6 @@ class Block:
         and one for all joints together), divided by the number of scanned settings, times the effect's own `prior`
     effect, spec : of the library, None: outside;  through : kind of effects that alone it shows through
     span : of an error curve the joint (from 0) and its first and last angle [rad]
-    columns : outside the library, its (m, d, p) columns at other rows
     """
 
     label: str
@@ -72,7 +65,6 @@ class Block:
     spec: EffectSpec | None = None
     through: str = ""
     span: tuple[int, float, float] | None = None
-    columns: Callable[[At], Array] | None = None
 
     @classmethod
     def of(cls, arm: Arm, spec: EffectSpec, weight: float, kinds: frozenset[str] = frozenset()) -> Block:
@@ -336,151 +328,89 @@ def times(columns: Array, functions: Array) -> Array:
     return np.asarray((columns[..., None] * functions[:, None, None, :]).reshape(*columns.shape[:2], -1))
 
 
-def stacked(*functions: Array) -> Array:
-    """(m, w) table of functions (m,)."""
-    return np.stack(functions, axis=1)
-
-
-def ways(points: Array) -> Array:
-    """(m, d, d) columns that move points (m, d) along each axis."""
-    return np.broadcast_to(np.eye(points.shape[1]), (*points.shape, points.shape[1]))
-
-
-def moved(at: At, functions: Array) -> Array:
-    """(m, d, w') columns of functions (m, w) that move all points, or turn them in the plane."""
-    x = at.linearized[0]
-    turn = [stacked(-x[:, 1], x[:, 0])[:, :, None] / at.model.reach] if x.shape[1] == 2 else []
-    return times(np.concatenate([ways(x), *turn], axis=2), functions)
-
-
-def of_geometry(at: At, functions: Array) -> Array:
-    """(m, d, p w) columns of functions (m, w) that are added to each of the p parameters of the geometry, in its
-    scale."""
-    of_effects = {p.name for effect in at.model.effects for p in effect.parameters}
-    own = [k for k, name in enumerate(at.model.names) if name not in of_effects]
-    return times(at.linearized[1][:, :, own] * at.model.scales[own], functions)
-
-
-def wobble(at: At, j: int) -> Array:
-    """(m, d, 8 SLOW) columns of a revolute joint's axis (from 0) that tilts and shifts as the joint turns: along two
-    directions across it, in units in which tilts and shifts move the point alike."""
-    chain, levers = at.model.arm.chain, at.model.place_levers(at.rows.postures, at.values, at.rows.conditions)[0]
-    n, sizes, q = len(chain), widths(chain), at.rows.postures[:, j]
-    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
-    plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T
-    turns = stacked(*(f(k * q) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)))
-    parts = [levers[:, :, ends[kind] - 3 * n + 3 * j :][:, :, :3] @ plane for kind in chain.bends]
-    parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
-    return times(np.concatenate(parts, axis=2), turns)
-
-
-def outside_blocks(at: At) -> Iterator[Block]:
-    """Blocks outside the library, with constants that suit these rows."""
-    q, arm, conditions, (position, _) = at.rows.postures, at.model.arm, at.rows.conditions, at.linearized
-    n, d = q.shape[1], position.shape[1]
+def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
+    """Blocks outside the library, each with its (m, d, p) columns."""
+    arm, chain, model, conditions, (x, jacobian) = (
+        at.model.arm,
+        at.model.arm.chain,
+        at.model,
+        at.rows.conditions,
+        at.linearized,
+    )
+    q, (m, d), unseen = at.rows.postures, x.shape, untested_joints(at)
     low, span = q.min(axis=0), np.maximum(np.ptp(q, axis=0), 1e-9)
-    corner, size = position.min(axis=0), np.maximum(np.ptp(position, axis=0), 1e-9)
-    seen = d > 1 and not arm.chain.instrument.contact  # readings say where in the workspace the point is
-    turning, unseen = [j for j in range(n) if span[j] > 1e-9], untested_joints(at)
+    turning, n = [j for j in range(q.shape[1]) if span[j] > 1e-9], q.shape[1]
+
+    def block(label: str, place: str, weight: float, columns: Array) -> tuple[Block, Array]:
+        return Block(label, place, OUTSIDE * weight), columns
+
+    # at a joint: functions (m, w) that are added to its angle; in space, an axis that tilts and shifts
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
-    timed, warmed = (v is not None and bool(np.ptp(v) > 0.0) for v in (conditions.time, conditions.temperature))
-    unit = float(np.std(conditions.temperature)) if conditions.temperature is not None else 1.0
-    fast = np.arange(1, TIMES + 1)
+    few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
+    sizes = widths(chain)
+    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
+    levers = model.place_levers(q, at.values, conditions)[0]
+    for j in (j for j in turning if j + 1 not in unseen):
+        place, lever, angle, weight = f"joint:{j + 1}", at.levers[:, :, j, None], q[:, j], n**-0.5
+        if j + 1 not in curved:
+            start, stop = float(low[j]), float(low[j] + span[j])
+            waves = times(lever, curve_waves(angle, start, stop))
+            yield Block(f"curve:{j + 1}", place, OUTSIDE * weight, span=(j, start, stop)), waves
+        for other in (k for k in turning if k != j):
+            one, two = ((q[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
+            both = [np.cos(a * one) * np.cos(b * two) / (a * a + b * b) for a, b in few]
+            label, share = f"shared:{j + 1},{other + 1}", 0.3 * weight / max(n - 1, 1)
+            yield block(label, place, share, times(lever, np.column_stack(both)))
+        if conditions.directions is not None:  # of the angle and the last move, with another sign by its direction
+            move = np.zeros(m) if conditions.past is None else np.abs(angle - np.asarray(conditions.past)[:, j, -1])
+            past = np.column_stack([np.ones(m), np.cos(angle), np.sin(angle), np.exp(-move)])
+            past = past * np.asarray(conditions.directions)[:, j, None]
+            yield block(f"history:{j + 1}", place, 0.3 * weight, times(lever, past))
+        if arm.gravity is not None:
+            t = at.torques[:, j]
+            loads = np.column_stack([t, np.abs(t), t * np.abs(t), np.sign(t)])
+            yield block(f"load:{j + 1}", place, 0.3 * weight, times(lever, loads))
+        if "joint_turns" in chain.bends and chain.joints[j].type == REVOLUTE:  # tilts and shifts move the point alike
+            plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T  # across the axis
+            parts = [levers[:, :, ends[kind] - 3 * n + 3 * j :][:, :, :3] @ plane for kind in chain.bends]
+            parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
+            turns = np.column_stack([f(k * angle) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)])
+            yield block(f"wobble:{j + 1}", place, 0.3 * weight, times(np.concatenate(parts, axis=2), turns))
 
-    # functions (m, w) that are added to the angle of a joint
-    def curve(w: At, j: int) -> Array:
-        return curve_waves(w.rows.postures[:, j], low[j], low[j] + span[j])
+    # in time and with the temperature: shifts, turns in the plane, and changes of the geometry in its scale
+    ways = np.broadcast_to(np.eye(d), (m, d, d))
+    turn = [np.stack([-x[:, 1], x[:, 0]], axis=1)[:, :, None] / model.reach] if d == 2 else []
+    moved = np.concatenate([ways, *turn], axis=2)
+    of_effects = {p.name for effect in model.effects for p in effect.parameters}
+    own = [k for k, name in enumerate(model.names) if name not in of_effects]
+    geometry, fast = jacobian[:, :, own] * model.scales[own], np.arange(1, TIMES + 1)
+    if conditions.time is not None and np.ptp(conditions.time) > 0.0:
+        waves = np.cos(np.pi * (np.asarray(conditions.time) + 0.5)[:, None] * fast) / fast  # the slow ones larger
+        yield block("time", "time", 1.0, times(moved, waves))
+        yield block("time[parameters]", "time", 0.3, times(geometry, waves[:, :SLOW]))
+        if arm.gravity is not None:
+            loaded = at.levers * at.torques[:, None, :]
+            yield block("time[load]", "time", 0.3, times(loaded, waves[:, :SLOW]))
+    if conditions.temperature is not None and np.ptp(conditions.temperature) > 0.0:
+        warm = (np.asarray(conditions.temperature) / np.std(conditions.temperature))[:, None]
+        yield block("temperature", "temperature", 1.0, times(moved, warm))
+        yield block("temperature[parameters]", "temperature", 0.3, times(geometry, warm))
 
-    def shared(w: At, j: int, other: int) -> Array:
-        """Smooth functions of two joints' angles."""
-        x, y = ((w.rows.postures[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
-        few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
-        return stacked(*(np.cos(a * x) * np.cos(b * y) / (a * a + b * b) for a, b in few))
-
-    def history(w: At, j: int) -> Array:
-        """Of the joint's angle and last move, with another sign by the direction of approach."""
-        x, past, directions = w.rows.postures[:, j], w.rows.conditions.past, w.rows.conditions.directions
-        move = np.zeros(len(x)) if past is None else np.abs(x - np.asarray(past)[:, j, -1])
-        return stacked(np.ones(len(x)), np.cos(x), np.sin(x), np.exp(-move)) * np.asarray(directions)[:, j, None]
-
-    def load(w: At, j: int) -> Array:
-        """Of the moment of gravity about the joint."""
-        t = w.torques[:, j]
-        return stacked(t, np.abs(t), t * np.abs(t), np.sign(t))
-
-    def turned(functions: Callable[..., Array], j: int, *others: int) -> Callable[[At], Array]:
-        return lambda w: w.levers[:, :, j, None] * functions(w, j, *others)[:, None, :]
-
-    # functions of the time in the session, of temperature and of the place, (m, w), or whole columns (m, d, w)
-    def in_time(w: At, count: int) -> Array:
-        """Waves over the session, the slow ones larger."""
-        orders = np.arange(1, count + 1)
-        return np.cos(np.pi * (np.asarray(w.rows.conditions.time) + 0.5)[:, None] * orders) / orders
-
-    def warm(w: At) -> Array:
-        return np.asarray(w.rows.conditions.temperature)[:, None] / unit
-
-    def smooth(w: At) -> Array:
-        """Of all coordinates together."""
-        x = np.pi * (w.linearized[0] - corner) / size
+    # over the workspace, where readings say where in it the point is: smooth in all coordinates together, squares,
+    # waves along each axis, and of the distance from the base
+    if d > 1 and not chain.instrument.contact:
+        corner, size = x.min(axis=0), np.maximum(np.ptp(x, axis=0), 1e-9)
+        scaled, unit, radius = np.pi * (x - corner) / size, x / model.reach, np.linalg.norm(x, axis=1)[:, None]
         orders = [np.array(k) for k in product(range(SLOW + 1), repeat=d) if 1 <= sum(k) <= SLOW]
-        return stacked(*(np.prod(np.cos(k * x), axis=1) / (1.0 + k @ k) for k in orders))
-
-    def squares(w: At) -> Array:
-        """Of the coordinates, and their products, in each direction."""
-        x = w.linearized[0] / w.model.reach
-        return times(ways(x), stacked(*(x[:, a] * x[:, b] for a in range(d) for b in range(a, d))))
-
-    def along_axes(w: At) -> Array:
-        """Waves of each coordinate by itself, in each direction."""
-        x = np.pi * (w.linearized[0] - corner) / size
-        return times(ways(x), (np.cos(x[:, :, None] * fast) / np.sqrt(fast)).reshape(len(x), -1))
-
-    def outward(w: At) -> Array:
-        """Waves of the distance from the base, along it."""
-        x, reach = w.linearized[0], w.model.reach
-        radius = np.linalg.norm(x, axis=1)[:, None]
-        rings = np.cos(np.pi * radius / reach * fast) / np.sqrt(fast)
-        return (x / np.maximum(radius, 1e-9 * reach))[:, :, None] * rings[:, None]
-
-    # whether these rows can show it, label, prior weight beside OUTSIDE, columns
-    table: list[tuple[bool, str, float, Callable[[At], Array]]] = []
-    for j in turning:
-        if j + 1 in unseen:
-            continue
-        weight, revolute = n**-0.5, "joint_turns" in arm.chain.bends and arm.chain.joints[j].type == REVOLUTE
-        share = 0.3 * weight / max(n - 1, 1)
-        table.append((j + 1 not in curved, f"curve:{j + 1}", weight, turned(curve, j)))
-        others = [(k != j, f"shared:{j + 1},{k + 1}", share, turned(shared, j, k)) for k in turning]
-        table += [
-            *others,
-            (conditions.directions is not None, f"history:{j + 1}", 0.3 * weight, turned(history, j)),
-            (arm.gravity is not None, f"load:{j + 1}", 0.3 * weight, turned(load, j)),
-            (revolute, f"wobble:{j + 1}", 0.3 * weight, partial(wobble, j=j)),
-        ]
-    table += [
-        (timed, "time", 1.0, lambda w: moved(w, in_time(w, TIMES))),
-        (timed, "time[parameters]", 0.3, lambda w: of_geometry(w, in_time(w, SLOW))),
-        (
-            timed and arm.gravity is not None,
-            "time[load]",
-            0.3,
-            lambda w: times(w.levers * w.torques[:, None, :], in_time(w, SLOW)),
-        ),
-        (warmed, "temperature", 1.0, lambda w: moved(w, warm(w))),
-        (warmed, "temperature[parameters]", 0.3, lambda w: of_geometry(w, warm(w))),
-        (seen, "workspace", 0.25, lambda w: moved(w, smooth(w))),
-        (seen, "workspace[squares]", 0.25, squares),
-        (seen, "workspace[axes]", 0.25, along_axes),
-        (seen, "workspace[radius]", 0.25, outward),
-    ]
-    for possible, label, weight, columns in table:
-        if possible:
-            kind, _, joints = label.partition(":")
-            place = f"joint:{joints.partition(',')[0]}" if joints else kind.partition("[")[0]
-            j = int(joints) - 1 if kind == "curve" else -1
-            ends = (j, float(low[j]), float(low[j] + span[j])) if j >= 0 else None
-            yield Block(label, place, OUTSIDE * weight, span=ends, columns=columns)
+        smooth = [np.prod(np.cos(k * scaled), axis=1) / (1.0 + k @ k) for k in orders]
+        squares = [unit[:, a] * unit[:, b] for a in range(d) for b in range(a, d)]
+        along = (np.cos(scaled[:, :, None] * fast) / np.sqrt(fast)).reshape(m, -1)
+        outward = (x / np.maximum(radius, 1e-9 * model.reach))[:, :, None]
+        yield block("workspace", "workspace", 0.25, times(moved, np.column_stack(smooth)))
+        yield block("workspace[squares]", "workspace", 0.25, times(ways, np.column_stack(squares)))
+        yield block("workspace[axes]", "workspace", 0.25, times(ways, along))
+        rings = np.cos(np.pi * radius / model.reach * fast) / np.sqrt(fast)
+        yield block("workspace[radius]", "workspace", 0.25, times(outward, rings))
 
 
 # -- all of them, in the space of their columns ------------------------------------------------------------------------
@@ -528,9 +458,9 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
         if effect.label in place:
             names = [p.name for p in effect.parameters if p.name in model.names]
             columns[place[effect.label]] = jacobian[:, :, [model.names.index(name) for name in names]]
-    for block in outside_blocks(at) if outside else ():
+    for block, its in outside_blocks(at) if outside else ():
         blocks.append(block)
-        columns += [] if block.columns is None else [block.columns(at)]
+        columns.append(its)
     for k in wrong:
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))

@@ -1,24 +1,14 @@
 """Whether rows that were not used for a model confirm it: does the gap shrink, and as far as predicted?
 
-Such rows are held out, or each part of the data is predicted from the others (cross-validation). Of both the same is
-asked of the squared distances b of the base model and a of the model tested:
-
-    does the gap shrink?               mean of b - a  > 0
-    is it as large as predicted?       mean of a      <= what the posterior expects
-
-Of means of rows that are not independent: `estimation.grouped`.
-
 Where base or instrument of a hold-out stand elsewhere, or the measured point is another one, what is predicted of a
 point y_i with the axes R_i of the tip for the instrument becomes
 
     A (y_i + R_i t) + s,    A, s: motion of base or instrument;  t: from the old to the new point, in the tip's frame
-
-These few numbers are found in the hold-out, as `armcal validate` finds them; nothing else of the models is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -172,11 +162,8 @@ class Gap(NamedTuple):
 
 # -- rows held out -----------------------------------------------------------------------------------------------------
 def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
-    """Kind of transfer that a hold-out tests, judged by the order of measurement.
-
-    An order number identifies one row of a session, so numbers that occur in both mean two sessions; so does a pause
-    between them that is longer than the data.
-    """
+    """Kind of transfer that a hold-out tests: order numbers that occur in both, or a pause between them that is longer
+    than the data, mean two sessions."""
     ours, other = measurements.order, holdout.order
     if ours is None or other is None:
         return OTHER_ROWS
@@ -189,11 +176,8 @@ def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
 
 
 def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
-    """Conditions of the hold-out on the scales of the data.
-
-    Temperatures count from where those of the data do; time is on the scale of the data if both are of one session.
-    Measured points have the numbers of the data, those that the data do not have that of the first.
-    """
+    """Conditions of the hold-out: temperatures count from where those of the data do, time is on their scale if both
+    are of one session, and points that the data do not have are the first."""
     conditions = replace(holdout.conditions, marker=point_names(measurements, holdout)[0])
     if measurements.temperature is not None and holdout.temperature is not None:
         conditions = replace(conditions, temperature=holdout.temperature - measurements.reference_temperature)
@@ -323,11 +307,8 @@ def confirmed_on(
 
 
 def parameter_part(model: PredictingModel, rows: Measurements, there: Conditions) -> Mean:
-    """Mean square distance [mm^2] in other rows due to errors of the parameters.
-
-    With G = mean of J_i^T J_i over the rows and C the covariance, the mean of |J_i e|^2 is e^T G e: its expectation is
-    tr(G C), its variance 2 tr(G C G C).
-    """
+    """Mean square distance [mm^2] in other rows due to errors of the parameters, tr(G C) with the variance
+    2 tr(G C G C), G = mean of J_i^T J_i over the rows and C the covariance."""
     columns = model.model.jacobian(rows.postures, model.values, there)
     tall = columns[:, POINT].reshape(-1, columns.shape[-1])
     product = tall.T @ tall / len(rows) @ model.covariance
@@ -335,12 +316,8 @@ def parameter_part(model: PredictingModel, rows: Measurements, there: Conditions
 
 
 def check_same_arm(base: PredictingModel, measurements: Measurements, holdout: Measurements) -> None:
-    """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them, also where
-    it may be of another set-up and that is refitted.
-
-    The limit is the larger of ten times the expected residual of the base model and a hundredth of the reach: another
-    payload or part of the workspace stays below it; other links do not.
-    """
+    """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them: ten times
+    those expected, and a hundredth of the reach."""
     left = distances(base.residuals(measurements)) ** 2
     added = parameter_part(base, holdout, held_out_conditions(measurements, holdout)).value
     limit = max(10.0 * float(np.sqrt(np.mean(left) + added)), 0.01 * base.model.reach)
@@ -362,12 +339,10 @@ def cross_validation(
     generator: np.random.Generator,
     named: bool,
 ) -> tuple[Confirmation, ...]:
-    """Test whether the average holds for other postures, and for another interval of time of the same session.
+    """Test whether the average holds for other postures, and for another interval of time; as the sets were found with
+    all rows, this can refute a model but not confirm it.
 
-    measurements : the rows of the posterior;  kept : (m,) rows that are no outliers;  named : False if nothing was
-    named
-
-    The sets were found with all rows, so cross-validation can refute a model but cannot confirm it.
+    kept : (m,) rows that are no outliers;  named : False if nothing was named
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
@@ -377,19 +352,21 @@ def cross_validation(
         "another stretch of time": by_groups[0],
     }
     tests = []
-    for transfer, folds in parts.items():
-        before, after, expected = predicted_from_others(posterior, kept, folds)
+    predicted_rows = predicted_from_others(posterior, kept, [*parts.values()])
+    for transfer, (before, after, expected) in zip(parts, predicted_rows, strict=True):
         predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
         level = LEVEL / len(parts)  # Bonferroni
         tests.append(confirm(before, after, predicted, sigma, by_groups, transfer, "cross-validation", level, named))
     return tuple(tests)
 
 
-def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: Groups) -> tuple[Array, Array, float]:
-    """Each part of the kept rows predicted from the others;  folds : (kept rows,) number of each row's part.
+def predicted_from_others(
+    posterior: Posterior, kept: NDArray[np.bool_], partitions: Sequence[Groups]
+) -> Iterator[tuple[Array, Array, float]]:
+    """Each part of the kept rows predicted from the others, for partitions that have the number of each row's part.
 
     The likeliest sets of the posterior are weighed again by their likelihood on the other rows alone, at the sizes that
-    they have, and their predictions averaged. Returns (m, d) residuals [mm] of the base model and of the average, and
+    they have, and their predictions averaged. Yields (m, d) residuals [mm] of the base model and of the average, and
     the mean square distance [mm^2] that the latter expects.
     """
     number = posterior.best.noise
@@ -413,26 +390,27 @@ def predicted_from_others(posterior: Posterior, kept: NDArray[np.bool_], folds: 
     # expected square of the noise of a row, for unit sigma
     spread = np.eye(d)[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
-    before, after, expected = np.empty(m * d), np.empty(m * d), 0.0
-    for fold in range(folds.max() + 1):
-        test = np.repeat(folds == fold, d)
-        others = every - white[test].T @ white[test]
-        values, vectors = np.linalg.eigh(others[:rank, :rank])
-        seen = values > RANK_TOLERANCE
-        turn = vectors[:, seen] / np.sqrt(values[seen])
-        inside = turn.T @ others[:rank, rank:]
-        rest = others[rank:, rank:] - inside.T @ inside
-        freedom = max(np.count_nonzero(~test) - turn.shape[1], 1)
-        parts = {"gram": rest[:-1, :-1], "right": rest[:-1, -1], "squares": float(rest[-1, -1]), "freedom": freedom}
-        states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
-        shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
-        mean, covariance, variance = mixed(states, shares)
-        turned = table[test, :rank] @ turn
-        moved = table[test, rank:] - turned @ inside
-        before[test] = moved[:, -1]
-        after[test] = before[test] - moved[:, :-1] @ mean
-        at = points.ravel()[test]
-        expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * covariance))
-        expected += variance * (float(np.sum(np.square(turned[at]))) + noise * np.count_nonzero(test) / d)
-    before, after = before.reshape(m, d), after.reshape(m, d)
-    return before[:, POINT], after[:, POINT], expected / m
+    for folds in partitions:
+        before, after, expected = np.empty(m * d), np.empty(m * d), 0.0
+        for fold in range(folds.max() + 1):
+            test = np.repeat(folds == fold, d)
+            others = every - white[test].T @ white[test]
+            values, vectors = np.linalg.eigh(others[:rank, :rank])
+            seen = values > RANK_TOLERANCE
+            turn = vectors[:, seen] / np.sqrt(values[seen])
+            inside = turn.T @ others[:rank, rank:]
+            rest = others[rank:, rank:] - inside.T @ inside
+            freedom = max(np.count_nonzero(~test) - turn.shape[1], 1)
+            parts = {"gram": rest[:-1, :-1], "right": rest[:-1, -1], "squares": float(rest[-1, -1]), "freedom": freedom}
+            states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
+            shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
+            mean, covariance, variance = mixed(states, shares)
+            turned = table[test, :rank] @ turn
+            moved = table[test, rank:] - turned @ inside
+            before[test] = moved[:, -1]
+            after[test] = before[test] - moved[:, :-1] @ mean
+            at = points.ravel()[test]
+            expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * covariance))
+            expected += variance * (float(np.sum(np.square(turned[at]))) + noise * np.count_nonzero(test) / d)
+        before, after = before.reshape(m, d), after.reshape(m, d)
+        yield before[:, POINT], after[:, POINT], expected / m

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -91,12 +91,6 @@ class Detectability(Documented):
     def document(self) -> Document:
         """Visible fraction, smallest size and look-alikes of every effect, and what cannot be tested."""
         return detectability_document(self)
-
-    def figure(self) -> Any:
-        """Which effects look alike, as a picture."""
-        from identification.documents.pictures import alias_figure  # deferred: matplotlib takes long to load
-
-        return alias_figure(self)
 
 
 @single_thread()  # the same bits, whatever the number of threads

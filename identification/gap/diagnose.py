@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -18,7 +19,7 @@ from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
-from identification.gap.confirmation import Gap, check_same_arm, confirmed_on, cross_validation
+from identification.gap.confirmation import Confirmation, Gap, check_same_arm, confirmed_on, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
@@ -32,9 +33,9 @@ from identification.gap.result import (
     keys_of,
     probabilities,
 )
-from identification.gap.search import MOST_ROWS, PASSES, Explanation, Posterior, posterior_of
+from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
-from identification.measurements import Measurements, distances, rms_distance
+from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
 from identification.running import Progress, Status, silent, single_thread
@@ -133,6 +134,11 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         raise InputError(f"holdout: {copied}, allowed: rows not used before")
 
 
+def worse_than_geometry(tests: Sequence[Confirmation]) -> bool:
+    """Whether other postures are predicted better without all that was found, by more than chance."""
+    return tests[0].shrinks is False and tests[0].after > tests[0].before
+
+
 def diagnosis_of(
     posterior: Posterior,
     measurements: Measurements,
@@ -183,7 +189,7 @@ def diagnosis_of(
 
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something)
-    if tests[0].shrinks is False and tests[0].after > tests[0].before:
+    if worse_than_geometry(tests):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
@@ -196,6 +202,13 @@ def diagnosis_of(
     sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
+    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in shown.outside if b.place == place)
+    shape = next(filter(None, kinds), None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
+    of_noise = defaultdict[str, float](float)  # properties of the noise that are likelier than not
+    for one in posterior.explanations:
+        of_noise[posterior.noises[one.noise].name] += one.probability
+    sizes = {noise.name: noise.size for noise in posterior.noises}
+    scatter = [Finding(name, 1.0 - p, sizes[name]) for name, p in of_noise.items() if name and p >= 0.5]
     here = fitted.on(rows)
     error, jacobian = rows.whiten(here.left).reshape(before.shape), here.linearized[1] / fitted.model.scales
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
@@ -211,8 +224,8 @@ def diagnosis_of(
         predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
         aliases=look_alikes(whole, sees, {label for one in candidates for label in one.effects}),
         where=place,
-        shape=shape_of(place, {c.joint: c.described[0] for c in curves}, shown),
-        scatter=noise_findings(posterior, repeats),
+        shape=shape,
+        scatter=(*scatter, *(finding for finding in repeats if finding.name not in {f.name for f in scatter})),
         outlier_rows=tuple(numbers[~kept].tolist()),
         unexplained_rows=tuple(numbers[far].tolist()),
         gap=Gap(rms_distance(before[kept]), rms_distance(after[kept]), floor, *figures),
@@ -235,38 +248,11 @@ def diagnosis_of(
         replication=replications(fitted, measurements.session_names, named.effects),
         curves=curves,
     )
-    return replace(result, notes=tuple(notes(result, posterior, measurements, fitted, holdout is not None, numbers)))
+    return replace(result, notes=tuple(notes(result, posterior, measurements, fitted)))
 
 
-def noise_findings(posterior: Posterior, repeats: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Properties of the noise that are likelier than not, and what repeats say that is none of them."""
-    shares: dict[str, float] = {}
-    sizes: dict[str, float] = {}
-    for one in posterior.explanations:
-        noise = posterior.noises[one.noise]
-        shares[noise.name] = shares.get(noise.name, 0.0) + one.probability
-        sizes.setdefault(noise.name, noise.size)
-    findings = [Finding(name, 1.0 - p, sizes[name]) for name, p in shares.items() if name and p >= 0.5]
-    return (*findings, *(finding for finding in repeats if finding.name not in {f.name for f in findings}))
-
-
-def shape_of(place: str | None, curves: dict[int, str], one: Explanation) -> str | None:
-    """Of what is outside the library, in words;  curves : joint -> shape;  one : the likeliest with it"""
-    if place is None:
-        return None
-    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in one.outside if b.place == place)
-    return next(filter(None, kinds), None) or {f"joint:{joint}": shape for joint, shape in curves.items()}.get(place)
-
-
-def notes(
-    result: Diagnosis,
-    posterior: Posterior,
-    measurements: Measurements,
-    best: Fit,
-    held_out: bool,
-    numbers: NDArray[np.int64],
-) -> Iterator[str]:
-    """Sentences to read before the verdict is trusted;  best : fit of the likeliest set;  numbers : of the rows"""
+def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit) -> Iterator[str]:
+    """Sentences to read before the verdict is trusted;  best : fit of the likeliest set"""
     for effect in result.effects:
         waves = [(like, share) for key, like, share in result.aliases if key == effect and "[" in like]
         if waves:
@@ -280,7 +266,7 @@ def notes(
         ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
         beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
         yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
-    if any(test.shrinks is False and test.after > test.before for test in result.cross_validation[:1]):
+    if worse_than_geometry(result.cross_validation):
         yield "other rows are predicted better by the geometry alone: that is what --out writes"
     yield from untested(posterior.library.skipped)
     if len(measurements) > MOST_ROWS:
@@ -291,24 +277,9 @@ def notes(
     if measurements.directions is None:
         yield "directions of approach were derived from the order of measurement"
         yield from gap_notes(measurements)
-    for j in np.flatnonzero(np.ptp(measurements.postures, axis=0) == 0.0).tolist():
-        first = "its offset cannot be separated from the orientation of the base"
-        link = f"the parameters of link {j + 1} cannot be separated from those of link {j}" if j else first
-        yield f"joint {j + 1} does not move in these data: {link}"
     if result.misfit is not None and measurements.sigma is None and not 0.67 < result.misfit.ratio < 1.5:
         of_file = f"{result.misfit.ratio:.3g} times the sigma_mm of the arm file"
         yield f"the residual scatter is {of_file}; the tests use the scatter, not sigma_mm"
-    after, predicted = result.gap.held_out_after, result.gap.predicted
-    if after is not None and predicted is not None and after > 3.0 * predicted:
-        times = f"{after / predicted:.2g} times larger than predicted"
-        yield f"the held-out residuals are {times}: other postures or set-up?"
-    if once := [b.key for b in posterior.best.effects if b.effect and b.effect.once]:
-        which = f"{', '.join(once)}: of this session only; the extended model has what is left of it at the end, as"
-        yield f"{which} validate and compensate take it"
-    if held_out and any("drift" in b.key for b in posterior.best.effects):
-        yield "a drift of one session does not carry over to another; confirm it on held-out rows of this one"
-    if result.unexplained_rows:
-        unexplained = np.isin(numbers, result.unexplained_rows)
-        far = f"up to {distances(result.residuals.after)[unexplained].max():.3g} mm off"
-        which = rows_in_words(np.isin(np.arange(numbers[-1]) + 1, result.unexplained_rows))
-        yield f"{which} are not explained ({far}); they stay in, as whole postures or neighbors"
+    if rows := result.unexplained_rows:
+        which = rows_in_words(np.isin(np.arange(max(rows)) + 1, rows))
+        yield f"{which} are not explained; they stay in, as whole postures or neighbors"

@@ -1,15 +1,8 @@
-"""What may be missing in the model of any arm, as normal blocks: effects, error curves, the posture's own error.
+"""What may be missing in the model of any arm, as normal blocks: effects, error curves, the posture's own error
+(identification/README.md, "With a prior").
 
-Which effects are missing in the model of a real arm is unknown, but their typical sizes are not
-(identification/README.md, "Typical sizes"). Each parameter is normal with zero mean and its typical size as standard
-deviation, times the root of the share of arms that have the effect (`Effect.prior`). An effect with an unknown setting
-is represented by its K settings, with 1/K of the variance each: the mean and covariance of the tip are those of one
-effect with a random setting.
-
-Beyond what has a name every joint has an error curve, a Gaussian process of its angle: waves of all orders k with
-standard deviations that fall as 1/k, as those of a random walk do. With a ripple of unknown order this is one process,
-whose covariance at two angles is the sum over orders of v_k cos(k (q - q')): the waves of the ripple carry both. And a
-posture has an error of its own, that no other posture tells anything about.
+With a ripple of unknown order an error curve is one process, whose covariance at two angles is the sum over orders of
+v_k cos(k (q - q')): the waves of the ripple carry both.
 """
 
 from __future__ import annotations

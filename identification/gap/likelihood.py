@@ -1,13 +1,7 @@
-"""Marginal likelihood of sets of blocks, in the space of their columns.
+"""Marginal likelihood of sets of blocks, in the space of their columns (identification/README.md, "One posterior").
 
-After linearization and whitening, y = J g + sum_b Z_b z_b + e with flat g, e ~ N(0, sigma^2 I), p(sigma) ~ 1 / sigma,
-and z_b ~ N(0, sigma^2 s_b^2 I) for each block of the set. With everything projected off J, only the products G = Z^T Z,
-c = Z^T y and y^T y enter. For a set A with sizes s, D = diag(s) and f degrees of freedom of the base model,
-
-    log p(y | A, s) = -1/2 log |I + D G_A D| - f/2 log(R / y^T y),     R = y^T y - c_A^T D (I + D G_A D)^-1 D c_A,
-
-relative to nothing missing (A. Zellner, 1971). The columns of a block are scaled such that s_b^2 is the expected
-square, in units of the noise, of what the block contributes to the rows; s_b is one of `SIZES`.
+With G = Z^T Z, c = Z^T y and y^T y, everything projected off the base, and D = diag(s), log p(y | A, s) is
+-1/2 log |I + D G_A D| - f/2 log(R / y^T y), with R = y^T y - c_A^T D (I + D G_A D)^-1 D c_A.
 
 What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the blocks' own parts are kept. With one
 block more or less, V changes by a term of that block's rank (M. A. Woodbury, 1950).

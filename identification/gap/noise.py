@@ -1,15 +1,7 @@
 """The noise: its components, each with a marginal likelihood, and what is known of it without a model.
 
-The noise is white, or has one of: noise of a joint, along its lever; noise that grows with the reach, or in time;
-serial correlation; an error that all rows of one posture share. Given a set of effects, the likelihood of a covariance
-W with flat priors for all parameters is, with residual sum of squares R of f degrees of freedom (H. D. Patterson, R.
-Thompson, 1971),
-
-    -1/2 log |W| - 1/2 log |J^T W^-1 J| - f/2 log R.
-
-Residuals are tested against repeats of one posture, by the F test of lack of fit, and against the sigma that is given,
-by chi-square. A sigma from a data sheet may be too small (identification/README.md, "Lessons"), so that only a sigma of
-the rows and repeats have a say in the verdict.
+A sigma from a data sheet may be too small (identification/README.md, "Lessons"), so that only a sigma of the rows and
+repeats have a say in the verdict.
 """
 
 from __future__ import annotations
@@ -100,19 +92,25 @@ def noises(at: At) -> Iterator[NoiseModel]:
             yield NoiseModel("repeats", ratio, replace(rows, shared=ratio), float(np.log(0.5 / len(RATIOS))))
 
 
-def log_likelihoods(models: Sequence[NoiseModel], left: Array, columns: Array) -> Array:
-    """(K,) of covariances, see above, up to a constant;  left : (m, d) residuals [mm];  columns : (m, d, p) of all free
-    parameters"""
-    tall = columns.reshape(left.size, -1)
-    table = np.concatenate([tall @ orthonormal(tall.T @ tall), left.reshape(-1, 1)], axis=1).reshape(*left.shape, -1)
+def log_likelihoods(models: Sequence[NoiseModel], left: Array, base: Array, columns: Array, sizes: Array) -> Array:
+    """(K,) of covariances, up to a constant: restricted ones (H. D. Patterson, R. Thompson, 1971), in which columns
+    have normal coefficients.
+
+    left : (m, d) residuals [mm];  base : (m, d, g) columns of free parameters;  columns : (m, d, p);  sizes : (p,) of
+    them, standard deviations of their coefficients in units of the noise
+    """
+    tall = base.reshape(left.size, -1)
+    free = (tall @ orthonormal(tall.T @ tall)).reshape(*left.shape, -1)
+    table = np.concatenate([free, columns, left[:, :, None]], axis=2)
+    precision = np.concatenate([np.zeros(free.shape[2]), sizes**-2.0])
     costs = []
     for model in models:
         white = model.rows.whiten(table)
-        root = np.linalg.cholesky(white[:, :-1].T @ white[:, :-1])
+        root = np.linalg.cholesky(white[:, :-1].T @ white[:, :-1] + np.diag(precision))
         scores = solve_triangular(root, white[:, :-1].T @ white[:, -1], lower=True)
         squares = max(float(white[:, -1] @ white[:, -1] - scores @ scores), 1e-300)
         volume = model.rows.log_determinant + 2.0 * float(np.sum(np.log(np.diag(root))))
-        costs.append((len(white) - len(root)) * np.log(squares) + volume)
+        costs.append((len(white) - free.shape[2]) * np.log(squares) + volume)
     return -0.5 * np.array(costs)
 
 

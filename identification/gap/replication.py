@@ -1,15 +1,11 @@
 """Whether an effect is the same in every session: one of the robot returns, one of a set-up does not.
 
-All sessions share one fit, each with its own base. Of one effect with the values t in one session and o in the others
-there are four explanations, beside everything else that is named:
+Of one effect with the values t in one session and o in the others there are four explanations, equally likely
+beforehand, beside everything else that is named; the effect's columns times the indicator of the session, and of the
+others, are blocks of `likelihood`:
 
-    same        t = o (1 + SAME e),  e ~ N(0, 1)        own         t and o independent
+    same        t = o (1 + SAME e),  e ~ N(0, 1)        apart       t and o independent
     elsewhere   t = 0                                   here        o = 0
-
-Beforehand they are equally likely; how likely the data are under each says `likelihood`, the effect's columns times the
-indicator of the session, and of the others, being blocks. The effect *replicates* in the session where `same` has the
-probability `CREDIBLE`, and does not where `own` and `elsewhere` have it together. Else it is open: as where the session
-can say little, or where the others know nothing of the effect.
 """
 
 from __future__ import annotations

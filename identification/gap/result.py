@@ -1,11 +1,5 @@
 """`Diagnosis`: the result of `diagnose`, with its JSON keys and its extended arm; and the verdict, which follows from
-the probabilities of explanations.
-
-An explanation is nothing missing, a set of effects of the library (settings left out), or something outside the
-library. A verdict that is wrong costs 1, and so it is the likeliest of these three: nothing, some effects of the
-library, something outside. To name a wrong set costs 1, to leave it open which one it is 1/2: a set is `named` where
-it has half of the probability, else the verdict is `ambiguous`, and candidates are the sets that have at least
-`LEVEL` of the probability of the best.
+the probabilities of explanations (identification/README.md, "Verdict and predicting model").
 """
 
 from __future__ import annotations

@@ -1,19 +1,10 @@
-"""Posterior over sets of blocks: a climb to a likely set, and a Gibbs walk from there, under each likely noise.
-
-The number K of missing blocks has the prior p(0) = 1/2 and p(K) ~ K^-`TAIL`: one effect is likelier than
-two, but where many are seen further ones are expected (a beta mixture of binomials has such a tail). Which ones they
-are has a probability in proportion to their weights. An outlying row does not count as a block: each is outlying with
-the odds `WRONG`.
-
-What one robot lacks is of like sizes: the sizes of its K blocks are drawn around a common one, which may be any of
-`SIZES`, so p(s_1, .., s_K) = mean over c of prod_i p(s_i | c). Where many small effects are seen, a further small one
-is expected, and no huge one. The size of an outlying row says nothing about the others.
+"""Posterior over sets of blocks (identification/README.md, "One posterior"): a climb to a likely set, and a Gibbs walk
+from there, under each likely noise.
 
 A step takes a block x, or nothing, out of a set A of k blocks and puts one back, size included, or none. The climb
 takes the likeliest, as long as that is likelier. The walk takes each out with probability 1 / (k + 1) and draws with
 odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x: a Gibbs step of the joint distribution of A and x, so that
-A is drawn from its posterior; what is counted is not the draw but the probabilities it was drawn with (A. E. Gelfand,
-A. F. M. Smith, 1990, "Rao-Blackwellization").
+A is drawn from its posterior; what is counted is not the draw but the probabilities it was drawn with.
 """
 
 from __future__ import annotations
@@ -96,7 +87,7 @@ class Search:
     def climb(self, start: State | None = None) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
         nothing = self.products.state()
-        tops = [start if start is not None and start.pairs else self._up(nothing), nothing]
+        tops = [start if start is not None and start.pairs else self.up(nothing), nothing]
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
@@ -106,10 +97,10 @@ class Search:
                 tops += [single, self._exchanged(pair, block, block)]
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
         for _ in range(PASSES):
-            top = self._up(top)
+            top = self.up(top)
         return top
 
-    def _up(self, state: State) -> State:
+    def up(self, state: State) -> State:
         """Add the likeliest block as long as that is likelier; put the likeliest, or none, in the place of each."""
         for block in (None, *state.blocks):
             state = state if block is None else self._exchanged(state, block)
@@ -302,12 +293,14 @@ def posterior_of(
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
         # with the outlying rows of the set alone, which noise of another kind may need, too
         y, jacobian, base = library.as_base(here)
-        plain, each = jacobian[:, :, base] / at.model.scales[base], []
+        each = []
         rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
         for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
             one = search.products.state(key)
-            free = np.concatenate([plain, *(problem.columns[b] for b in one.blocks)], axis=2)
-            likelihoods = log_likelihoods(every, y, free) + np.array([n.prior for n in every])
+            columns = [jacobian[:, :, :0], *(problem.columns[b] @ problem.roots[b] for b in one.blocks)]
+            free = jacobian[:, :, base] / at.model.scales[base]
+            likelihoods = log_likelihoods(every, y, free, np.concatenate(columns, axis=2), one.sizes)
+            likelihoods += np.array([n.prior for n in every])
             each.append(likelihoods - likelihoods[number] + every[number].prior + search.log_odds(one))
         scores = np.max(each, axis=0)
         order = np.argsort(-scores, kind="stable").tolist()
@@ -345,7 +338,7 @@ def posterior_of(
         return mixture
     tell("what an arm file can have")
     problem = problem.of([k for k, block in enumerate(problem.blocks) if held(block)])
-    top = Search(problem.products, problem.blocks).climb(_same_set(problem, chosen))
+    top = Search(problem.products, problem.blocks).up(_same_set(problem, chosen))
     alone = (every[number], *_walked(problem, top, generator))
     return replace(mixture, writable=_mixture([alone], problem, library, end))
 
@@ -361,6 +354,8 @@ def _walked(
     """The problem with the blocks alone that are not negligible, and the walk there."""
     search = Search(problem.products, problem.blocks)
     near = search.near(top)
+    if 2 * len(near) > len(problem.blocks):  # hardly smaller: what was computed serves the walk, too
+        return problem, *search.walk(top, generator)
     few, place = problem.of(near), {b: i for i, b in enumerate(near)}
     start = few.products.state([(place[b], size) for b, size in top.key])
     return few, *Search(few.products, few.blocks, search.total).walk(start, generator)

@@ -119,7 +119,7 @@ def readers(case: Case, name: str) -> list[Callable[[Path], object]]:
     """Our own readers of a file that a verb has written, by what the verb writes under its options."""
     verb, given = case.verb, dict(zip(case.words[1:], case.words, strict=False))
     option = given.get(name, "") if given.get(name, "").startswith("--") else "--out"
-    if option in ("--picture", "--aliases", "--report") or verb in ("report", "program"):  # whatever its name
+    if option in ("--picture", "--report") or verb in ("report", "program"):  # whatever its name
         return []
     if verb in ("demo", "init", "study", "compare"):
         ends = {".parquet": pl.read_parquet, "arm.toml": load_arm, ".urdf": read_urdf}

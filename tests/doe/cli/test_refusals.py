@@ -310,9 +310,8 @@ def test_measurements_in_other_units(folder: Folder, columns: str, factor: float
 @pytest.mark.parametrize(
     ("words", "place"),
     [
-        ("score arm.toml plan.csv --picture p.svg", "doe.plan.accuracy.criterion_values"),
-        ("advise arm.toml --runs 4 --picture p.svg", "doe.report.design.advice_document"),
-        ("validate truth.toml data.csv --picture p.svg", "identification.documents.identification.validation_actions"),
+        ("design arm.toml --runs 8 --out p.csv --picture p.svg", "doe.plan.accuracy.tip_beside_random"),
+        ("identify arm.toml data.csv --out o.toml", "identification.reuse.with_held"),
         ("compare arm.toml --runs 8 --cluster tcp://127.0.0.1:9 --out folder", "doe.jobs.cluster"),
     ],
 )

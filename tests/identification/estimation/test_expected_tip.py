@@ -103,12 +103,12 @@ def test_postures_like_those_measured_fill_no_box_of_angles() -> None:
 
 @pytest.mark.filterwarnings("ignore:.*columns are not used")  # orientations
 def test_a_real_robot_is_off_by_what_is_said() -> None:
-    """40 rows of a sample of a session of the UR10, five times, against the fit of the others: what is said is right to
-    a third. Random angles within those measured would be 4 times as far off: its postures fill no box of angles."""
+    """40 rows of a sample of a session of the UR10, three times, against the fit of the others: what is said is right
+    to a third. Random angles within those measured would be 4 times as far off: its postures fill no box of angles."""
     robot = load_arm(UR10 / "ur10.toml")
     rows, model = load_measurements(UR10 / "series_A.csv", robot), Model(robot)
     generator, said, off = np.random.default_rng(15), [], []
-    for _ in range(5):
+    for _ in range(3):
         order = generator.permutation(len(rows))
         few, rest = rows.rows(np.sort(order[:40])), rows.rows(np.sort(order[40:]))
         found, best = estimate(model, few), estimate(model, rest)

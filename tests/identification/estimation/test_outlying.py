@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from identification.arm import Arm
-from identification.estimation import estimate, without_outliers
+from identification.estimation import estimate
 from identification.estimation.uncertainty import limit_of, log_choose, outlying, studentised, together
 from identification.information import column_space
 from identification.model import Model
@@ -130,10 +130,6 @@ def test_postures_that_gravity_explains_are_no_outliers() -> None:
     whole = [k for k in few if {3 * k + 1, 3 * k + 2, 3 * k + 3} <= set(found.unexplained_rows)]
     assert len(whole) >= 3
     assert any("whole postures" in doubt and "stay in the fit" in doubt for doubt in found.doubts)
-    left = without_outliers(
-        lambda rows: estimate(Model(drawn_arm(gravity=False)), rows), replace(data, positions=positions)
-    )
-    assert left[1] == (11, 201, 331)
 
 
 def test_choices_are_counted_on_the_log_scale() -> None:

@@ -97,7 +97,7 @@ def test_a_fit_is_the_maximum_of_the_likelihood_or_says_why_not(
 ) -> None:
     generator = np.random.default_rng(seed)
     lengths = lengths_of(n, generator) if wild else generator.uniform(100.0, 500.0, n)
-    model, data = case(n, lengths, sigma, 500 if long else 3 * n + 12, generator)
+    model, data = case(n, lengths, sigma, 120 if long else 3 * n + 12, generator)
     q = data.postures + turns * 2.0 * np.pi * generator.integers(-4, 5, data.postures.shape)
     found = estimate(model, Measurements(q, data.positions), sigma="given")
     position, jacobian = linearized(found.model.arm.chain, q, found.names, found.parameters)  # its base is placed

@@ -72,7 +72,7 @@ def test_what_is_relied_upon(factor: float, rows: int, kind: str, said: bool) ->
         estimate(Model(arm()), measurements, sigma="given")
 
 
-@pytest.mark.parametrize(("factor", "ripple"), [(1.0, 0.0), (0.3, 0.0), (3.0, 0.0), (1.0, 2e-3)])
+@pytest.mark.parametrize(("factor", "ripple"), [(1.0, 0.0), (0.3, 0.0), (1.0, 2e-3)])
 def test_intervals_hold_whatever_sigma_is_and_with_a_ripple_that_is_not_modelled(factor: float, ripple: float) -> None:
     """Coverage of 8 parameters in 80 sets of 20 postures; 3.5 standard errors, sets counting as independent."""
     rng, model, held = np.random.default_rng(8), Model(arm(sigma=factor * SIGMA)), []

@@ -170,7 +170,7 @@ def left_by_others(data: Measurements, folds: np.ndarray) -> tuple[np.ndarray, n
     library = hypotheses(Arm([300.0, 200.0]), frozenset(), rows)
     waves = tuple(block for block in library.members if block.label.startswith("transmission_ripple"))
     found = posterior_of(replace(library, members=waves), rows, np.random.default_rng(0))
-    return predicted_from_others(found, np.ones(len(data), dtype=bool), folds)
+    return next(predicted_from_others(found, np.ones(len(data), dtype=bool), [folds]))
 
 
 def test_each_part_is_predicted_by_a_fit_to_the_others() -> None:

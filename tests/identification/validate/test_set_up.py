@@ -59,20 +59,17 @@ def fit(data: Measurements) -> Identification:
     return estimate(Model(with_sessions(ARM, data)), data)
 
 
-@pytest.mark.parametrize("marked", [False, True])
-def test_a_reflector_mounted_anew_is_named(marked: bool) -> None:
-    data = cell(2, {(1, "A"): MOVED}, seed=1, marked=marked)
+def test_a_reflector_mounted_anew_is_named() -> None:
+    data = cell(2, {(1, "A"): MOVED}, seed=1, marked=False)
     found = fit(data)
     doubted = with_mounting_doubt(found, data, fit)
     (said,) = set(doubted.doubts) - set(found.doubts)
-    name = "A" if marked else "1"
     size = float(np.linalg.norm(MOVED))
     assert said.startswith("reflectors are mounted elsewhere than in the session before (")
     place, _, away = said.partition("(")[2].partition(": ")
-    assert place == f"{name} in session day 2"
+    assert place == "1 in session day 2"
     assert float(away.split()[0]) == pytest.approx(size, abs=0.1)
     assert "column marker" in said
-    assert "B in session" not in said
 
 
 def test_nothing_is_said_where_reflectors_stay() -> None:
