@@ -29,9 +29,9 @@ from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL
-from identification.kinematics.corrected import corrected, errors_between, standing_in
+from identification.kinematics.corrected import standing_in
 from identification.kinematics.frames import displaced_by, pose
-from identification.kinematics.parameters import JOINT_OFFSET, error_names, of_effects
+from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
@@ -343,25 +343,6 @@ def prior_judged(
 
 
 # -- set up anew -------------------------------------------------------------------------------------------------------
-def as_calibrated(arm: Arm) -> Arm:
-    """The arm with its calibrated geometry as the nominal one; values of effects stay, and effects whose curve has a
-    geometry have it as errors of the corrected chain."""
-    values = {} if arm.calibration is None else arm.calibration.values
-    bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
-    kept = None if arm.calibration is None else replace(arm.calibration, **bare)
-    chain, effects = corrected(arm.chain, values), []
-    for spec in arm.effects:
-        if spec.curve is not None and spec.curve.geometry:
-            of_curve = dict(spec.curve.geometry)
-            of_curve |= {name: float(x) for name, x in arm.chain.along_base(of_curve, values).items()}
-            without = {name: values.get(name, 0.0) - of_curve.get(name, 0.0) for name in {*values, *of_curve}}
-            errors = errors_between(chain, corrected(arm.chain, without))
-            geometry = {name: -error for name, error in errors.items()} | of_effects(of_curve)
-            spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
-        effects.append(spec)
-    return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
-
-
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
     """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; in space the
     offsets of the first joint and the last stay, which base and points stand for."""
@@ -374,7 +355,6 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
         start = model.parameters.vector(values)
         computed = model.position(measurements.postures, start, conditions)
         return model, start_at_bases(start, model, computed, measurements.positions)
-    arm = arm if planar else as_calibrated(arm)
     chain, names = arm.chain, measurements.marker_names
     if refit == "none":
         # of one point it is that which is measured, whatever the data call it

@@ -251,9 +251,11 @@ def with_error(row: dict[str, Any] | None) -> str:
 
 def blind_pictures(folder: Path, result: BlindStudy) -> None:
     """confusion.png and reliability.png in the folder, replaced if they are there."""
-    for name, drawn in {"confusion": confusion_figure, "reliability": reliability_figure}.items():
-        if len(result.tables[name]):
-            write_together({folder / f"{name}.png": drawn(result.tables[name])}, force=True)
+    single = result.tables["confusion"].filter(~pl.col("hidden").str.contains(" + ", literal=True))
+    drawn = {"confusion": (confusion_figure, single), "reliability": (reliability_figure, result.tables["reliability"])}
+    for name, (draw, rows) in drawn.items():
+        if len(rows):
+            write_together({folder / f"{name}.png": draw(rows)}, force=True)
 
 
 def reliability_figure(rows: pl.DataFrame) -> Figure:
@@ -292,15 +294,14 @@ def confusion_figure(confusion: pl.DataFrame) -> Figure:
 
 
 def confusion_matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
-    """Row names, column names, fractions and row totals; sets with several effects hidden are left out, several names
-    at once go into one column, unless the rest of the gap stayed unknown; special names are last."""
+    """Row names, column names, fractions and row totals of sets with one class hidden; several names at once go into
+    one column, unless the rest of the gap stayed unknown; special names are last."""
     last = (NOTHING, "several", OUTSIDE, "unknown")
     counts: dict[tuple[str, str], int] = {}
     for row in confusion.iter_rows(named=True):
         several = "several" if " + " in row["named"] else row["named"]
         pair = row["hidden"], "unknown" if row["named"].endswith("unknown") else several
         counts[pair] = counts.get(pair, 0) + row["count"]
-    counts = {(hidden, named): count for (hidden, named), count in counts.items() if " + " not in hidden}
     classes = {hidden for hidden, _ in counts}
     names = classes, ({*classes, "unknown"} - {OUTSIDE}) | {named for _, named in counts}
     rows, columns = (sorted(every - set(last)) + [one for one in last if one in every] for every in names)

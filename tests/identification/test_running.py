@@ -3,8 +3,6 @@ context only."""
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 import warnings
 from importlib.metadata import EntryPoint
@@ -56,19 +54,3 @@ def test_one_thread_inside_and_as_before_outside() -> None:
         with single_thread():
             assert set(blas_threads()) == {1}
         assert blas_threads() == before
-
-
-def test_a_library_that_is_loaded_later_is_limited_too() -> None:
-    """In a process of its own: SciPy brings a BLAS besides numpy's."""
-    code = (
-        "import numpy\n"
-        "from threadpoolctl import threadpool_info\n"
-        "from identification.running import single_thread\n"
-        "with single_thread(): pass\n"
-        "import scipy.linalg\n"
-        "with single_thread(): print(*(found['num_threads'] for found in threadpool_info()))\n"
-    )
-    system = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
-    done = subprocess.run([sys.executable, "-c", code], env=system, capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) == {"1"}
-    assert len(done.stdout.split()) > 1

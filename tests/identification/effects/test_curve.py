@@ -42,20 +42,6 @@ def test_agrees_with_scipy_and_is_zero_beyond_two_nodes() -> None:
     np.testing.assert_allclose(SMOOTH.at(nodes), VALUES, atol=1e-16)
 
 
-@pytest.mark.parametrize(
-    ("start", "stop", "values", "message"),
-    [
-        (1.0, 1.0, VALUES, "from_deg, to_deg: found 57.2958 to 57.2958"),
-        (0.0, np.inf, VALUES, "from_deg, to_deg"),
-        (0.0, 1.0, VALUES[:3], "values_deg: found 3 values"),
-        (0.0, 1.0, [0.0, np.nan, 0.0, 0.0], "values_deg"),
-    ],
-)
-def test_bad_input(start: float, stop: float, values: np.ndarray, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        ErrorCurve(start, stop, values)
-
-
 def test_whole_turns_away_it_is_the_same() -> None:
     """Also for angles that lie a turn from where they were measured; between the ends and there it is zero."""
     curve = ErrorCurve(-1.0, 1.5, np.random.default_rng(2).standard_normal(20))

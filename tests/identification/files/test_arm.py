@@ -77,6 +77,7 @@ file = "data.csv"
 rms_after_mm = 0.1
 """
 PLAIN = "links_mm = [260.0, 180.0]\n"
+PLANAR = PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 1]\n"
 
 
 def load(tmp_path: Path, text: str) -> Arm:
@@ -138,10 +139,8 @@ def test_every_documented_key_is_read(tmp_path: Path) -> None:
 
 def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
     same(Arm([260.0, 180.0]), load(tmp_path, PLAIN))
-    arm = load(tmp_path, PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 0]\n")
-    assert arm.gravity is not None
-    assert arm.gravity.center_of_mass.tolist() == [0.5, 0.5]
-    assert arm.gravity.payload == 0.0
+    gravity = load(tmp_path, PLANAR).gravity
+    assert (gravity.center_of_mass.tolist(), gravity.payload) == ([0.5, 0.5], 0.0)
 
 
 def test_limits_that_look_like_radians_warn(tmp_path: Path) -> None:
@@ -160,7 +159,6 @@ def refused(path: Path, *named: str) -> None:
     assert [part for part in named if part not in message] == [], message
 
 
-PLANAR = PLAIN + "[gravity]\nacceleration_m_s2 = [0, -9.81]\nlink_masses_kg = [1, 1]\n"
 LIMITS = PLAIN + "[joint_limits_deg]\n"
 SIGHT = PLAIN + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [1, 0]\n'
 BASE = '[[effects]]\nname = "base_offset"\n'
@@ -172,9 +170,6 @@ THREE = (
 )
 ORIGIN = PLAIN + CALIBRATION + "[calibration.provenance]\n"
 BAD = [  # values that are of the right type
-    ("", "empty"),
-    ("links_mm = []", "links_mm: found 0"),
-    (PLAIN + "[measurement]\nsigma_mm = 0", "measurement.sigma_mm: found 0"),
     # keys that stand elsewhere, or have another name
     ("sigma_mm = 0.1\n" + PLAIN, "[measurement]"),
     ("lengths_mm = [1.0]\n" + PLAIN, "'links_mm'"),
@@ -184,11 +179,8 @@ BAD = [  # values that are of the right type
     (LIMITS + "min = [0, 0]\nupper = [90, 90]", "'lower'"),
     (PLANAR.replace("acceleration_m_s2", "g"), "'acceleration_m_s2'"),
     (LIMITS + "lower = [0, 0]\nupper = [90, -90]", "joint 2"),
-    (LIMITS + "lower = [0]\nupper = [90, 90]", "joint_limits_deg.lower: found 1"),
     (PLAIN + "[joints]\nsign = [1, 0]", "joints.sign: found 0 for joint 2"),
     (PLAIN + "[joints]\ncoupled_to = [2, 1]", "joints.coupled_to: found"),
-    (PLANAR.replace("[1, 1]", "[1]"), "gravity.link_masses_kg: found 1"),
-    (PLANAR.replace("[0, -9.81]", "[0]"), "gravity.acceleration_m_s2: found [0]"),
     (PLAIN + '[[constraints]]\nkind = "box"', "constraints[1].kind: found 'box'"),
     (
         PLAIN + '[[constraints]]\nkind = "workspace_box"\nx_mm = [1, 0]\ny_mm = [0, 1]',
@@ -196,8 +188,6 @@ BAD = [  # values that are of the right type
     ),
     (SIGHT + "half_angle_deg = 20\ntoward_mm = [1, 0]", "constraints[1].toward_mm: found [1.0, 0.0]"),
     (BACKLASH, "backlash needs a joint"),
-    (BACKLASH + "joint = 3", "joint 3"),
-    (PLAIN + BASE + "joint = 1", "base_offset"),
     (PLAIN + BASE + BASE, "base_offset"),
     (PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0', "transmission_ripple:1"),
     (PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1', "effects[1].b_deg: found -1"),
@@ -215,13 +205,8 @@ BAD = [  # values that are of the right type
     (PLAIN + CALIBRATION + '[calibration.effects]\n"base_offset.x0_mm" = 1', "'base_offset.x0_mm'"),
     (PLAIN + BASE + CALIBRATION + '[calibration.effects]\n"base_offset.x0" = 1', "'base_offset.x0_mm'"),
     # of what is kept of a fit, what the program itself reads again
-    *(
-        (f"{ORIGIN}rows = {value}", f"rows: found {said}")
-        for value, said in (("0", "0"), ('"many"', "'many'"), ("true", "true"))
-    ),
+    (f"{ORIGIN}rows = 0", "rows: found 0"),
     (ORIGIN + "joint_range_deg = [[0.0, 90.0], [90.0, -90.0]]", "joint_range_deg[2]: found [90.0, -90.0]"),
-    (ORIGIN + "joint_range_deg = [[0.0, 90.0, 100.0]]", "joint_range_deg[1]: found [0.0, 90.0, 100.0]"),
-    (ORIGIN + "joint_range_deg = 5", "joint_range_deg: found 5"),
     (ORIGIN + "joint_range_mm = [[nan, 1.0]]", "joint_range_mm[1]: found [nan, 1.0]"),
 ]
 

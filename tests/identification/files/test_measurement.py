@@ -95,17 +95,14 @@ def test_optional_columns(load: Load) -> None:
     assert load(measurement_text(data)).session.tolist() == ["monday", "2"]
 
 
-def test_radians_and_metres_are_converted(load: Load) -> None:
+def test_other_units_are_converted(load: Load) -> None:
     data = load("y_m,x_m,q2_rad,q1_deg,sigma_m\n0.25,0.5,1.5,180,0.001\n")
     np.testing.assert_allclose(data.postures, [[np.pi, 1.5]])
     np.testing.assert_allclose(data.positions, [[500, 250]])
     np.testing.assert_allclose(data.sigma, [1.0])
     assert load("q1_deg,q2_deg,distance_m\n30,50,0.4125\n", BAR).positions[0, 0] == pytest.approx(412.5)
-
-
-def test_time_is_the_order(load: Load) -> None:
-    assert load(with_columns(time_s=(10.5, 2))).order.tolist() == [10.5, 2]
-    assert load(with_columns(order=(2, 1), time_s=(10.5, 2))).order.tolist() == [10.5, 2]
+    for more in ({}, {"order": (2, 1)}):  # time is the order
+        assert load(with_columns(time_s=(10.5, 2), **more)).order.tolist() == [10.5, 2]
 
 
 @pytest.mark.parametrize(
@@ -140,16 +137,11 @@ BAD = [  # arm, text, what is named
     *(
         (None, text, parts)
         for text, parts in (
-            ("q1_deg,q2_deg,x_mm,y_mm\n", ["no rows"]),
             ("x_mm,y_mm\n1,2\n", ["'q1_deg' is missing"]),
             ("q1,q2,x_mm,y_mm\n1,2,3,4\n", ["'q1_deg' is missing", "did you mean to rename 'q1'?", "allowed"]),
-            ("q1_deg,q3_deg,x_mm,y_mm\n1,2,3,4\n", ["'q2_deg' is missing"]),
             ("q1_deg,q2_deg,x_mm,y\n1,2,3,4\n", ["'y_mm' is missing", "q2_deg, x_mm, y; did you mean to rename 'y'?"]),
             ("q1_deg,q1_rad,x_mm,y_mm\n1,2,3,4\n", ["both q1_deg and q1_rad", "allowed: one"]),
-            ("q1_deg,x_m,x_mm,y_mm\n1,2,3,4\n", ["both x_mm and x_m", "allowed: one"]),
-            (with_columns(sigma_mm=(1, 1), sigma_m=(1, 1)), ["both sigma_mm and sigma_m", "allowed: one"]),
             (",".join(f"q{j}_deg" for j in range(1, 14)) + "\n" + "0," * 12 + "0\n", ["q13_deg", "q1_deg to q12_deg"]),
-            (PLAIN.replace("-3", "nan"), ["row 2 (line 3), column x_mm", "found 'nan'", "allowed: a finite length"]),
             (PLAIN.replace("-3", "1e200"), ["row 2 (line 3), column x_mm", "found '1e200'"]),
             (PLAIN.replace("-60", "1e300"), ["row 1 (line 2), column q2_deg", "found '1e300'"]),
             (with_columns(payload_kg=(0, -1)), ["row 2 (line 3), column payload_kg", "found '-1'", "a number >= 0"]),
@@ -161,7 +153,6 @@ BAD = [  # arm, text, what is named
                 with_columns(direction1=(1, 1), direction2=(1, 1), direction3=(1, 1)),
                 ["direction3", "allowed: direction1 to direction2"],
             ),
-            ("PK\x03\x04\x14", ["found a spreadsheet", "save it as CSV"]),
             (with_columns(posture=(1, 1.5)), ["row 2 (line 3), column posture", "found '1.5'", "a whole number"]),
             (with_columns(order=(1, 2), time_s=(5, 4)), ["column time_s", "different orders", "allowed"]),
         )
@@ -169,17 +160,13 @@ BAD = [  # arm, text, what is named
     *(
         (SPATIAL, SLIDING.replace(old, new), [part])
         for old, new, part in (
-            ("z_mm", "height_mm", "column 'z_mm' is missing, found: q1_deg, q2_mm, x_mm, y_mm, height_mm, marker"),
             ("q2_mm", "q2_deg", "column 'q2_mm' is missing"),
             ("marker", "q3_deg", "found column q3_deg, but the arm has 2 links, allowed: q1_deg to q2_mm"),
             ("marker", "q2_m", "found both q2_mm and q2_m, allowed: one of them"),
             ("side", "", "row 2 (line 3), column marker: found an empty cell, allowed: a name"),
-            (",6,", ",,", "row 2 (line 3), column z_mm: found an empty cell"),
         )
     ),
-    (BAR, "q1_deg,q2_deg,x_mm\n1,2,3\n", ["column 'distance_mm' is missing, found: q1_deg, q2_deg, x_mm"]),
     (BAR, "q1_deg,q2_deg,distance_mm\n1,2,-3\n", ["(line 2), column distance_mm: found '-3', allowed: a number > 0"]),
-    (BAR, "q1_deg,q2_deg,distance_mm,distance_m\n1,2,3,4\n", ["found both distance_mm and distance_m"]),
     (FACE, "q1_deg,q2_deg,surface\n1,2,\n", ["column surface: found an empty cell, allowed: a name"]),
 ]
 
@@ -223,9 +210,8 @@ def test_a_cell_that_cannot_be_names_row_line_and_column(load: Load, column: str
 # -- writing -----------------------------------------------------------------------------------------------------------
 def test_text_is_tidy() -> None:
     data = Measurements(np.radians([[30.0, -0.0]]), [[1.5, 2]], order=[3], directions=[[1, -1]], sigma=[0.1])
-    assert measurement_text(data) == (
-        "q1_deg,q2_deg,x_mm,y_mm,order,direction1,direction2,sigma_mm\n30.0,0.0,1.5,2.0,3,1,-1,0.1\n"
-    )
+    header = "q1_deg,q2_deg,x_mm,y_mm,order,direction1,direction2,sigma_mm"
+    assert measurement_text(data) == f"{header}\n30.0,0.0,1.5,2.0,3,1,-1,0.1\n"
 
 
 numbers = st.floats(-1e6, 1e6)

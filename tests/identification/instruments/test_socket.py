@@ -98,10 +98,9 @@ def test_distances_between_unseen_cups(
     assert np.sum(np.square(np.ravel(errors) / np.ravel(deviations))) < 20.0
 
 
-@pytest.mark.parametrize("table", [TABLE, SEVEN], ids=["6R", "7R"])
-def test_without_a_distance_the_size_is_open(table: tuple[tuple[float, float, float], ...]) -> None:
+def test_without_a_distance_the_size_is_open() -> None:
     """Only the drawing tells it, to a millimetre a link: that is what the fit promises, and it keeps it."""
-    truth, fit = fitted(table, 1, ())
+    truth, fit = fitted(TABLE, 1, ())
     errors, deviations = unseen_distances(truth, fit, 1)
     assert np.all(np.abs(errors) < 3.0 * deviations)
     assert np.all(deviations > 0.2)
@@ -110,24 +109,6 @@ def test_without_a_distance_the_size_is_open(table: tuple[tuple[float, float, fl
     # the size apart, distances are as good as with a bar
     lengths = np.array([apart(UNSEEN, a, b) for a, b in combinations(UNSEEN, 2)])
     assert np.std(errors / lengths) * lengths.mean() < 2.0 * NOISE
-
-
-def test_intervals_hold() -> None:
-    """Of distances between cups that were seen: as the values and deviations among the corrected values say."""
-    scores = []
-    for seed in range(2 * SEEDS):
-        _, fit = fitted(TABLE, seed, ONE_BAR)
-        assert fit.chi2 == pytest.approx(fit.dof, abs=4.0 * np.sqrt(2.0 * fit.dof))
-        for value in fit.corrected_values:
-            if not value.name.startswith("cups "):
-                continue
-            first, second = value.name.removeprefix("cups ").split(" to ")
-            if {first, second} != {"A", "B"}:
-                assert value.corrected is not None
-                assert value.std is not None
-                scores.append((value.corrected - apart(CUPS, first, second)) / value.std)
-    assert len(scores) == 2 * SEEDS * 5
-    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5  # 20 correlated ones, of which some 10 are independent
 
 
 def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:

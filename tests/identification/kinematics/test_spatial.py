@@ -134,24 +134,6 @@ def test_frames_points_and_orientation_against_exponentials(chain: KinematicChai
         np.testing.assert_allclose(found, [(from_base @ np.r_[point, 1.0])[:3] for point in expected], atol=1e-9)
 
 
-def test_links_grow_along_themselves(chain: KinematicChain) -> None:
-    """The origin of every frame behind a link moves by the link's growth along the line to the next joint."""
-    q = postures(chain, 1)[0]
-    lengths = ca.evalf(chain.link_lengths(ca.SX(0, 1))).full()[:, 0]
-    steps = [matrix[:3, 3] for matrix in (*(joint.origin for joint in chain.joints[1:]), chain.end)]
-    np.testing.assert_allclose(lengths, [np.linalg.norm(step) for step in steps], rtol=1e-15)
-    before = [ca.evalf(frame.origin).full()[:, 0] for frame in chain.frames(ca.DM(q), {})]
-    axes = [ca.evalf(frame.axes).full() for frame in chain.frames(ca.DM(q), {})]
-    for j, step in enumerate(steps, start=1):
-        growth = np.where(np.arange(len(chain)) == j - 1, 0.7, 0.0)
-        after = [
-            ca.evalf(f.origin).full()[:, 0] for f in chain.frames(ca.DM(q), {}, {"extensions": ca.SX(ca.DM(growth))})
-        ]
-        shift = 0.7 * axes[j] @ step / np.linalg.norm(step) if step.any() else np.zeros(3)
-        for k, (one, other) in enumerate(zip(before, after, strict=True)):
-            np.testing.assert_allclose(other - one, shift if k > j else np.zeros(3), atol=1e-9)
-
-
 def test_pinocchio_agrees() -> None:
     """Positions, and derivatives by the six errors of each joint's frame: its kinematic regressor."""
     pinocchio = pytest.importorskip("pinocchio", reason="pinocchio is not installed: pip install 'armcal[oracle]'")
@@ -224,20 +206,6 @@ def test_offsets_are_scaled_by_the_best_known_lengths() -> None:
     best = {"length_error:1": 5.0, "length_error:2": -200.0, "length_error:3": -120.0}
     scales = planar_chain(LENGTHS).parameters(best).scales
     np.testing.assert_array_equal(scales, [1.0, 1.0, 1.0, 1.0, 265.0, 20.0, 120.0, 100.0])
-
-
-def test_a_shift_along_the_axes_of_the_base_turns_with_it() -> None:
-    """The offset of joint 1 turns the base of a planar arm."""
-    chain, shift = planar_chain(LENGTHS), {"base_offset.x0": 2.0, "joint_offset:1": 0.1}
-    turned, back = 2.0 * np.exp(0.3j), 2.0 * np.exp(-0.3j)
-    by_instrument = chain.along_base(shift, {"joint_offset:1": 0.3})
-    along_own_axes = chain.along_base(shift, {"joint_offset:1": 0.3}, back=True)
-    for components, expected in ((by_instrument, turned), (along_own_axes, back)):
-        assert {name: float(x) for name, x in components.items()} == {
-            "base_offset.x0": pytest.approx(expected.real),
-            "base_offset.y0": pytest.approx(expected.imag),
-        }
-    assert chain.along_base({"joint_offset:1": 0.1}, {"joint_offset:1": 0.3}) == {}
 
 
 ROWS = (
