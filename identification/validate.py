@@ -29,9 +29,9 @@ from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL
-from identification.kinematics.corrected import corrected, errors_between, standing_in
+from identification.kinematics.corrected import standing_in
 from identification.kinematics.frames import displaced_by, pose
-from identification.kinematics.parameters import JOINT_OFFSET, error_names, of_effects
+from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
@@ -343,25 +343,6 @@ def prior_judged(
 
 
 # -- set up anew -------------------------------------------------------------------------------------------------------
-def as_calibrated(arm: Arm) -> Arm:
-    """The arm with its calibrated geometry as the nominal one; values of effects stay, and effects whose curve has a
-    geometry have it as errors of the corrected chain."""
-    values = {} if arm.calibration is None else arm.calibration.values
-    bare: dict[str, Any] = {"values": of_effects(values), "base": None, "tools": {}, "tool_axes": {}}
-    kept = None if arm.calibration is None else replace(arm.calibration, **bare)
-    chain, effects = corrected(arm.chain, values), []
-    for spec in arm.effects:
-        if spec.curve is not None and spec.curve.geometry:
-            of_curve = dict(spec.curve.geometry)
-            of_curve |= {name: float(x) for name, x in arm.chain.along_base(of_curve, values).items()}
-            without = {name: values.get(name, 0.0) - of_curve.get(name, 0.0) for name in {*values, *of_curve}}
-            errors = errors_between(chain, corrected(arm.chain, without))
-            geometry = {name: -error for name, error in errors.items()} | of_effects(of_curve)
-            spec = replace(spec, curve=replace(spec.curve, geometry=geometry))
-        effects.append(spec)
-    return replace(arm, chain=chain, calibration=kept).with_effects(*effects)
-
-
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
     """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; in space the
     offsets of the first joint and the last stay, which base and points stand for."""
@@ -374,30 +355,20 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
         start = model.parameters.vector(values)
         computed = model.position(measurements.postures, start, conditions)
         return model, start_at_bases(start, model, computed, measurements.positions)
-    arm = arm if planar else as_calibrated(arm)
-    chain, names = arm.chain, measurements.marker_names
+    chain, known = arm.chain, frozenset({BASE, TOOL})
+    if len(chain.tools) == 1 == len(measurements.marker_names):
+        # it is that which is measured, whatever the data call it
+        measurements = replace(measurements, marker=None, marker_names=())
     if refit == "none":
-        # of one point it is that which is measured, whatever the data call it
-        if not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
-            fault = "no column marker, and the arm has several measured points" if not names else ""
-            fresh = [repr(name) for name in names if name not in chain.tools]
-            fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
-            if fault:
-                allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
-                raise InputError(f"measurements.marker: {fault}, {allowed}")
+        try:
+            with_markers(replace(chain, settled=known), measurements)
+        except InputError as error:
+            raise InputError(f"{error}; or --refit base, which finds where they are") from None
         model = Model(replace(arm, chain=with_markers(chain, measurements)))
     else:
         chain = chain if planar else replace(one_unnamed(chain, measurements), settled=frozenset())
         model = placed_model(Model(replace(arm, chain=chain)), measurements)
-        if not planar and len(model.arm.chain.tools) == 1 == len(chain.tools):
-            (old,), (new,), effects = chain.tools, model.arm.chain.tools, []
-            for spec in model.arm.effects:  # curves have the point by its name in the calibration
-                if (curve := spec.curve) is not None:
-                    geometry = {k.replace(f"{TOOL}[{old}]", f"{TOOL}[{new}]"): v for k, v in curve.geometry.items()}
-                    spec = replace(spec, curve=replace(curve, geometry=geometry))
-                effects.append(spec)
-            model = replace(model, arm=model.arm.with_effects(*effects))
-        free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
+        free |= {p.name for p in model.geometry_parameters if p.kind in known}
         free |= {p.name for p in model.arm.chain.instrument.parameters} if planar else set()
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
     return model, model.values

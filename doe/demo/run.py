@@ -227,25 +227,8 @@ def run_demo(
 
 # -- its page ----------------------------------------------------------------------------------------------------------
 def demo_document(demo: Demo) -> Document:
-    """Plan, certificate, identification, gap, and what was hidden."""
-    arm, fresh, gaps, hidden, named = demo.arm, demo.fresh, demo.gaps, demo.hidden, demo.diagnosis.effects
-    base, extended = demo.identified.data, demo.extended.data
-    last = f"with {' + '.join(named)}" if named else "nothing named"  # the model that the diagnosis leads to
-    # how the gap closes, step by step, on the data and on fresh random postures that no step has seen
-    errors = {
-        "nominal (from the drawing)": (base["rms_before_mm"], gaps["drawing"]),
-        "geometry identified": (base["rms_after_mm"], gaps["identified"]),
-        last: (extended["rms_after_mm"], gaps["extended"]),
-    }
-    rows = [[name, *map(number, figures)] for name, figures in errors.items()]
-    before, after = demo.left
-    calibrated = demo.extended.result.calibrated_arm()
-    compared = Compared(calibrated, fresh.postures, before, after, fresh.conditions, Model(calibrated), named)
-    identified: list[Any] = [
-        Sheet(("RMS error [mm]", "on the data", "on 200 fresh postures"), rows),
-        "From simulated measurements of an arm whose true errors the fit does not know.",
-        compared.pictures("the geometry identified", f"the model {last}" if named else "the same model"),
-    ]
+    """The diagnosis, what was hidden, plan, and certificate."""
+    arm, gaps, hidden, named = demo.arm, demo.gaps, demo.hidden, demo.diagnosis.effects
     # estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm
     values = [
         [
@@ -269,16 +252,15 @@ def demo_document(demo: Demo) -> Document:
             [[name, number(hidden[key])] for name, key in misses.items()],
         ),
     ]
-    postures, effort = demo.design.plan.postures, (128, 25) if arm.chain.projection else (4096, 61)
+    postures, effort = demo.design.plan.postures, (4096, 61) if arm.chain.planar else (128, 25)
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
     within = " and the tracker's view" if arm.constraints else ""
     chosen = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
-    diagnosed = demo.diagnosis.document(nominal=base["rms_drawing_mm"])
+    diagnosed = demo.diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
     sections = [
-        Section("Identification", identified),
         *diagnosed.parts,
         Section("Against the truth", truth),
         plan_section(arm, demo.design.plan, lead=chosen, tests={"fresh.csv": demo.validated.result}),
@@ -289,13 +271,11 @@ def demo_document(demo: Demo) -> Document:
     ]
     actions = [
         Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
-        Action(
-            "Make a page of any of them:", "armcal report arm.toml plan.csv extended.toml fresh.csv --out page.html"
-        ),
         Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
     test = demo.diagnosis.confirmation
     average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""
+    last = f"with {' + '.join(named)}" if named else "nothing named"  # the model that the diagnosis leads to
     summary = (
         f"A plan of {len(postures)} runs ({optimality(demo, 4)}). The RMS error on 200 fresh postures falls "
         f"from {gaps['drawing']:.2f} mm (nominal) to {gaps['identified']:.3f} mm (calibrated) and "

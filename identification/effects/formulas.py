@@ -381,7 +381,7 @@ of_time(
     "base or tracker creeps during the session",
     "The base (or the tracker) creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t.",
     # typical: creep of tripods, floors and warming frames in an hour or two
-    lambda self: each((f"v{axis}" for axis in self.chain.axes), "mm/session", 0.05),
+    lambda self: each([f"v{axis}" for axis in self.chain.axes], "mm/session", 0.05),
     once=True,
     base_translation=lambda self, chain, values: values * chain.time,
 )

@@ -28,7 +28,6 @@ from identification.kinematics.frames import (
     X,
     Y,
     Z,
-    displaced_by,
     displacement,
     point_table,
     pose,
@@ -84,22 +83,6 @@ def before_errors(
     if tools:
         chain = replace(chain, tools={name: place - off[name][0] for name, place in tools.items()})
     return replace(chain, tool_axes={n: turned @ off[n][1].T for n, turned in axes.items()}) if axes else chain
-
-
-def errors_between(chain: KinematicChain, other: KinematicChain) -> dict[str, float]:
-    """Small errors of a chain that bring its base, joints and measured points to those of another, to first order; the
-    shift of the base along its own axes."""
-    named = displaced_by(chain.base, other.base, error_names(BASE))
-    for j, (joint, moved) in enumerate(zip(chain.joints, other.joints, strict=True), start=1):
-        errors = displaced_by(joint.origin, moved.origin, error_names(j))
-        along = [*errors.values()][3:] if joint.type == REVOLUTE else [*errors.values()][:3]
-        # of an axis between those of its frame all six are parameters
-        named |= {**errors, f"{JOINT_OFFSET}:{j}": 0.0 if joint.along is None else float(joint.axis @ along)}
-    for name, place in chain.tools.items():
-        drawn, real = (pose(rotation=each.tool_axes.get(name, np.eye(3))) for each in (chain, other))
-        turned = displaced_by(drawn, real, error_names(f"tool[{name}]"))
-        named |= turned | dict(zip(turned, (other.tools[name] - place).tolist(), strict=False))
-    return named
 
 
 @dataclass(frozen=True)

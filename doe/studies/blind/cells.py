@@ -400,30 +400,20 @@ def random_effect(
 def many_effects(
     truth: TrueArm, run: RowConditions, kind: str, sizes: Sequence[float], rng: np.random.Generator
 ) -> list[Drawn]:
-    """What a real robot has at once, each effect of its own size lambda between two.
-
-    kind : `robot`: compliance of all joints, every encoder eccentric, backlash in one joint and a ripple in one, in the
-        plane an offset of the base; `harmonics`: first and second harmonic of every encoder; one of `COUNTS`: so many
-        effects of the library at random, of gravity one, `small`: one or more in every joint
-    """
-    listed: list[tuple[str, int | None]] = [("encoder_eccentricity", j + 1) for j in range(truth.n)]
-    most, plane = None, truth.in_plane
-    if kind in COUNTS:
-        of_joint, of_arm = (LIBRARY_JOINT, LIBRARY_WHOLE) if plane else (SPACE_JOINT, SPACE_WHOLE)
-        listed = [(name, j) for name in of_joint for j in range(1 + (name == "joint_coupling"), truth.n + 1)]
-        listed += [(name, None) for name in of_arm]
-        listed = [listed[k] for k in rng.permutation(len(listed))]
-        of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
-        listed = [place for place in listed if place not in of_gravity[1:]]
-        if kind == "small":
-            first = {j: (name, j) for name, j in reversed(listed) if j is not None}
-            listed = [*first.values(), *(place for place in listed if place not in first.values())]
-        most = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1))
-    elif kind == "harmonics":
-        listed += [("encoder_second_harmonic", j + 1) for j in range(truth.n)]
-    else:
-        listed += [(EVERY_JOINT, None)] + ([("base_offset", None)] if plane else [])
-        listed += [(name, int(rng.integers(1, truth.n + 1))) for name in ("backlash", "transmission_ripple")]
+    """What a real robot has at once, each effect of its own size lambda between two: so many effects of the library at
+    random as `COUNTS` says, one of gravity; `small`: one or more in every joint."""
+    plane = truth.in_plane
+    of_joint, of_arm = (LIBRARY_JOINT, LIBRARY_WHOLE) if plane else (SPACE_JOINT, SPACE_WHOLE)
+    listed: list[tuple[str, int | None]] = []
+    listed += [(name, j) for name in of_joint for j in range(1 + (name == "joint_coupling"), truth.n + 1)]
+    listed += [(name, None) for name in of_arm]
+    listed = [listed[k] for k in rng.permutation(len(listed))]
+    of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
+    listed = [place for place in listed if place not in of_gravity[1:]]
+    if kind == "small":
+        first = {j: (name, j) for name, j in reversed(listed) if j is not None}
+        listed = [*first.values(), *(place for place in listed if place not in first.values())]
+    most = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1))
     span, limits = base_jacobian(truth, run), np.log(sizes)
 
     def drawn(name: str, joint: int | None) -> Drawn | None:

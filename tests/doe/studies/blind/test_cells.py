@@ -221,7 +221,6 @@ def test_a_random_walk_is_of_one_sigma_about_its_mean() -> None:
 
 def test_every_hidden_effect_is_one_of_the_library() -> None:
     """With the parameters that are said to be true; one in each cell, none outside the library, some of each family."""
-    counts = {"robot": (8, 9), **COUNTS}
     others = set(PHYSICS) - {"two_warm_ups"}  # drawn by the same lines, which takes time
     for cell, spec in CELLS.items():
         if not spec.space or spec.physics in others:
@@ -231,7 +230,7 @@ def test_every_hidden_effect_is_one_of_the_library() -> None:
         assert sorted(effect.key for effect in effects) == sorted(data.effects)
         assert len({*data.effects}) == len(effects)
         expected = 0 if spec.lam is None or spec.outside else spec.effects
-        low, high = counts[spec.many] if spec.many else (expected, expected)
+        low, high = COUNTS[spec.many] if spec.many else (expected, expected)
         assert low <= len(effects) <= high
         assert len({effect.family for effect in effects}) == len(effects) or spec.many
         assert (data.place is not None) == (data.outside is not None) == (spec.outside or bool(spec.physics))

@@ -318,14 +318,14 @@ def test_errors_of_shares_and_outcomes_of_bars() -> None:
     outcomes = ["met", "within its error", "missed"]
     assert [outcome_of(value, 0.01, ">=", 0.9) for value in (0.9, 0.885, 0.87)] == outcomes
     assert [outcome_of(value, 0.01, "<=", 0.05) for value in (0.05, 0.065, 0.08)] == outcomes
-    assert "error / true <= 1.5" in TABLE["bars"]["many effects"]
+    assert "error / true <= 1.6" in TABLE["bars"]["many small effects, m=50"]
 
 
 def test_an_arm_with_the_true_values_has_no_error_and_its_intervals_hold() -> None:
     """What the simulator hides, put into the model: positions agree without noise; the fitted true model is near. Where
     the first length alone is uncertain, by s, its interval at every tip is 1.96 s |cos|, and the tip off by d |cos|:
     all coordinates are inside where d < 1.96 s, none where it is more; with three degrees of freedom 3.18 s."""
-    data, s = cells.data_set("many effects", 3), 0.01
+    data, s = cells.data_set("six to nine effects, m=100", 3), 0.01
     arm = data.arm.with_effects(*data.arm.effects, *data.specs)
     known = replace(arm, calibration=Calibration(data.values))
     assert gap(known, data, data.exact) == pytest.approx(0.0, abs=1e-9)
