@@ -182,7 +182,8 @@ def _chains(arm: Arm, remembers: bool) -> tuple[tuple[ca.SX, ca.SX, ca.SX], Chai
     ends = (max(p.stop for p in s.values()) for s in (condition_slices(arm.links, extra), where))
     q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
     chain = Chain.of(arm, q, c, extra)
-    return (q, c, state), chain, chain.loaded(*(state[where[place]] for place in OF_LOAD))
+    loads: dict[str, Any] = {place: state[where[place]] for place in OF_LOAD}
+    return (q, c, state), chain, replace(chain, **loads)
 
 
 @lru_cache
