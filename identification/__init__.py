@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # isort: off
     from identification.campaign import Campaign
 
     # what data say
-    from identification.estimation import Identification, estimate, estimate_batch, estimate_each
+    from identification.estimation import Identification, estimate, estimate_batch
     from identification.gap.detectability import Detectability, detectability
     from identification.gap.diagnose import diagnose
     from identification.gap.fit import fitted_arm

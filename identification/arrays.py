@@ -39,10 +39,14 @@ class ByValue:
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
-        return all(_same(getattr(self, each.name), getattr(other, each.name)) for each in fields(self))  # type: ignore[arg-type]
+        return all(map(_same, _values(self), _values(other)))
 
     def __hash__(self) -> int:
-        return hash((type(self), *(_hashable(getattr(self, each.name)) for each in fields(self))))  # type: ignore[arg-type]
+        return hash((type(self), *map(_hashable, _values(self))))
+
+
+def _values(data: Any) -> list[Any]:
+    return [getattr(data, each.name) for each in fields(data)]
 
 
 def _same(one: Any, other: Any) -> bool:
@@ -51,14 +55,15 @@ def _same(one: Any, other: Any) -> bool:
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return one is not None and other is not None and np.array_equal(one, other)
     if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(_same(value, other[key]) for key, value in one.items())
+        return one.keys() == other.keys() and all(map(_same, one.values(), map(other.get, one)))
     return bool(one == other)
 
 
 def _hashable(value: Any) -> Any:
     """Equal for equal values; of an array shape and (effort) first 50 numbers, of a mapping keys, numbers, arrays."""
     if isinstance(value, Mapping):
-        return frozenset((k, _hashable(v) if isinstance(v, Real | np.ndarray) else None) for k, v in value.items())
+        numbers = {key: held for key, held in value.items() if isinstance(held, Real | np.ndarray)}
+        return frozenset(value), frozenset(zip(numbers, map(_hashable, numbers.values()), strict=True))
     return (value.shape, *value.flat[:50].tolist()) if isinstance(value, np.ndarray) else value
 
 

@@ -184,24 +184,6 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, 
     return Spectrum(lengths, values, turned.T, p).truncated(tolerance)
 
 
-def covariances(jacobians: Array, scales: Array, sigma: float = 1.0) -> Array:
-    """(K, p, p) sigma^2 (sum J^T J)^-1 (eq. 16) of many Jacobians (K, m, d, p); not a number where not all is
-    estimable."""
-    count, *_, p = jacobians.shape
-    rows = jacobians.reshape(count, -1, p)
-    lengths = np.maximum(np.sqrt(np.einsum("kip,kip->kp", rows, rows)), np.finfo(float).tiny)
-    rows = rows / lengths[:, None, :]
-    values, vectors = np.linalg.eigh(np.swapaxes(rows, 1, 2) @ rows)
-    sizes, vectors = lengths / scales, vectors / lengths[:, :, None]
-    # full rank by far; a normal matrix holds half the digits, the rest needs singular values
-    clear = (values[:, 0] > CLEAR) & (np.min(sizes, axis=1) > np.sqrt(CLEAR) * np.max(sizes, axis=1))
-    inverse = (vectors / np.where(clear[:, None], values, np.nan)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    for k in np.flatnonzero(~clear):
-        one = spectrum(jacobians[k], scales)
-        inverse[k] = one.covariance if one.rank == p else np.nan
-    return sigma**2 * inverse
-
-
 def describe(direction: Array, names: Sequence[str]) -> str:
     """A direction of the null space in words: `joint_offset:1 + base_rotation.angle`.
 

@@ -381,7 +381,7 @@ of_time(
     "base or tracker creeps during the session",
     "The base (or the tracker) creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t.",
     # typical: creep of tripods, floors and warming frames in an hour or two
-    lambda self: each((f"v{axis}" for axis in self.chain.axes), "mm/session", 0.05),
+    lambda self: each([f"v{axis}" for axis in self.chain.axes], "mm/session", 0.05),
     once=True,
     base_translation=lambda self, chain, values: values * chain.time,
 )
@@ -414,7 +414,7 @@ add_effect(
         for number in each(self.chain.axes, "mm", 1000.0) + each(self.chain.turn_names, "rad", 3.0, REACH)
     ],
     needs=frozenset({"session"}),
-    settings={"sessions": (2, 99)},
+    settings={"sessions": Setting(2, 99, whole=True, symbolic=False)},
     nuisance=True,
     base_rotation=lambda self, chain, values: _of_session(self, chain, values)[chain.geometry.dimension :],
     base_translation=lambda self, chain, values: _of_session(self, chain, values)[: chain.geometry.dimension],

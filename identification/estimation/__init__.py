@@ -1,13 +1,12 @@
 """From measurements to parameters with their uncertainty, for one data set or for many.
 
-`estimate` is the only entry point for one data set, `estimate_batch` for many data sets on one plan, `estimate_each`
-for many with a plan of its own each, and `without_outliers` repeats any fit until it explains every row that is left.
+`estimate` is the only entry point for one data set, `estimate_batch` for many data sets on one plan, and
+`without_outliers` repeats any fit until it explains every row that is left.
 """
 
 from identification.estimation.estimate import (
     estimate,
     estimate_batch,
-    estimate_each,
     without_outliers,
 )
 from identification.estimation.problem import METHODS
@@ -18,6 +17,5 @@ __all__ = [
     "Identification",
     "estimate",
     "estimate_batch",
-    "estimate_each",
     "without_outliers",
 ]

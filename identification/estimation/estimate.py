@@ -30,12 +30,12 @@ from identification.estimation.problem import (
 )
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, limit_of, outlying, robust_squares, together, uncertainty
-from identification.information import RANK_TOLERANCE, Spectrum, covariances, spectrum
+from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.measurements import Conditions, Measurements
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
 from identification.running import Status, single_thread
@@ -359,31 +359,6 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
             lengths, inverse = lengths[going], inverse[going]
         x = x[going] + (gradient[going][:, None] @ inverse)[:, 0]
     return parameters, squares, stationary
-
-
-def estimate_each(
-    model: Model, postures: ArrayLike, positions: ArrayLike, conditions: Conditions | None = None
-) -> Solution:
-    """Fits every data set on its own plan, each as `estimate` would with equal weights.
-
-    postures : (K, m, n) [rad], each plan in the order of measurement;  positions : (K, m, d) [mm]
-    conditions : (K, m), None: those of that order
-    `parameters` are not numbers and `converged` is False where a plan does not make all parameters estimable.
-    """
-    plans, measured = np.asarray(postures, dtype=float), np.asarray(positions, dtype=float)
-    solution, m = _not_fitted(len(plans), model), plans.shape[1]
-    for part in _chunks(len(plans), m):
-        of_sets = Conditions.in_order(plans[part], model.remembers) if conditions is None else conditions.rows(part)
-        problem = Problem(model, plans[part], of_sets, measured[part], np.ones(m))
-        jacobians = model.jacobian(problem.postures, problem.start, problem.conditions)
-        estimable = np.flatnonzero(np.isfinite(covariances(jacobians, model.scales)[:, 0, 0]))
-        if estimable.size:
-            solved = METHODS["linear" if problem.exact_form else "gauss_newton"](problem.rows(estimable))
-            sets = estimable + part.start
-            solution.parameters[sets], solution.rss[sets] = solved.parameters, solved.rss
-            solution.status[sets] = solved.status
-    solution.parameters[solution.status != Status.converged] = np.nan
-    return solution.finished()
 
 
 def _chunks(count: int, rows: int) -> Iterator[slice]:

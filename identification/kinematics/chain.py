@@ -145,7 +145,7 @@ class KinematicChain(ByValue):
     def bends(self) -> dict[str, int]:
         """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In space each joint's
         frame after it moved, by three turns and three shifts; in the plane each link's end to its left."""
-        return {"joint_turns": 3 * len(self), "joint_shifts": 3 * len(self)}
+        return {"joint_turns": 3 * len(self.joints), "joint_shifts": 3 * len(self.joints)}
 
     @property
     def redundant(self) -> bool:
@@ -431,7 +431,7 @@ class PlanarChain(KinematicChain):
 
     @property
     def bends(self) -> dict[str, int]:
-        return {"deflections": len(self), "slopes": len(self)}
+        return {"deflections": len(self.joints), "slopes": len(self.joints)}
 
     @property
     def held(self) -> frozenset[str]:

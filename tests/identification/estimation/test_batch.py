@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from identification.arm import EffectSpec
-from identification.conditions import Conditions
 from identification.errors import InputError, JobError
-from identification.estimation import estimate, estimate_batch, estimate_each
+from identification.estimation import estimate, estimate_batch
 from identification.estimation.levenberg_marquardt import Solution
-from identification.information import covariances, spectrum
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal
@@ -39,12 +37,6 @@ def batch(model: Model, postures: np.ndarray, count: int, spread: float, seed: i
     return exact + SIGMA * generator.standard_normal(exact.shape)
 
 
-def each(model: Model, postures: np.ndarray) -> np.ndarray:
-    """(K, m, 2) measurements of plans (K, m, n)."""
-    exact = model.position(postures, truth(model), Conditions.in_order(postures))
-    return exact + SIGMA * np.random.default_rng(6).standard_normal(exact.shape)
-
-
 def same(model: Model, fits: Solution, rows: list[Measurements], among: list[int], by_scipy: int) -> None:
     """Fits numbered `among` are those of the rows alone, the first of them those of scipy too."""
     assert fits.converged.all()
@@ -65,38 +57,6 @@ def test_equals_single_fits_and_scipy(name: str, spread: float) -> None:
     among = [*range(3), *range(697, 700)]
     rows = [Measurements(postures, positions[k]) for k in among]
     same(model, estimate_batch(model, postures, positions), rows, among, 1)
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_on_plans_of_their_own(name: str) -> None:
-    model = Model(arm(*EFFECTS[name]))
-    postures = np.random.default_rng(9).uniform(-np.pi, np.pi, (820, 25, 4))  # more than one chunk
-    positions, among = each(model, postures), [0, 1, 818, 819]
-    rows = [Measurements(postures[k], positions[k]) for k in among]
-    same(model, estimate_each(model, postures, positions), rows, among, 1)
-
-
-@pytest.mark.parametrize("effects", [(), (EffectSpec("encoder_eccentricity", 2),)])
-def test_a_plan_that_loses_something_is_not_fitted(effects: tuple[EffectSpec, ...]) -> None:
-    model = Model(arm(*effects))
-    postures = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 12, 4))
-    postures[1, :, 1] = 0.3  # links 1 and 2 move as one
-    fits = estimate_each(model, postures, each(model, postures))
-    assert fits.converged.tolist() == [True, False, True]
-    assert np.isnan(fits.parameters[1]).all()
-
-
-def test_a_narrow_plan_keeps_its_digits() -> None:
-    """Columns of condition 1e5, which squared would cost ten digits; lstsq keeps eleven."""
-    model = Model(arm())
-    postures = np.random.default_rng(5).uniform(-1e-4, 1e-4, (4, 12, 4))
-    positions = each(model, postures)
-    fits, spread = estimate_each(model, postures, positions), covariances(model.jacobian(postures), model.scales, 0.1)
-    for k, q in enumerate(postures):
-        u = np.linalg.lstsq(np.exp(1j * np.cumsum(q, axis=1)), positions[k] @ [1.0, 1.0j], rcond=None)[0]
-        np.testing.assert_allclose(fits.parameters[k, :4], np.abs(u) - model.arm.lengths, rtol=1e-8)
-        alone = 0.01 * spectrum(model.jacobian(q), model.scales).covariance
-        np.testing.assert_allclose(spread[k], alone, rtol=1e-5, atol=1e-9 * np.abs(alone).max())
 
 
 @pytest.mark.parametrize("held", [True, False], ids=["prior", "minimal"])
