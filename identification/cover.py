@@ -8,9 +8,9 @@ y_j around it,
 
     weight * mean(max(d(x_i), 0)^2) + s^0.5 mean(max(-d(y_j), 0)^1.5) -> min,    s = 10 mm,
 
-by L-BFGS with a growing weight, from one capsule for each of 1, 2, 4 .. parts of the body; that number stays which is
-best. Then those points of the surface are added that stick out most, and in the end radii grow until every face is
-contained.
+by L-BFGS with a growing weight, from one capsule for each of 1, 2, 4 .. parts of the body; the fewest stay that are
+nearly as good as any. Then those points of the surface are added that stick out most, and in the end radii grow until
+every face is contained.
 
 Boxes are those of a grid: the one that contains the body is cut where that leaves out most, again and again.
 """
@@ -46,14 +46,15 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
         if tight or len(parts) >= most:
             break
         parts = parted(parts, min(2 * len(parts), most))
-    capsules = min(found, key=lambda each: each[0])[1]
+    best = min(value for value, _ in found)
+    capsules = next(each for value, each in found if value <= 1.35 * best)  # fewer, if they are nearly as good
     for weight in (1000.0, 10000.0):
         some = spread(faces, 5000)
         lacking = sticking_out(capsules, some)[0]
         surface = np.concatenate([surface, some[np.argsort(-lacking)[:100]].reshape(-1, 3)])
         capsules = fitted(capsules, surface, around, weight)[1]
-    lacking, best = sticking_out(capsules, faces)
-    np.maximum.at(grown := np.zeros(len(capsules)), best, lacking)
+    lacking, own = sticking_out(capsules, faces)
+    np.maximum.at(grown := np.zeros(len(capsules)), own, lacking)
     capsules[:, 6] += grown + 1e-6
     return capsules
 

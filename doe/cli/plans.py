@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
     from identification import Arm
 
-MOVES = 30.0  # [s] that free moves are searched for
+MOVES = 30.0  # [s] of a processor that free moves are searched for
 UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
 
@@ -200,11 +200,11 @@ def design_files(
     else:
         design = solve(problem, runs, progress=progress, **effort)
         extra = [*missing_lines(design)]
-    end = perf_counter() + MOVES
+    end = process_time() + MOVES
 
     def late() -> bool:
-        progress(0, None, f"free moves, at most {max(end - perf_counter(), 0.0):.0f} s left")
-        return perf_counter() > end
+        progress(0, None, f"free moves, at most {max(end - process_time(), 0.0):.0f} s left")
+        return process_time() > end
 
     driven = drive(design.problem, design.plan, order, approach, signs, seed, late)
     design = replace(design, plan=driven.plan)

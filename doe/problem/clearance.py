@@ -314,11 +314,12 @@ class Slopes:
 
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, a, a) Hessians of the sums: differences of their gradients."""
-        bend = np.empty((len(postures), len(self.joints), len(self.joints)))
-        for k, joint in enumerate(self.joints):
-            step = 1e-4 * np.eye(postures.shape[1])[joint]
-            bend[:, k] = (self.slope(postures + step, weights) - self.slope(postures - step, weights)) / 2e-4
-        return 0.5 * (bend + np.swapaxes(bend, 1, 2))
+        steps = 1e-4 * np.eye(postures.shape[1])[self.joints, None]
+        moved = np.concatenate([postures + steps, postures - steps]).reshape(-1, postures.shape[1])
+        slopes = self.slope(moved, np.tile(weights, (2 * len(steps), 1)))
+        ahead, behind = slopes.reshape(2, len(steps), len(postures), len(steps))
+        bend = np.moveaxis(ahead - behind, 0, 1) / 2e-4
+        return np.asarray(0.5 * (bend + np.swapaxes(bend, 1, 2)))
 
 
 def distance_in_words(pair: Sequence[str], gap: float) -> str:

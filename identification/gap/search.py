@@ -87,7 +87,7 @@ class Search:
     def climb(self, start: State | None = None) -> State:
         """The likeliest set that adding, dropping and exchanging blocks leads to;  start : a set that may be good"""
         nothing = self.products.state()
-        tops = [start if start is not None and start.pairs else self.up(nothing), nothing]
+        tops = [start if start is not None and start.pairs else self._up(nothing), nothing]
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
@@ -97,10 +97,10 @@ class Search:
                 tops += [single, self._exchanged(pair, block, block)]
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
         for _ in range(PASSES):
-            top = self.up(top)
+            top = self._up(top)
         return top
 
-    def up(self, state: State) -> State:
+    def _up(self, state: State) -> State:
         """Add the likeliest block as long as that is likelier; put the likeliest, or none, in the place of each."""
         for block in (None, *state.blocks):
             state = state if block is None else self._exchanged(state, block)
@@ -165,8 +165,8 @@ class Search:
         )
         for key in draws:
             ways[key].append(-1)
-            for block, size in key:
-                ways[tuple(pair for pair in key if pair[0] != block)].append(block * len(SIZES) + size)
+            for k, (block, size) in enumerate(key):
+                ways[key[:k] + key[k + 1 :]].append(block * len(SIZES) + size)
         for key, count in visits.items():
             chances, blocks = steps[key] * (count / moves), [block for block, _ in key]
             share += float(np.sum(chances[ways[key]]))
@@ -338,7 +338,7 @@ def posterior_of(
         return mixture
     tell("what an arm file can have")
     problem = problem.of([k for k, block in enumerate(problem.blocks) if held(block)])
-    top = Search(problem.products, problem.blocks).up(_same_set(problem, chosen))
+    top = Search(problem.products, problem.blocks).climb(_same_set(problem, chosen))
     alone = (every[number], *_walked(problem, top, generator))
     return replace(mixture, writable=_mixture([alone], problem, library, end))
 
