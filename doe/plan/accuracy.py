@@ -59,7 +59,7 @@ class ExpectedDeviations:
     joint_offset = property(lambda self: self.of_joints(self.parameters.joint_offsets))
 
     def to_json(self) -> dict[str, Any]:
-        """Key `std`: per link, or per parameter where there are no links: `{"parameters": {name: [deviation, unit]}}`."""
+        """Key `std`: per link, or where there are none per parameter `{"parameters": {name: [deviation, unit]}}`."""
         if not self.by_link:
             pairs = zip(self.parameters, self.values.tolist(), strict=True)
             return {"parameters": {p.name: [value * p.to_file, p.file_unit] for p, value in pairs}}
