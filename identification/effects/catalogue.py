@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identification.effects import library, unknown_effect
-from identification.effects.base import Setting
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.parameters import Parameter
 
@@ -78,8 +77,7 @@ def entry(name: str) -> Entry:
     if name not in library():
         raise unknown_effect(name)
     cls = library()[name]
-    settings = {key: Setting.of(value) for key, value in cls.settings.items()}
-    chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}
+    chosen = {key: int(value.low) if value.whole else value.low for key, value in cls.settings.items()}
     joint = max(cls.first_joint, 1) if cls.per_joint == "required" else None
     chain = planar_chain(np.ones(3))  # one parameter per joint is listed as the first
     if chain.dimension not in cls.dimensions:
@@ -95,7 +93,7 @@ def entry(name: str) -> Entry:
         place={"none": "the whole arm", "required": each}.get(cls.per_joint, "one joint or all"),
         arms=tuple(word for dimension, word in ((2, "planar"), (3, "spatial")) if dimension in cls.dimensions),
         needs=tuple(sorted(cls.needs)),
-        settings={key: value.allowed for key, value in settings.items()},
+        settings={key: value.allowed for key, value in cls.settings.items()},
         kind=next((kind for kind, is_this in kinds.items() if is_this), "looked for"),
         alias=cls.alias,
         parameters=cls(chain, joint, chosen).parameters,
