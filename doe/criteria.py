@@ -295,18 +295,18 @@ class PowerMean(Criterion):
 
     def _of(self, inverse: Array) -> Array:
         scale = np.trace(inverse, axis1=-2, axis2=-1)
-        return np.asarray(self._mean(inverse / scale[..., None, None]) ** (-1.0 / self.exponent) / scale)
-
-    def _mean(self, scaled: Array) -> Array:
-        """(...) tr N^k / p."""
-        power = np.linalg.matrix_power(scaled, self.exponent)
-        return np.asarray(np.trace(power, axis1=-2, axis2=-1) / power.shape[-1])
+        scaled = inverse / scale[..., None, None]
+        half = np.linalg.matrix_power(scaled, self.exponent // 2)
+        mean = np.mean(half * (half @ scaled if self.exponent % 2 else half), axis=(-2, -1)) * half.shape[-1]
+        return np.asarray(mean ** (-1.0 / self.exponent) / scale)
 
     def gradient(self, information: Array) -> Array:
         inverse = np.linalg.inv(information)
         scaled = inverse / np.real(np.trace(inverse, axis1=-2, axis2=-1))[..., None, None]
-        factor = self._mean(scaled) ** (-1.0 / self.exponent - 1.0) / scaled.shape[-1]
-        return np.asarray(factor[..., None, None] * np.linalg.matrix_power(scaled, self.exponent + 1))
+        power = np.linalg.matrix_power(scaled, self.exponent)
+        mean = np.trace(power, axis1=-2, axis2=-1) / power.shape[-1]
+        factor = mean ** (-1.0 / self.exponent - 1.0) / scaled.shape[-1]
+        return np.asarray(factor[..., None, None] * (power @ scaled))
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """Of inverses by Woodbury's identity."""

@@ -42,7 +42,6 @@ __all__ = [
 # [rad] repeats of one posture agree to some thousandths or hundredths of a degree, as the encoders were read. Within
 # this, 0.1 / 202, a wave of 202 periods per turn (two per turn of a gear of 1:101) changes by a tenth of its amplitude.
 SAME_POSTURE = 5e-4
-SCAN = 3.0 * SAME_POSTURE  # [rad] rows that are linked over more than this come from a joint that moves on slowly
 POINT = slice(3)  # the coordinates of a residual that are those of a point, in a plane, in space and of a pose
 
 
@@ -252,7 +251,8 @@ class Measurements(ByValue):
         """(m,) number of each row's posture, 0, 1, ...: rows of one posture, of whatever marker, share its errors.
 
         As the column `posture` says; without it, rows whose angles are linked by differences of up to `SAME_POSTURE`
-        and all lie within `SCAN`; of a scan, farther, only rows of equal angles.
+        and all lie within three of these: what is linked over more comes from a joint that moves on slowly, and of such
+        a scan only rows of equal angles are.
         """
         if self.repeats is not None:
             return np.unique(self.repeats, return_inverse=True)[1]
@@ -267,7 +267,7 @@ class Measurements(ByValue):
         low, high = np.full((2, count, self.links), [[[np.inf]], [[-np.inf]]])
         np.minimum.at(low, groups, q)
         np.maximum.at(high, groups, q)
-        scanned = np.max(high - low, axis=1)[groups] > SCAN
+        scanned = np.max(high - low, axis=1)[groups] > 3.0 * SAME_POSTURE
         groups = np.where(scanned, count + np.arange(len(q)), groups)[numbers.ravel()]
         _, first, numbers = np.unique(groups, return_index=True, return_inverse=True)
         return np.argsort(np.argsort(first))[numbers]  # in the order of the rows

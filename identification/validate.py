@@ -355,29 +355,20 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
         start = model.parameters.vector(values)
         computed = model.position(measurements.postures, start, conditions)
         return model, start_at_bases(start, model, computed, measurements.positions)
-    chain, names = arm.chain, measurements.marker_names
+    chain, known = arm.chain, frozenset({BASE, TOOL})
+    if len(chain.tools) == 1 == len(measurements.marker_names):
+        # it is that which is measured, whatever the data call it
+        measurements = replace(measurements, marker=None, marker_names=())
     if refit == "none":
-        # of one point it is that which is measured, whatever the data call it
-        if not chain.instrument.own_targets and not len(chain.tools) == 1 == len(names):
-            fault = "no column marker, and the arm has several measured points" if not names else ""
-            fresh = [repr(name) for name in names if name not in chain.tools]
-            fault = f"unknown name {', '.join(fresh)}" if fresh else fault if len(chain.tools) > 1 else ""
-            if fault:
-                allowed = f"allowed: {', '.join(chain.tools)}; or --refit base, which finds where they are"
-                raise InputError(f"measurements.marker: {fault}, {allowed}")
+        try:
+            with_markers(replace(chain, settled=known), measurements)
+        except InputError as error:
+            raise InputError(f"{error}; or --refit base, which finds where they are") from None
         model = Model(replace(arm, chain=with_markers(chain, measurements)))
     else:
         chain = chain if planar else replace(one_unnamed(chain, measurements), settled=frozenset())
         model = placed_model(Model(replace(arm, chain=chain)), measurements)
-        if not planar and len(model.arm.chain.tools) == 1 == len(chain.tools):
-            (old,), (new,), effects = chain.tools, model.arm.chain.tools, []
-            for spec in model.arm.effects:  # curves have the point by its name in the calibration
-                if (curve := spec.curve) is not None:
-                    geometry = {k.replace(f"{TOOL}[{old}]", f"{TOOL}[{new}]"): v for k, v in curve.geometry.items()}
-                    spec = replace(spec, curve=replace(curve, geometry=geometry))
-                effects.append(spec)
-            model = replace(model, arm=model.arm.with_effects(*effects))
-        free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)}
+        free |= {p.name for p in model.geometry_parameters if p.kind in known}
         free |= {p.name for p in model.arm.chain.instrument.parameters} if planar else set()
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
     return model, model.values

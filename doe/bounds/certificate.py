@@ -20,7 +20,6 @@ from doe.problem.problem import DesignProblem, PriorInformation
 from identification import Array, Plan, Status
 
 CERTIFIED = 1.0 - 1e-6  # efficiency from which a plan is called optimal
-ROUNDED = 1e-8  # gap below zero that says more of rounding than of the weights; a bound to 1e-6 is still one
 SCOPES = {"closed_form": "all postures", "continuous": "all postures", "grid": "list"}
 PROVEN, NUMERICAL = "proven", "numerical"
 
@@ -113,7 +112,7 @@ class ApproximateDesign:
 
     def __post_init__(self) -> None:
         # a mean is no larger than the largest: a gap below zero is rounding in a matrix that is nearly singular
-        if self.status is Status.converged and self.gap < -ROUNDED:
+        if self.status is Status.converged and self.gap < -1e-8:
             object.__setattr__(self, "status", Status.almost_solved)
 
     @classmethod
@@ -188,7 +187,7 @@ class ApproximateDesign:
     def bound(self) -> Bound | None:
         """No design of the space is better. None where the optimum was not reached; but where time alone was short, the
         bound that the weights so far prove, unless even a pass over the candidates took too long."""
-        cut = self.status is Status.time_limit and -ROUNDED <= self.gap < np.inf
+        cut = self.status is Status.time_limit and -1e-8 <= self.gap < np.inf
         if not cut and self.status is not Status.converged:
             return None
         source = "continuous" if self.candidates is None else "grid"

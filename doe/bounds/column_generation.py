@@ -37,7 +37,6 @@ from identification import Array, InputError, JobError, Status, nearest, newton_
 # largest sensitivity of all that was visited; with the gap (relative) up to which it need not be asked again
 Stage = tuple[Callable[[Array, float, Array], tuple[Array, float]], float]
 
-SAMPLE = 20_000  # of very many candidates, which are priced first
 SAME = 1e-7  # [rad] postures nearer than this are one
 # candidates up to which a solver's one big program works; beyond, Clarabel returns errors and SCS takes gigabytes
 LARGEST = {"clarabel": 20_000, "scs": 100_000}
@@ -231,18 +230,11 @@ def column_generation(
     most = max(2000, 4_000_000 // (problem.model.dimension * problem.parameters)) if rough else 6 * problem.parameters
     everything, start = CandidateSet(problem, candidates, prior), candidates
     stages: list[Stage] = [(everything.price, goal)]
-    if len(candidates) > 4 * SAMPLE:
+    sample = 20_000  # of very many candidates, which is priced first
+    if len(candidates) > 4 * sample:
         goal = max(goal, 1e-6) if problem.many_parameters else goal  # a pass takes seconds
-        start = well_spread(candidates, SAMPLE)
-        few = [CandidateSet(problem, start, prior)]
-
-        def whole(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-            g = everything.sensitivities(gradient)
-            best = np.argpartition(-g, 30_000)[:30_000]  # which are priced then
-            few[0] = CandidateSet(problem, candidates[best], prior)
-            return few[0].price(gradient, level, near)
-
-        stages = [(lambda *request: few[0].price(*request), goal), (whole, goal)]
+        start = well_spread(candidates, sample)
+        stages = [(CandidateSet(problem, start, prior).price, goal), (everything.price, goal)]
     design, _ = generate_columns(problem, prior, well_spread(start, most), stages, tolerance, stop)
     now = perf_counter()
     end = now + max(2.0, now - began)

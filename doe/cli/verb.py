@@ -376,23 +376,30 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
 
             yield report
     else:
-        latest, ended = [""], threading.Event()
+        latest: str | None = ""
+        timers = list[threading.Timer]()
 
         def tell(done: float, total: float | None, message: str) -> None:
+            nonlocal latest
             share = [f"{100.0 * done / total:.0f} % done"] if total and 0 < done < total else []
-            latest[0] = "".join(f", {part}" for part in (message, *share) if part)
+            latest = "".join(f", {part}" for part in (message, *share) if part)
+
+        def wait() -> None:
+            timers[:] = [threading.Timer(interval, speak)]
+            timers[0].daemon = True
+            timers[0].start()
 
         def speak() -> None:
-            while not ended.wait(interval):
-                click.echo(f"armcal {title}: {time.monotonic() - started:.0f} s{latest[0]}", err=True)
+            if (said := latest) is not None:
+                click.echo(f"armcal {title}: {time.monotonic() - started:.0f} s{said}", err=True)
+                wait()
 
-        speaker = threading.Thread(target=speak, daemon=True)
-        speaker.start()
+        wait()
         try:
             yield tell
         finally:
-            ended.set()
-            speaker.join()
+            latest = None
+            timers[0].cancel()
 
 
 # -- output ------------------------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomlkit
 from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
@@ -47,7 +46,6 @@ POINTS = np.array(
 )
 AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [0, 1, 0], [0, 0, -1], [0, 1, 0]], dtype=float)
 FLANGE = np.array([1180.0, 260.0, 20.0])
-NAMES = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 LIMITS = np.radians([180.0, 180.0, 150.0, 180.0, 180.0, 180.0])
 REFLECTOR = FLANGE + np.array([55.0, 60.0, -50.0])  # [mm] at home
 HIDDEN_JOINT, HIDDEN_WAVE = 2, {"a": 0.03, "b": -0.025}  # encoder off centre: joint from 1; cosine, sine [deg]
@@ -90,29 +88,12 @@ def hidden_arm() -> TrueArm:
     return replace(weightless, effects=[("encoder_eccentricity", HIDDEN_JOINT, wave)])
 
 
-def spatial(runs: int = 36) -> Scenario:
-    """The scenario of the six-axis demo. What is hidden is written down to look at: no arm file can say it, since the
-    fitted model has other parameters."""
+def spatial() -> Scenario:
+    """The scenario of the six-axis demo. No arm file can say what is hidden: the fitted model has other parameters."""
     real, generator = hidden_arm(), np.random.default_rng(SEED)
-    columns = {
-        "name": list(NAMES),
-        "point_mm": np.round(real.points, 4).tolist(),
-        "drawn_mm": POINTS.tolist(),
-        "axis": np.round(real.axes, 6).tolist(),
-        "drawn_axis": AXES.tolist(),
-        "offset_deg": np.round(np.degrees(real.offsets), 5).tolist(),
-    }
-    tables = {
-        "joint": [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)],
-        "encoder_eccentricity": {"joint": HIDDEN_JOINT} | {f"{key}_deg": v for key, v in HIDDEN_WAVE.items()},
-        "reflector": {"at_home_mm": REFLECTOR.tolist()},
-        "base": {"in_the_tracker_mm": np.round(real.base[:3, 3], 4).tolist()},
-    }
-    head = "# What the demo hides. Joints as lines in space at home, in the frame of the base; drawn beside them.\n\n"
-    files = {"robot.urdf": URDF, "arm.toml": SIX_AXES, "hidden.toml": head + tomlkit.dumps(tables)}
     hidden = {f"encoder_eccentricity:{HIDDEN_JOINT}.{key}": value for key, value in HIDDEN_WAVE.items()}
-    title = "a six-axis arm before a laser tracker"
-    return Scenario(title, files, lambda q: position(real, session(real, q, generator)), hidden, runs, {"starts": 1})
+    files, title = {"robot.urdf": URDF, "arm.toml": SIX_AXES}, "a six-axis arm before a laser tracker"
+    return Scenario(title, files, lambda q: position(real, session(real, q, generator)), hidden, 36, {"starts": 1})
 
 
 # -- the loop ----------------------------------------------------------------------------------------------------------

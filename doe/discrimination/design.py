@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take gigabytes
 CLOUD = 512  # effort: postures
-LEAST_GAIN = 1e-3  # effort: of the criterion, below which the swaps end, ten of it for the pools
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
 # effects with as many parameters: their bases (K, G, s); (D, G) False where a direction belongs to the rival itself;
@@ -398,7 +397,7 @@ class Swaps:
                 pairs = np.unique(np.concatenate(each), axis=0)
                 added = np.concatenate([gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
                 for k in np.argsort(-added, kind="stable"):
-                    if not added[k] > LEAST_GAIN:
+                    if not added[k] > gain:
                         break
                     run, place = pairs[k]
                     free[place] = False
@@ -409,7 +408,7 @@ class Swaps:
                         return run, place, kept
             return None
 
-        rounds = 5  # effort: of pools
+        rounds, gain = 5, 1e-3  # effort: of pools; of the criterion, below which the swaps end, ten of it for the pools
         for number in range(rounds):
             before, pool = value, self.pool(plan, generator)
             columns, free = self.extended.scaled_jacobians(pool), np.ones(len(pool), dtype=bool)
@@ -423,5 +422,5 @@ class Swaps:
                 value = float(-np.log(self.bound.wrong(information)))
                 yield plan
                 progress(number, rounds, f"wrong names at most {float(np.exp(-value)):.3f}")
-            if budget.ended() or value < before + 10.0 * LEAST_GAIN:
+            if budget.ended() or value < before + 10.0 * gain:
                 break

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.random import Generator
 
 from doe.criteria import information_matrix
+from doe.plan.ascent import PlanAscent
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer
@@ -37,12 +38,9 @@ from identification import Array, InputError
 class Ipopt:
     """Interior point method from random postures.
 
-    tolerance : of IPOPT's optimality error;  iterations : at most, per start
     warm : True: stay near the start (it is nearly optimal already), False: first move away from the limits
     """
 
-    tolerance: float = 1e-10
-    iterations: int = 150
     warm: bool = False
     name: str = "ipopt"
 
@@ -75,25 +73,23 @@ class Climber:
     """
 
     def __init__(self, problem: DesignProblem, runs: int, settings: Ipopt, budget: Budget) -> None:
-        self.problem, self.runs, self.budget = problem, runs, budget
-        self.criterion, self.joints = problem.criterion.smooth, list(problem.searched_joints)
-        self.derivatives = problem.jacobian_derivatives(self.joints)
-        self.walls = problem.wall_derivatives(self.joints)
+        self.problem, self.runs, self.budget, self.ascent = problem, runs, budget, PlanAscent(problem)
+        self.joints, self.walls = self.ascent.joints, self.ascent.walls
         self.base = np.tile((problem.lower + problem.upper) / 2.0, (runs, 1))
         self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
         # an interior point method ends this near to a limit that is active; it is put on it
         self.near_limit = np.tile(1e-5 * problem.joint_units[self.joints], runs)
         self.interrupted = False
-        self.expanded = lru_cache(1)(lambda x: self.expand(self.postures(np.frombuffer(x))))  # IPOPT asks one by one
-        self.values = lru_cache(1)(self._values)
+        self.rise = lru_cache(1)(lambda x: self.ascent.rise(self.postures(np.frombuffer(x))))  # IPOPT asks one by one
+        self.margins = lru_cache(1)(lambda x: self.walls.values(self.postures(np.frombuffer(x))).ravel())
         options: dict[str, Any] = {
             "print_time": False,
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
             "show_eval_warnings": False,
             "no_nlp_grad": True,
-            "ipopt.tol": settings.tolerance,
-            "ipopt.max_iter": settings.iterations,
+            "ipopt.tol": 1e-10,
+            "ipopt.max_iter": 150,
             "ipopt.acceptable_tol": 1e-3,  # optimal plans are often a continuum, along which IPOPT would crawl:
             "ipopt.acceptable_obj_change_tol": 1e-11,  # it stops when the value stands still for some iterations
             "ipopt.acceptable_iter": 4,
@@ -105,25 +101,21 @@ class Climber:
         given = {name: function for name, function in self._callbacks.items() if name != "nlp"}
         self.ipopt = ca.nlpsol("ipopt", "ipopt", self._callbacks["nlp"], options | given)
 
-    def expand(self, postures: Array) -> tuple[float, Array, Array]:
-        """f, its gradient (m a,) and its Hessian (m a, m a), in one pass.
-
-        Raises numpy's `LinAlgError` where the information matrix is singular.
-        """
-        jacobian, first = self.derivatives.first(postures)
+    def hessian(self, postures: Array) -> Array:
+        """(m a, m a) of f. Raises numpy's `LinAlgError` where the information matrix is singular."""
+        jacobian, first = self.ascent.derivatives.first(postures)
         m, a, d, p = first.shape
         total = m + self.problem.prior.runs
         information = self.problem.prior.information(information_matrix(jacobian), m)
-        gradient = self.criterion.gradient(information)
-        slope = (2.0 / total) * np.einsum("mdp,madp->ma", jacobian @ gradient, first)
+        gradient = self.ascent.criterion.gradient(information)
         half = np.swapaxes(jacobian, -1, -2)[:, None] @ first  # B^T dB_a, (m, a, p, p)
         directions = (half + np.swapaxes(half, -1, -2)).reshape(m * a, p, p) / total
-        hessian = self.criterion.curvature(information, directions).reshape(m, a, m, a)
+        hessian = self.ascent.criterion.curvature(information, directions).reshape(m, a, m, a)
         flat = first.reshape(m, a, d * p)
         bend = flat @ np.swapaxes((first @ gradient).reshape(m, a, d * p), -1, -2)
-        bend += self.derivatives.bend(postures, jacobian @ gradient)
+        bend += self.ascent.derivatives.bend(postures, jacobian @ gradient)
         hessian[np.arange(m), :, np.arange(m), :] += (2.0 / total) * bend
-        return float(self.criterion.value(information)), slope.ravel(), hessian.reshape(m * a, m * a)
+        return hessian.reshape(m * a, m * a)
 
     def __call__(self, postures: Array) -> Array:
         """(m, n) a plan at least as good as the one given."""
@@ -183,7 +175,7 @@ class Climber:
         point, multipliers = {"x": x, "p": ca.Sparsity(0, 0)}, {"lam_f": scalar, "lam_g": g}
         upper = {"triu_hess_gamma_x_x": ca.Sparsity.upper(size)}
         made: dict[str, ca.Callback] = {
-            "nlp": NumpyFunction("nlp", point, {"f": scalar, "g": g}, lambda x, *_: self.values(x.tobytes())),
+            "nlp": NumpyFunction("nlp", point, {"f": scalar, "g": g}, self._values),
             "grad_f": NumpyFunction("grad_f", point, {"f": scalar, "grad_f_x": x}, self._gradient),
             "hess_lag": NumpyFunction("hessian", point | multipliers, upper, self._hessian),
         }
@@ -194,19 +186,18 @@ class Climber:
         names = [ca.nlpsol_out(k) for k in range(ca.nlpsol_n_out())]
         state = {name: ca.Sparsity.dense(counts.get(name, 0), min(counts.get(name, 0), 1)) for name in names}
         made["iteration_callback"] = NumpyFunction(
-            "stop", state, {"ret": scalar}, lambda *_: [np.array([float(self.interrupted or self.budget.out_of_time)])]
+            "stop", state, {"ret": scalar}, lambda *_: [np.array([float(self.interrupted or self.budget.ended())])]
         )
         return made
 
-    def _values(self, point: bytes) -> list[Array]:
+    def _values(self, x: Array, *_: Array) -> list[Array]:
         """-f and g."""
-        plan = self.postures(np.frombuffer(point))
-        walls = self.walls.values(plan).ravel() if self.problem.constraints else np.empty(0)
-        return [np.array([-float(self.criterion.value(self.problem.information(plan)))]), walls]
+        walls = self.margins(x.tobytes()) if self.problem.constraints else np.empty(0)
+        return [np.array([-self.rise(x.tobytes())[0]]), walls]
 
     def _gradient(self, x: Array, *_: Array) -> list[Array]:
-        value, slope, _hessian = self.expanded(x.tobytes())
-        return [np.array([-value]), -slope]
+        value, slopes = self.rise(x.tobytes())
+        return [np.array([-value]), -slopes.ravel()]
 
     def _jacobian(self, x: Array, *_: Array) -> list[Array]:
         """g and its derivatives in the order of CasADi's columns: run, joint, constraint."""
@@ -214,7 +205,7 @@ class Climber:
         return [values.ravel(), first.ravel()]
 
     def _hessian(self, x: Array, _p: Array, factor: Array, multipliers: Array) -> list[Array]:
-        hessian = -float(factor[0]) * self.expanded(x.tobytes())[2]
+        hessian = -float(factor[0]) * self.hessian(self.postures(x))
         if multipliers.size:
             blocks = hessian.reshape(self.runs, len(self.joints), self.runs, len(self.joints))
             runs = np.arange(self.runs)

@@ -34,14 +34,12 @@ from identification import Array, JobError
 
 Pattern = tuple[Array, Array]  # (b, J) angles above the lower limits [rad] and (J,) their free phase [rad]
 ROUNDING = 1e-9  # [rad] by which a range may fall short; and of a mean product of columns that counts as zero
-TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
 class Analytic:
     """Random plans that attain the closed-form bound; none where the limits or the number of runs do not allow any."""
 
-    tries: int = 60
     name: str = "analytic"
 
     def starts_for(self, problem: DesignProblem) -> int:
@@ -51,7 +49,7 @@ class Analytic:
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One plan per start. Raises `JobError` where there is none."""
         number = 0
-        for plan in optimal_plans(problem, runs, generator, self.tries, budget.ended):
+        for plan in optimal_plans(problem, runs, generator, stop=budget.ended):
             number += 1
             yield Offer(plan, 1)
         if not number:
@@ -140,7 +138,7 @@ def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) ->
         if wide:
             few = len(elements) <= all_up_to  # characters of the group: all of a small one, else a random choice
             chosen = elements if few else elements[generator.integers(len(elements), size=sample)]
-            characters = np.exp(TURN * 1j * (elements @ (chosen / moduli).T % 1.0))
+            characters = np.exp(2j * np.pi * (elements @ (chosen / moduli).T % 1.0))
             offered = (characters[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
         else:
             even = moduli % 2 == 0
@@ -168,9 +166,9 @@ def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) ->
 
 def _arc(angles: Array) -> tuple[Array, float]:
     """Angles counted from the start of the shortest arc that holds them, and its length [rad]."""
-    turned = np.sort(np.mod(angles, TURN))
-    gaps = np.concatenate([turned[1:], turned[:1] + TURN]) - turned
+    turned = np.sort(np.mod(angles, 2.0 * np.pi))
+    gaps = np.concatenate([turned[1:], turned[:1] + 2.0 * np.pi]) - turned
     last = int(np.argmax(gaps))
     start = turned[(last + 1) % len(turned)]
-    above = np.mod(angles, TURN) - start
-    return np.where(above < 0.0, above + TURN, above), float(TURN - gaps[last])
+    above = np.mod(angles, 2.0 * np.pi) - start
+    return np.where(above < 0.0, above + 2.0 * np.pi, above), float(2.0 * np.pi - gaps[last])

@@ -99,8 +99,8 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
     if joint is not None and not cls.first_joint <= joint <= len(chain):
         raise InputError(f"effects: {spec.name} at joint {joint}, {allowed}")
     chosen: dict[str, int | float] = {}
-    for name, declared in cls.settings.items():
-        setting, value = Setting.of(declared), spec.values.get(name)
+    for name, setting in cls.settings.items():
+        value = spec.values.get(name)
         if value is None or not setting.allows(value):
             fault = "is missing" if value is None else f"= {value:g}"
             raise InputError(f"effects: {spec.key}: {name} {fault}, allowed: {setting.allowed}")

@@ -53,11 +53,6 @@ class Setting:
     whole: bool = False  # whole numbers only
     symbolic: bool = True  # the formula accepts a CasADi symbol, which serves all values; else as in `range(k)`
 
-    @classmethod
-    def of(cls, setting: Setting | tuple[int, int]) -> Setting:
-        """A setting unchanged; a pair (low, high) as the setting of all whole numbers in between."""
-        return setting if isinstance(setting, cls) else cls(*setting, whole=True, symbolic=False)  # type: ignore[misc]
-
     def scan(self, scope: Scope) -> list[float]:
         """The distinct values to try, ascending, rounded to the six digits that labels and files hold."""
         if self.values is None:
@@ -151,9 +146,9 @@ class Effect:
     needs: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str] = ""  # rivals for the same physical cause, which `diagnose` may merge; its name by default
     through: ClassVar[str] = ""  # kind of effects that it modifies, by what they need; without these it does nothing
-    # numbers that are chosen, not estimated; a pair (low, high) means all whole numbers in between. In formulas
-    # `self.chosen[name]` is the number, or a CasADi symbol when all values are tried at once
-    settings: ClassVar[Mapping[str, Setting | tuple[int, int]]] = MappingProxyType({})
+    # numbers that are chosen, not estimated. In formulas `self.chosen[name]` is the number, or a CasADi symbol when all
+    # values are tried at once
+    settings: ClassVar[Mapping[str, Setting]] = MappingProxyType({})
     prior: ClassVar[float] = 1.0  # weight relative to the common effects of the library, which have 1
     alias: ClassVar[str | None] = None  # base parameters from which no measurement of the tip can distinguish it
     nuisance: ClassVar[bool] = False  # it is no fault of the arm, so that `diagnose` does not search for it

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identification.effects import library, unknown_effect
-from identification.effects.base import OWN, Setting
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.parameters import Parameter
 
@@ -26,7 +25,6 @@ SUPPLY = {
     "session": "the column session in the measurements, or one file for each session",
     "commands": "columns commanded1_deg, commanded2_deg .. in the measurements, beside the angles that were read",
 }
-ARMS = {2: "planar", 3: "spatial"}
 GRAVITY = """\
 [gravity]
 acceleration_m_s2 = [0.0, -9.81]  # in space: [0.0, 0.0, -9.81]
@@ -49,7 +47,6 @@ class Entry(NamedTuple):
     alias: str | None  # as `Effect.alias`
     parameters: tuple[Parameter, ...]  # for an arm of three joints
     supply: tuple[str, ...]  # how to give what it needs, one sentence each
-    own: bool  # defined by the user
 
     @property
     def example(self) -> str:
@@ -67,8 +64,7 @@ class Entry(NamedTuple):
             {"key": p.toml_key, "unit": p.file_unit, "typical": None if p.typical is None else p.typical * p.to_file}
             for p in self.parameters
         ]
-        entry = self._asdict() | {"parameters": parameters}
-        return {key: value for key, value in entry.items() if key != "own"}
+        return self._asdict() | {"parameters": parameters}
 
 
 def entries() -> list[Entry]:
@@ -81,8 +77,7 @@ def entry(name: str) -> Entry:
     if name not in library():
         raise unknown_effect(name)
     cls = library()[name]
-    settings = {key: Setting.of(value) for key, value in cls.settings.items()}
-    chosen = {key: int(value.low) if value.whole else value.low for key, value in settings.items()}
+    chosen = {key: int(value.low) if value.whole else value.low for key, value in cls.settings.items()}
     joint = max(cls.first_joint, 1) if cls.per_joint == "required" else None
     chain = planar_chain(np.ones(3))  # one parameter per joint is listed as the first
     if chain.dimension not in cls.dimensions:
@@ -96,12 +91,11 @@ def entry(name: str) -> Entry:
         summary=cls.summary,
         formula=" ".join((inspect.getdoc(cls) or cls.summary).split("\n\n")[0].split()),
         place={"none": "the whole arm", "required": each}.get(cls.per_joint, "one joint or all"),
-        arms=tuple(word for dimension, word in ARMS.items() if dimension in cls.dimensions),
+        arms=tuple(word for dimension, word in ((2, "planar"), (3, "spatial")) if dimension in cls.dimensions),
         needs=tuple(sorted(cls.needs)),
-        settings={key: value.allowed for key, value in settings.items()},
+        settings={key: value.allowed for key, value in cls.settings.items()},
         kind=next((kind for kind, is_this in kinds.items() if is_this), "looked for"),
         alias=cls.alias,
         parameters=cls(chain, joint, chosen).parameters,
         supply=tuple(dict.fromkeys(SUPPLY.get(need, need) for need in wanted)),
-        own=not cls.__module__.startswith(OWN),
     )

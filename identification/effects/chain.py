@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,7 +26,7 @@ from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import REVOLUTE
 
-OF_LOAD = ("payload", "gravity_turn", "payload_shift")
+OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
 BY_JOINT = ("joint_angles", "extensions", "deflections", "slopes", "joint_turns", "joint_shifts")
 
 
@@ -66,8 +67,8 @@ class Chain:
     missing: ca.SX | None = None  # 1 where the row has none
     errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
     off: ca.SX | None = None  # the share of their geometry that does not hold
-    turn: ca.SX | None = None  # rotation of gravity [rad] about the axes of the base that a frame may turn about
-    shift: ca.SX | None = None  # of the payload from where the file says [mm], in the tip's frame; in space
+    gravity_turn: ca.SX | None = None  # [rad] about the axes of the base that a frame may turn about
+    payload_shift: ca.SX | None = None  # of the payload from where the file says [mm], in the tip's frame; in space
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX, extra: Collection[str] = ()) -> Chain:
@@ -107,11 +108,11 @@ class Chain:
 
     @cached_property
     def acceleration(self) -> ca.SX:
-        """(3,) acceleration of gravity [m/s^2] in the frame of the base, rotated by `turn`."""
+        """(3,) acceleration of gravity [m/s^2] in the frame of the base, rotated by `gravity_turn`."""
         gravity = in_space(ca.SX(ca.DM(self.required_gravity.acceleration)))
-        if self.turn is None or self.turn.is_zero():
+        if (turn := self.gravity_turn) is None or turn.is_zero():
             return gravity
-        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, self.turn).axes, gravity)
+        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, turn).axes, gravity)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:
@@ -119,7 +120,7 @@ class Chain:
         as far along as the file says; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.geometry
         at = ca.SX(ca.DM(next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at))
-        hangs = at if self.shift is None else at + in_space(self.shift)
+        hangs = at if self.payload_shift is None else at + in_space(self.payload_shift)
         masses = [(self.payload, self.links - 1, self.frames[-1].point(hangs))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
             masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
@@ -132,10 +133,6 @@ class Chain:
         joints = enumerate(self.geometry.joints)
         loads = ((joint, self.moment(j) if joint.type == REVOLUTE else self.weight(j, j)) for j, joint in joints)
         return ca.vertcat(*(ca.dot(ca.DM(joint.axis), load) for joint, load in loads))
-
-    def loaded(self, payload: ca.SX, turn: ca.SX, shift: ca.SX) -> Chain:
-        """The chain with these loads, as at the places `OF_LOAD`."""
-        return replace(self, payload=payload, turn=turn, shift=shift)
 
     def moment(self, joint: int) -> ca.SX:
         """(3,) moment [N m] of all loads beyond a joint, from 0, about the origin of its frame, in the frame's axes."""
@@ -191,14 +188,15 @@ def position_and_state(
 
     add(OF_LOAD, chain)
     additions["payload"] += chain.payload
-    loads, lengths = [additions[place] for place in OF_LOAD], drawn.link_lengths(geometry)
-    add([place for place in sizes if place not in (*OF_LOAD, "instrument")], chain.loaded(*loads), lengths)
+    loads: dict[str, Any] = {place: additions[place] for place in OF_LOAD}
+    lengths = drawn.link_lengths(geometry)
+    add([place for place in sizes if place not in (*OF_LOAD, "instrument")], replace(chain, **loads), lengths)
     tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.reference)
     add(["instrument"], chain, tip=tip)
     settings = geometry[geometry.numel() - len(drawn.instrument.parameters) :]
     target = ca.SX(0) if chain.marker is None else chain.marker
     reading = drawn.instrument.reading(tip + additions["instrument"], settings, target)
-    return ca.vertcat(reading, turned), ca.vertcat(*loads, lengths, tip)
+    return ca.vertcat(reading, turned), ca.vertcat(*loads.values(), lengths, tip)
 
 
 def contribution(

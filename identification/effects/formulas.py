@@ -414,7 +414,7 @@ add_effect(
         for number in each(self.chain.axes, "mm", 1000.0) + each(self.chain.turn_names, "rad", 3.0, REACH)
     ],
     needs=frozenset({"session"}),
-    settings={"sessions": (2, 99)},
+    settings={"sessions": Setting(2, 99, whole=True, symbolic=False)},
     nuisance=True,
     base_rotation=lambda self, chain, values: _of_session(self, chain, values)[chain.geometry.dimension :],
     base_translation=lambda self, chain, values: _of_session(self, chain, values)[: chain.geometry.dimension],

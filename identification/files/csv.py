@@ -200,15 +200,18 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
         if frame[f"\n{k}"].null_count() < frame.height:
             raise InputError(f"{path}: column {k + 1} has no name in line {line}, allowed: a name")
         frame = frame.drop(f"\n{k}")
-    numbers, decimal = list(frame.columns), r"^(\s*[-+]?\d*),(\d*([eE][-+]?\d+)?\s*)$"
+    numbers = frame.columns
     if separator == ",":  # then decimal commas are in quotation marks, and may be those of thousands
         numbers = [name for name in frame.columns if b'"' in content and KNOWN.fullmatch(name) and name not in NAMES]
         cells = frame.select(numbers).unpivot()["value"] if numbers else pl.Series([], dtype=pl.String)
-        commas = cells.filter(cells.str.contains(decimal))
+        commas = cells.filter(cells.str.contains(r"^\s*[-+]?\d*,\d*([eE][-+]?\d+)?\s*$"))
         if len(commas) and commas.str.contains(r"^\s*[-+]?[1-9]\d{0,2},\d{3}\s*$").all():
             allowed = "decimal points, or semicolons between the columns"
             raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
-    frame = frame.with_columns(pl.col(numbers).str.replace(decimal, "$1.$2"))
+    for name in numbers:
+        points: Any = frame[name].str.strip_chars().str.replace(",", ".", literal=True)
+        number = points.cast(pl.Float64, strict=False).is_not_null()
+        frame = frame.with_columns(points.zip_with(number, frame[name]).alias(name))
     return _measured(Table(str(path), frame, lines, sha256, fit), vias)
 
 

@@ -85,7 +85,6 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         "fit": table.fit,
         "provenance": MappingProxyType({"file": Path(table.path).name, "sha256": table.sha256}),
     }
-    fields["repeats"] = None if fields["repeats"] is None else fields["repeats"].astype(np.int64)
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"

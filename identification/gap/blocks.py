@@ -23,7 +23,7 @@ from scipy import sparse
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
-from identification.effects import Effect, Scope, Setting, build, build_all, of_dimension
+from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.chain import OF_LOAD, Chain, condition_slices, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.error_curve import local_splines
@@ -154,7 +154,7 @@ class Library:
         given = q[:, None], conditions.table(len(q), self.arm.links, payload, q if remembers else None)[:, None]
         groups: dict[type[Effect] | None, list[tuple[Key, int]]] = {}
         for number, e in enumerate(effects):  # the settings of a scan are arguments of one function
-            symbolic = bool(e.chosen) and all(Setting.of(setting).symbolic for setting in e.settings.values())
+            symbolic = bool(e.chosen) and all(setting.symbolic for setting in e.settings.values())
             key = type(e), e.joint, tuple(e.chosen if symbolic else e.chosen.items())
             groups.setdefault(type(e) if symbolic else None, []).append((key, number))
         columns = [np.zeros((*levers.shape[:2], len(e.parameters))) for e in effects]
@@ -182,7 +182,8 @@ def _chains(arm: Arm, remembers: bool) -> tuple[tuple[ca.SX, ca.SX, ca.SX], Chai
     ends = (max(p.stop for p in s.values()) for s in (condition_slices(arm.links, extra), where))
     q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
     chain = Chain.of(arm, q, c, extra)
-    return (q, c, state), chain, chain.loaded(*(state[where[place]] for place in OF_LOAD))
+    loads: dict[str, Any] = {place: state[where[place]] for place in OF_LOAD}
+    return (q, c, state), chain, replace(chain, **loads)
 
 
 @lru_cache
@@ -244,7 +245,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
                 skipped[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
-            scans = [Setting.of(setting).scan(scope) for setting in cls.settings.values()]
+            scans = [setting.scan(scope) for setting in cls.settings.values()]
             specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
             each = [Block.of(arm, one, cls.prior / max(len(specs), 1), kinds) for one in specs]
             further = [block for block in each if block.label not in own]

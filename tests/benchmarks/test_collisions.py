@@ -1,6 +1,6 @@
 """Plans of five robots judged by pinocchio and coal on their collision meshes: `pytest -m benchmark -s` with this file.
 
-Needs pin and example-robot-data, for rays trimesh (`pip install pin coal example-robot-data trimesh rtree`). Plans
+Needs pin and example-robot-data (`pip install pin coal example-robot-data`). Plans
 of 30 postures are made by `armcal design` from each robot's URDF, five seeds each (`SEEDS=2`: two); every posture,
 and every straight joint move at 400 places, is looked at for collisions of links that no joint connects.
 """
@@ -15,7 +15,6 @@ import resource
 import shutil
 import subprocess
 import sys
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -81,38 +80,6 @@ class Judge:
 
     def collides(self, q: np.ndarray) -> bool:
         return bool(self._pairs(q).any())
-
-    def sees(self, q: np.ndarray, tracker: np.ndarray, base: str, tip: str) -> bool:
-        """Whether no mesh is between a tracker [m] in the frame of the base and the reflector at the tip."""
-        self._pairs(q)
-        pinocchio.updateFramePlacements(self.model, self.work)
-        place, hand = (self.work.oMf[self.model.getFrameId(link)] for link in (base, tip))
-        start, end = place.act(tracker), hand.act(np.array(TOOL) / 1e3)
-        for number, (mesh, piece) in enumerate(zip(self.meshes, self.geometry.geometryObjects, strict=True)):
-            at = self.found.oMg[number]
-            assert piece.name
-            one, other = at.actInv(start), at.actInv(end)
-            hits = mesh.ray.intersects_location([one], [other - one], multiple_hits=True)[0]
-            if len(hits) and np.min((hits - one) @ (other - one)) < (other - one) @ (other - one):
-                return False
-        return True
-
-    @cached_property
-    def meshes(self) -> list[Any]:
-        """Of all pieces, in their own frames [m]."""
-        trimesh, found = pytest.importorskip("trimesh"), []
-        for piece in self.geometry.geometryObjects:
-            shape = piece.geometry
-            if piece.meshPath and Path(piece.meshPath).is_file():
-                mesh = trimesh.load(piece.meshPath, force="mesh")
-                found.append(mesh.apply_scale(piece.meshScale))
-            elif hasattr(shape, "halfSide"):
-                found.append(trimesh.creation.box(extents=2.0 * np.array(shape.halfSide)))
-            elif hasattr(shape, "halfLength"):
-                found.append(trimesh.creation.cylinder(radius=shape.radius, height=2.0 * shape.halfLength))
-            else:
-                found.append(trimesh.creation.icosphere(radius=shape.radius))
-        return found
 
     def names(self, q: np.ndarray) -> list[str]:
         objects, pairs = self.geometry.geometryObjects, self.geometry.collisionPairs
@@ -182,22 +149,3 @@ def test_no_posture_and_no_move_collides(
         if hits or moves or efficiency < least or longer > 1.3:
             wrong.append(seed)
     assert not wrong
-
-
-def test_the_reflector_is_seen_in_every_posture(robot: tuple[str, Judge, str], tmp_path: Path) -> None:
-    """By rays from the tracker through the meshes, which trimesh casts."""
-    name, judge, head = robot
-    (tmp_path / "arm.toml").write_text(head)
-    reach = float(load_arm(tmp_path / "arm.toml", [data()]).reach)
-    sight = f"tracker_mm = [{2.5 * reach:.0f}.0, {0.5 * reach:.0f}.0, {0.4 * reach:.0f}.0]\nhalf_angle_deg = 60.0"
-    toward = f"toward_mm = [0.0, 0.0, {0.4 * reach:.0f}.0]"
-    arm = f'{head}\n[cell]\nclearance_mm = 0.0\n\n[[constraints]]\nkind = "line_of_sight"\n{sight}\n{toward}\n'
-    tracker = np.array([2.5 * reach, 0.5 * reach, 0.4 * reach]).round() / 1e3
-    for seed in SEEDS:
-        _, rows, kinds, _ = plan_of(tmp_path, arm, seed)
-        _, bare_rows, _, _ = plan_of(tmp_path, head + "\n[cell]\nbodies_of_urdf = false\n", seed)
-        measured = rows[[kind == "measure" for kind in kinds]]
-        hidden = [k for k, q in enumerate(measured) if not judge.sees(q, tracker, *ROBOTS[name][1:])]
-        before = sum(not judge.sees(q, tracker, *ROBOTS[name][1:]) for q in bare_rows)
-        print(f"\n{name}, seed {seed}: hidden in {len(hidden)} of {len(measured)} postures ({before} without bodies)")
-        assert not hidden

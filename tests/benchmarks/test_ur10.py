@@ -27,7 +27,6 @@ from identification.gap.diagnose import diagnose
 from identification.gap.library_prior import given_by, library_prior
 from identification.measurements import Measurements, load_measurements
 from identification.model import Model
-from identification.model.placed import placed_model
 from identification.validate import validate
 
 SHARED = Path(__file__).parents[3] / "shared/data"
@@ -151,54 +150,6 @@ def test_space_to_the_other_session(series: str, other: str) -> None:
     assert whole < drawing
 
 
-def test_space_geometry_of_both_sessions() -> None:
-    """One geometry for both fits both; those of each differ from it where the session itself hardly shows it."""
-    arm, parts = load_arm(SPACE), {}
-    for name in "AC":  # residuals of the drawing and columns of the joints' errors, both less base and reflector
-        data = load_measurements(SPATIAL[name], arm)
-        model, root = placed_model(Model(arm), data), np.sqrt(len(data))
-        zero = np.zeros(len(model.names))
-        own = np.array([not each.startswith(("base", "tool")) for each in model.names])
-        jacobian = model.jacobian(data.postures, zero).reshape(-1, len(zero)) / root
-        place = np.linalg.qr(jacobian[:, ~own])[0]
-        missed = (data.positions - model.position(data.postures, zero)).ravel() / root
-        parts[name] = [each - place @ (place.T @ each) for each in (missed, jacobian[:, own])]
-        sizes = model.parameters.vector(model.prior, 0.0)[own]
-
-    def fitted(names: str) -> Array:
-        """With a prior far below what the data say."""
-        rows = [(np.zeros(len(sizes)), 1e-3 * np.diag(1.0 / sizes)), *(parts[name] for name in names)]
-        y, x = (np.concatenate(each) for each in zip(*rows, strict=True))
-        return np.linalg.lstsq(x, y, rcond=None)[0]
-
-    both = fitted("AC")
-    for name, (residual, columns) in parts.items():
-        shared, own_left = (np.linalg.norm(residual - columns @ values) for values in (both, fitted(name)))
-        moved = {other: np.linalg.norm(columns @ (fitted(other) - both)) for other in "AC"}
-        print(f"\nin {name}: geometry of both {shared:.3f}, its own {own_left:.3f} mm", end="")
-        print(f"; less that of both, the one of A moves points here by {moved['A']:.3f}, of C by {moved['C']:.3f} mm")
-        assert shared < 0.6 * np.linalg.norm(residual)
-
-
-@BOTH
-def test_space_other_angles_of_one_session(series: str) -> None:
-    """A third of 1,500 rows, where joint 1 is low, in the middle or high, and the rest predicted: plain geometry, and
-    the library as a prior."""
-    arm, ratios = load_arm(SPACE), []
-    data = load_measurements(SPATIAL[series], arm)
-    data = data.rows(np.sort(np.random.default_rng(0).permutation(len(data))[:1500]))
-    order = np.argsort(np.mod(data.postures[:, 0] - (0.0 if series == "C" else np.pi), 2.0 * np.pi))
-    for third in np.array_split(order, 3):
-        inside = np.isin(np.arange(len(data)), third)
-        fits = (estimate(Model(arm), data.rows(inside)), library_fit(arm, data.rows(inside)))
-        plain, prior = (validate(fit.calibrated_arm(), data.rows(~inside)).model.rms for fit in fits)
-        ratios.append(prior / plain)
-        print(f"\n{series}: geometry {plain:.3f}, library as a prior {prior:.3f} mm", end="")
-    print(f"\n{series}: geometric mean {np.exp(np.mean(np.log(ratios))):.2f}, worst {max(ratios):.2f}")
-    assert np.mean(np.log(ratios)) < 0.0
-
-
-# -- chosen postures against random ones -------------------------------------------------------------------------------
 def rows_of(data: Measurements, postures: Array) -> Array:
     """The rows with these postures."""
     distance = np.abs(data.postures[:, None] - postures).max(axis=-1)

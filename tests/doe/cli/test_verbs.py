@@ -209,14 +209,13 @@ def test_an_output_that_is_no_file_is_refused_before_the_work(folder: Folder) ->
     os.close(writing)
 
 
-def test_closed_streams_and_a_pipe_that_ends_early(folder: Folder) -> None:
+def test_closed_streams(folder: Folder) -> None:
     done = shell(folder, "design arm.toml --runs 8 --out new.csv", ">&-")
     assert done.returncode == 1, done.stderr
     assert without_progress(done.stderr) == "armcal: standard output is closed; send it to a file or to /dev/null\n"
     assert not (folder.path / "new.csv").exists()
     done = shell(folder, "effects backlash --json", "2>&-")
     assert (done.returncode, done.stdout[0]) == (0, "{")
-    assert without_progress(shell(folder, "effects --json", "| true").stderr) == ""
 
 
 # -- progress where standard error is no terminal ----------------------------------------------------------------------

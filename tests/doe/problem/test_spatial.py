@@ -14,7 +14,7 @@ from doe.problem.uncertain import tip_jacobians
 from doe.solvers import Gradient, solve
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.for_design import OFF_AXIS, ArmModel, with_points
+from identification.for_design import ArmModel, with_points
 from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
 from identification.model import Model
@@ -57,7 +57,7 @@ def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
     three = replace(CHAIN, tools={name: np.zeros(3) for name in "abc"})
     with pytest.warns(UserWarning, match="a, b, c is not known, 100 mm beside the last axis"):
         places = np.array(list(with_points(three).tools.values()))
-    np.testing.assert_allclose(np.linalg.norm(places[:, :2], axis=1), OFF_AXIS)  # the last axis is z of the tip
+    np.testing.assert_allclose(np.linalg.norm(places[:, :2], axis=1), 100.0)  # the last axis is z of the tip
     np.testing.assert_allclose(places.sum(axis=0), 0.0, atol=1e-9)
     assert with_points(CHAIN) is CHAIN
     known = replace(three, settled=frozenset({"tool"}))

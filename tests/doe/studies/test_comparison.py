@@ -57,12 +57,7 @@ def test_summary_counts_hits_and_time_to_a_hit() -> None:
     assert [found[s]["not_correct"] for s in "abc"] == [0, 0, 2]
     assert [found[s]["best"] for s in "abc"] == [-0.1, -0.1, None]  # the false 0.7 is nobody's best
     assert found["b"]["median"] == pytest.approx(-0.2)
-
-
-def test_loss_is_of_efficiency() -> None:
-    losses = with_hits(ROWS)["loss"].to_list()
-    assert losses[3] == pytest.approx(1.0 - np.exp(-0.2 / 8))
-    assert losses[4:] == [None, None]
+    assert with_hits(ROWS)["loss"].to_list()[3:] == [pytest.approx(1.0 - np.exp(-0.2 / 8)), None, None]
 
 
 def test_profile_by_hand() -> None:
@@ -123,10 +118,10 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(
     assert len(set(rows["value"])) == 2
     with RowTable(path, resume=True) as table:
         assert compare(comparison, table).equals(rows)
+    request.getfixturevalue("in_this_process")
     few = compare(Comparison([ARM], [2], ["random"], repeats=1))  # two runs cannot tell six parameters
     assert few["status"].to_list() == ["failed"]
-    assert "InputError" in few["error"][0] or "JobError" in few["error"][0]
-    request.getfixturevalue("in_this_process")
+    assert "InputError" in few["error"][0]
     again = compare(comparison)  # the same seeds: the same plans, wherever they are found
     assert again["value"].to_list() == rows["value"].to_list()
 
@@ -158,22 +153,8 @@ def test_verb(tmp_path: Path) -> None:
     assert refused.exit_code == 2
     assert "--resume" in refused.output
     assert CliRunner().invoke(main.commands["compare"], [*options, "--resume"]).exit_code == 0
-
-
-@pytest.mark.parametrize(
-    ("options", "found"),
-    [
-        (["--runs", "0"], "whole numbers >= 1"),
-        (["--runs", "4", "--solvers", "ipop"], "did you mean 'ipopt'"),
-        (["--runs", "4", "--resume"], "needs --out"),
-    ],
-)
-def test_bad_options_are_one_line(tmp_path: Path, options: list[str], found: str) -> None:
-    arm = tmp_path / "arm.toml"
-    arm.write_text("links_mm = [260.0, 180.0]\n")
-    done = CliRunner().invoke(main.commands["compare"], [str(arm), *options])
-    assert done.exit_code == 2
-    assert found in done.output
+    nowhere = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "4", "--resume"])
+    assert (nowhere.exit_code, "needs --out" in nowhere.output) == (2, True)
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli.study import command
-from doe.report.studies import figure_1_picture, figure_2_picture
 from doe.studies import paper
 from doe.studies.paper import (
     agreement,
@@ -158,11 +157,6 @@ def test_figure_2_curves() -> None:
     np.testing.assert_allclose(curve, oracle, rtol=0.1)
 
 
-def test_pictures() -> None:
-    assert len(figure_1_picture(figure_1(plans=20)).axes) == 2
-    assert len(figure_2_picture(figure_2(50, runs=(4, 6))).axes[0].lines) == 16
-
-
 def test_verb(tmp_path: Path) -> None:
     options = ["paper", "--out", str(tmp_path / "paper"), "--replications", "1000", "--workers", "1"]
     done = CliRunner().invoke(command, [*options, "--json"])
@@ -173,8 +167,7 @@ def test_verb(tmp_path: Path) -> None:
     names = {f.name for f in (tmp_path / "paper").iterdir()}
     tables = {f"{name}.parquet" for name in ("table_1", "table_2", "table_3", "text", "errata", "figure_1", "figure_2")}
     assert names == {*tables, "figure_1.svg", "figure_2.svg"}
-    assert CliRunner().invoke(command, options).exit_code == 2
-    assert "4 links" in CliRunner().invoke(command, [*options, "--resume"]).output
+    assert CliRunner().invoke(command, options).exit_code == 2  # it exists
     for number in ("3", "1000000000"):
         few = CliRunner().invoke(command, ["paper", "--out", str(tmp_path / "few"), "--replications", number])
         assert few.exit_code == 2

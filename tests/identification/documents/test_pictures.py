@@ -105,7 +105,7 @@ def test_an_error_curve_is_off_beyond_its_angles() -> None:
 
 def test_no_label_leaves_a_small_picture() -> None:
     """The numbers beside the ticks decide how much room these have, and so how many there are; whatever the scale."""
-    for size in np.linspace(0.02, 0.09, 8):
+    for size in (0.02, 0.05, 0.09):
         figure = Figure(figsize=(3.7, 2.5), layout="constrained")
         axes = figure.subplots()
         dots(axes, np.linspace(0.0, 100.0, 30), [(np.full(30, size), "before"), (np.full(30, -size), "after")])

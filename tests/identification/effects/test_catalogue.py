@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from identification.arm import EffectSpec
-from identification.effects import Effect, Setting, build, formulas, library
+from identification.effects import Effect, build, formulas, library
 from identification.effects.catalogue import SUPPLY, entries, entry
 from identification.kinematics.chain import KinematicChain, planar_chain
 
@@ -48,7 +48,7 @@ OWN = {name: cls for name, cls in SHIPPED.items() if not cls.tabulated}  # a tab
 
 def example(cls: type[Effect]) -> Effect:
     """The effect at joint 2 of an arm with two links where it needs a joint, with its smallest settings."""
-    settings = {name: Setting.of(allowed).low for name, allowed in cls.settings.items()}
+    settings = {name: allowed.low for name, allowed in cls.settings.items()}
     spec = EffectSpec(cls.name, 2 if cls.per_joint == "required" else None, settings)
     chain = planar_chain([300.0, 200.0])
     return build(spec, chain if 2 in cls.dimensions else KinematicChain(chain.joints, chain.end))

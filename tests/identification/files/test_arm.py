@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity
 from identification.arrays import readonly
 from identification.errors import InputError
 from identification.files.arm import arm_from_tables, dump_arm, load_arm, with_calibration, with_effects
-from identification.files.io import read_text
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 
 FULL = """\
@@ -333,10 +331,5 @@ def test_round_trip(arm: Arm) -> None:
     same(arm, arm_from_tables(tomllib.loads(dump_arm(arm))))
 
 
-def test_dumped_arm_is_the_loaded_arm(tmp_path: Path) -> None:
-    arm = load(tmp_path, FULL)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        same(arm, load(tmp_path, dump_arm(arm)))
-    assert "upper = [180.0, 120.0, 60.0, 90.0]" in dump_arm(arm)  # tidy numbers, as a person writes them
-    assert read_text(tmp_path / "arm.toml") == dump_arm(arm)
+def test_numbers_are_tidy_as_a_person_writes_them(tmp_path: Path) -> None:
+    assert "upper = [180.0, 120.0, 60.0, 90.0]" in dump_arm(load(tmp_path, FULL))

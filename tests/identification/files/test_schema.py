@@ -8,15 +8,17 @@ import json
 import shutil
 import tomllib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from identification.errors import InputError
-from identification.files.arm import arm_from_tables
+from identification.files.arm import arm_from_tables, dump_arm
 from identification.files.schema import ArmFile, json_schema
-from tests.identification.files.test_arm import FULL
+from tests.identification.files.test_arm import FULL, same
 from tests.identification.files.test_arm_spatial import BY_TABLE, BY_URDF, URDF
 
 JOINTS = "[joints]\nsign = [1, -1, 1, 1]\ncoupled_to = [0, 0, 2, 0]\nzero_deg = [0.0, 5.0, 0.0, 0.0]\n"
@@ -172,6 +174,20 @@ def test_a_list_that_is_too_long(tables: dict[str, Any], tmp_path: Path) -> None
         if path[-1] not in ("dh", "constraints", "bodies", "apart", "effects", "values_deg", "links_mm", "parameters"):
             message = refused(tables, tmp_path, path, [*at(tables, path), at(tables, path)[-1]])
             assert message.startswith(f"{dotted(path)}: found "), message
+
+
+def test_what_is_read_is_written_and_read_again(tables: dict[str, Any], tmp_path: Path) -> None:
+    """But for bodies, which are written as they are covered, and what a drawing in a URDF file says otherwise."""
+    arm = replace(arm_from_tables(tables, tmp_path), cell=None)
+    again = arm_from_tables(tomllib.loads(dump_arm(arm)))
+    for one, other in zip(arm.chain.joints, again.chain.joints, strict=True):
+        np.testing.assert_allclose(other.origin, one.origin, rtol=1e-12, atol=1e-11)
+    if arm.calibration is None:  # where the frame of an instrument is, it is written under [calibration]
+        again = replace(again, calibration=None)
+    same(replace(arm, chain=again.chain), again)
+    same((arm.chain.settled, arm.chain.angle_scale), (again.chain.settled, again.chain.angle_scale))
+    assert again.chain.instrument == arm.chain.instrument
+    np.testing.assert_allclose(again.chain.base, arm.chain.base, rtol=1e-12, atol=1e-11)
 
 
 def test_editors_accept_what_is_read_and_no_key_of_another_kind_of_arm(tables: dict[str, Any]) -> None:

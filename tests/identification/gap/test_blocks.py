@@ -73,7 +73,7 @@ class Series(Effect):
     """A series whose number of terms is its setting, which is no place for a symbol."""
 
     name, summary, per_joint = "series", "a series", "required"
-    settings = {"terms": (2, 3)}
+    settings = {"terms": Setting(2, 3, whole=True, symbolic=False)}
 
     def define(self):
         return (self.parameter("a", "rad", scale=self.link_length),)

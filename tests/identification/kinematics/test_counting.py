@@ -106,10 +106,8 @@ def test_sums_of_several_joints_are_not_said() -> None:
     ("sign", "coupled", "zero", "said"),
     [
         ((1, 2), (0, 0), (0.0, 0.0), "joints.sign: found 2 for joint 2, allowed: 1 or -1"),
-        ((1, 1), (0,), (0.0, 0.0), "joints.coupled_to: found 1 values, allowed: 2"),
         ((1, 1), (0, 0), (0.0,), "joints.zero_deg: found 1 values, allowed: 2"),
         ((1, 1), (0, 3), (0.0, 0.0), "joints.coupled_to: found 3 for joint 2, allowed: another joint, 1 to 2, or 0"),
-        ((1, 1), (0, 2), (0.0, 0.0), "joints.coupled_to: found 2 for joint 2, allowed: another joint, 1 to 2, or 0"),
         ((1, 1), (2, -1), (0.0, 0.0), "joints.coupled_to: found a circle through joint 1, allowed: joints that lead"),
     ],
 )
@@ -150,8 +148,6 @@ def test_what_was_written_is_read() -> None:
         (497.0, 137.0),
         (-580.0, 140.0),  # one turn further
         (175.0, 175.0),  # no turn brings it inside
-        (170.0, 170.0),
-        (-170.0, -170.0),
     ],
 )
 def test_into_limits_of_170_degrees(degrees: float, expected: float) -> None:

@@ -250,15 +250,8 @@ def test_bad_tables_are_one_line() -> None:
         chain_of((DHRow(0.0, 0.0, 0.0, type="prismatic"),))
 
 
-ERRORS = chain_parameters([300.0, 200.0])
-SET = ParameterSet(
-    [
-        ERRORS[0],
-        chain_parameters([300.0])[1],
-        Parameter("backlash:2.b", "rad", lower=-0.1, upper=0.2, scale=200.0, joint=2),
-        ERRORS[1],
-    ]
-)
+LENGTH_1, LENGTH_2, OFFSET_1, _ = chain_parameters([300.0, 200.0])
+SET = ParameterSet([LENGTH_1, OFFSET_1, Parameter("backlash:2.b", "rad"), LENGTH_2])
 
 
 def test_vector_and_mapping_are_inverse() -> None:
@@ -266,11 +259,7 @@ def test_vector_and_mapping_are_inverse() -> None:
     vector = SET.vector(values)
     np.testing.assert_array_equal(vector, [0.0, 0.1, 0.0, 2.0])
     np.testing.assert_array_equal(SET.vector({}, default=np.nan), np.full(4, np.nan))
-    assert SET.mapping(vector) == {
-        "length_error:1": 0.0,
-        "joint_offset:1": 0.1,
-        "backlash:2.b": 0.0,
-        "length_error:2": 2.0,
-    }
+    expected = {"length_error:1": 0.0, "joint_offset:1": 0.1, "backlash:2.b": 0.0, "length_error:2": 2.0}
+    assert SET.mapping(vector) == expected
     with pytest.raises(ValueError, match="shorter"):
         SET.mapping(vector[:3])

@@ -122,7 +122,7 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
         # as in the data of the fit, and what its 30 parameters from 180 equations add
         assert validated.model.rms < 1.5 * found.rms_after
         assert any(note.startswith(said) for note in validated.notes)
-        with pytest.raises(InputError, match=r"measurements.marker: .*allowed: A, B; or --refit base"):
+        with pytest.raises(InputError, match=r"measurements.*marker.*; or --refit base"):
             validate(arm, rows, "none")
     assert not any("reflector" in note for note in validate(arm, second).notes)
     said = wrong_units(replace(unnamed, positions=10.0 * unnamed.positions), arm)[1]

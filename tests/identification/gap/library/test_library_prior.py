@@ -65,14 +65,6 @@ def test_waves_too_fast_to_be_added_are_counted() -> None:
     assert not whole.faster.any()
 
 
-def test_only_what_is_named_may_be_missing() -> None:
-    """No error curve, and no posture has an error of its own; else this is in proportion to the arm."""
-    named = library_prior(ARM, names=["gear_ratio"])
-    assert (named.prior.own_error, named.faster.any()) == (0.0, False)
-    assert library_prior(ARM).prior.own_error == pytest.approx(0.03)
-    assert library_prior(Arm([600.0, 400.0])).prior.own_error == pytest.approx(0.06)
-
-
 def test_a_rare_effect_has_its_share_of_the_variance() -> None:
     """Present in one arm of five with the deviation d, absent else: the mean square is d^2 / 5."""
     found = library_prior(ARM, names=["axis_tilt"])
@@ -110,16 +102,6 @@ def test_own_effects_have_no_prior_and_keep_their_values() -> None:
     assert Model(found.arm).values[1] == 2.0
 
 
-def test_names_choose_and_unknown_ones_are_refused() -> None:
-    found = library_prior(ARM, names=["gear_ratio"])
-    assert list(found.prior.deviations) == ["gear_ratio:1.e", "gear_ratio:2.e"]
-    assert dict(found.left_out) == {}
-    with pytest.raises(InputError, match="unknown name 'gear'"):
-        library_prior(ARM, names=["gear"])
-    with pytest.raises(InputError, match="none of the library's is left"):
-        library_prior(ARM, names=["backlash"])
-
-
 def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior() -> None:
     """20 arms with everything drawn from it, an error of its own at every posture included, measured at 40 postures and
     judged at others. The mean squares of the arms scatter by a fifth, their mean by 5 %: four of them."""
@@ -155,3 +137,15 @@ def test_an_effect_without_a_typical_size_is_left_out() -> None:
         assert library_prior(ARM).left_out["unsized"] == "no typical size"
     finally:
         del _LIBRARY["unsized"]
+
+
+def test_only_what_is_named_may_be_missing_and_unknown_names_are_refused() -> None:
+    """No error curve, and no posture has an error of its own; else this is in proportion to the arm."""
+    named = library_prior(ARM, names=["gear_ratio"])
+    assert (named.prior.own_error, named.faster.any(), dict(named.left_out)) == (0.0, False, {})
+    assert list(named.prior.deviations) == ["gear_ratio:1.e", "gear_ratio:2.e"]
+    assert library_prior(ARM).prior.own_error == pytest.approx(0.03)
+    assert library_prior(Arm([600.0, 400.0])).prior.own_error == pytest.approx(0.06)
+    for name, said in (("gear", "unknown name 'gear'"), ("backlash", "none of the library's is left")):
+        with pytest.raises(InputError, match=said):
+            library_prior(ARM, names=[name])
