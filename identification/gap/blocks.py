@@ -475,9 +475,9 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
         if root.shape[1]:
             shown.append((k, root, root.T @ rest, root.T @ inside))
     blocks, columns = [blocks[k] for k, *_ in shown], [columns[k] for k, *_ in shown]
-    roots, tall, across = [[one[k] for one in shown] for k in (1, 2, 3)]
-    table = np.concatenate(tall)  # (P, N): whitened, off the base
-    gram, right, inside = table @ table.T, table @ left, np.concatenate(across).T
+    roots = [root for _, root, _, _ in shown]
+    table = np.concatenate([rest for *_, rest, _ in shown])  # (P, N): whitened, off the base
+    gram, right, inside = table @ table.T, table @ left, np.concatenate([across for *_, across in shown]).T
     ends = np.cumsum([0, *(root.shape[1] for root in roots)])
     signs = np.array([b.size == 1 and b.bounded for b in blocks], dtype=bool)
     products = Products(gram, right, float(left @ left), len(target) - u.shape[1], ends, signs)
