@@ -142,6 +142,7 @@ class Design:
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `design` and `score` (identification/files/README.md, "JSON keys"); None where unknown."""
+        unknown = dict.fromkeys(("length_mm", "orientation_deg", "joint_offset_deg"))
         postures: dict[str, Any] = {"postures_deg": self.plan.displayed.tolist()}
         if "mm" in self.plan.units:
             postures = {"postures": self.plan.displayed.tolist(), "joint_units": list(self.plan.units)}
@@ -161,7 +162,7 @@ class Design:
             **postures,
             "fit": self.plan.fit or None,
             "table_1_max_residual": _number(self.table_1_max_residual),
-            "std": _deviations_json(self.deviations),
+            "std": unknown if self.deviations is None else self.deviations.to_json(),
             "expected_error_mm": self.expected_error,
             "solver": self.solver,
             "status": self.status.name,
@@ -229,17 +230,3 @@ def score_plan(problem: DesignProblem, plan: Plan | ArrayLike, *, seconds: float
 
 def _number(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
-
-
-def _deviations_json(deviations: ExpectedDeviations | None) -> dict[str, Any]:
-    """Per link of a planar arm, else per parameter: `{"parameters": {name: [deviation, unit]}}`."""
-    if deviations is None:
-        return {"length_mm": None, "orientation_deg": None, "joint_offset_deg": None}
-    if not deviations.by_link:
-        pairs = zip(deviations.parameters, deviations.values.tolist(), strict=True)
-        return {"parameters": {p.name: [value * p.to_file, p.file_unit] for p, value in pairs}}
-    return {
-        "length_mm": deviations.length.tolist(),
-        "orientation_deg": np.degrees(deviations.orientation).tolist(),
-        "joint_offset_deg": np.degrees(deviations.joint_offset).tolist(),
-    }

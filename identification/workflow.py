@@ -506,7 +506,7 @@ def _write_calibrated(
         calibration = without_sessions(with_data_of(calibration, kept[1], kinds))
         effects = [spec for spec in fit.model.arm.effects if spec.name != SESSIONS]
         files |= _calibrated_file(path, effects, calibration, out)
-        lines.append(f"calibrated arm written to {out}")
+        lines += [f"{'calibrated arm' if name == out else 'nominal URDF file'} written to {name}" for name in files]
     if fit.geometry is not None and urdf is not None:
         files[urdf] = corrected_urdf(path, fit.geometry.real)
         lines.append(f"corrected URDF file written to {urdf}")

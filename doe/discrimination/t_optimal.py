@@ -159,7 +159,14 @@ def discriminate(
     payload = generator.choice(np.array(payloads or (usual,)), len(pool))
     directions = generator.choice(np.array([-1.0, 1.0]), (len(pool), arm.links))
     rivals = RivalPredictions.of(diagnosis, pool, payload, directions)
-    chosen = t_optimal(rivals, runs, stop)
+    chosen = [rivals.best_beside([])]
+    while len(chosen) < runs and not stop():
+        chosen.append(rivals.best_beside(chosen))
+    chosen = [chosen[k % len(chosen)] for k in range(runs)]  # cut: those that are there are taken again, in turn
+    for k in [*range(runs)] * 2:  # effort: two rounds of exchanges after the greedy choice
+        if stop():
+            break
+        chosen[k] = rivals.best_beside(chosen[:k] + chosen[k + 1 :])
     squares, _ = rivals.noncentrality(chosen)
     chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
     np.fill_diagonal(chance, 1.0)
@@ -172,23 +179,3 @@ def discriminate(
         {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
         Status.time_limit if stop() else Status.local_optimum,
     )
-
-
-def t_optimal(rivals: RivalPredictions, runs: int, stop: Stop = never) -> list[int]:
-    """Rows of the pool, added one at a time and then exchanged, that distinguish the rivals best.
-
-    Where `stop` comes before the last is added, those that are there are taken again, in turn.
-    """
-    chosen = [rivals.best_beside([])]
-    while len(chosen) < runs and not stop():
-        chosen.append(rivals.best_beside(chosen))
-    chosen = [chosen[k % len(chosen)] for k in range(runs)]
-    for _ in range(2):  # effort: exchanges after the greedy choice
-        before = list(chosen)
-        for k in range(runs):
-            if stop():
-                return chosen
-            chosen[k] = rivals.best_beside(chosen[:k] + chosen[k + 1 :])
-        if chosen == before:
-            break
-    return chosen

@@ -58,6 +58,15 @@ class ExpectedDeviations:
     length = property(lambda self: self.of_joints(self.parameters.length_errors))
     joint_offset = property(lambda self: self.of_joints(self.parameters.joint_offsets))
 
+    def to_json(self) -> dict[str, Any]:
+        """Key `std`: per link, or where there are none per parameter `{"parameters": {name: [deviation, unit]}}`."""
+        if not self.by_link:
+            pairs = zip(self.parameters, self.values.tolist(), strict=True)
+            return {"parameters": {p.name: [value * p.to_file, p.file_unit] for p, value in pairs}}
+        angles = {"orientation_deg": self.orientation, "joint_offset_deg": self.joint_offset}
+        degrees = {name: np.degrees(values).tolist() for name, values in angles.items()}
+        return {"length_mm": self.length.tolist()} | degrees
+
     def largest(self, unit: str) -> float:
         """Of a length [mm] or an angle [rad] of the arm's geometry; zero where none is estimated."""
         chosen = [p.unit == unit and not p.of_effect for p in self.parameters]

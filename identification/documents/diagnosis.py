@@ -193,7 +193,14 @@ def diagnosis_document(
     for c in explanations:
         chance = "its cause is unknown" if is_described(data) else probability_text(c["probability"])
         figures.append([" +\n".join(c["effects"]), chance, *(f"{c[key]:.1f}" for key in ("delta_bic", "f"))])
-        estimates.append(estimates_of(c, f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"))
+        labels = {key: label for label in c["effects"] for key in (label.partition("[")[0], label)}  # with settings
+        rows = []
+        for row in c["parameters"]:
+            owner, _, short = row["name"].rpartition(".")
+            limits = (estimate_text(row[key], row["std"], row["unit"]) for key in ("value", "low_95", "high_95"))
+            rows.append([f"{labels.get(owner, owner)}.{short}", *limits, unit_or_dash(row["unit"])])
+        title = f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"
+        estimates.append(Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title))
     named: list[Part] = [*findings(data), as_sentence(likely(data))]
     named += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
     named += [Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
@@ -227,17 +234,6 @@ def pictures_of(diagnosis: Diagnosis | None, name: str) -> list[Part]:
         return drawn if isinstance(drawn, Sequence) else [drawn]
 
     return [] if diagnosis is None else [Pictures(draw)]
-
-
-def estimates_of(candidate: Data, title: str) -> Sheet:
-    """The parameters of its effects with 95 % intervals, named with their settings."""
-    labels = {key: label for label in candidate["effects"] for key in (label.partition("[")[0], label)}
-    rows = []
-    for row in candidate["parameters"]:
-        owner, _, short = row["name"].rpartition(".")
-        figures = (estimate_text(row[key], row["std"], row["unit"]) for key in ("value", "low_95", "high_95"))
-        rows.append([f"{labels.get(owner, owner)}.{short}", *figures, unit_or_dash(row["unit"])])
-    return Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title)
 
 
 def probability_text(p: float | None) -> str:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import rows_in_words
@@ -91,66 +90,11 @@ def diagnose(
         library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}")
     )
     progress(0.7, 1.0, "step 3 of 3: fits, tests on other rows")
-    result = diagnosis_of(posterior, measurements, holdout, generator, numbers + 1)
-    result = replace(result, warnings=(*result.warnings, *copies))
-    progress(1.0, 1.0, result.sentence)
-    if arm is given:
-        return result
-    named, predicting, *candidates = (  # of several sessions, with the base of the first one only
-        replace(one, calibration=without_sessions(one.calibration))
-        for one in (result.named, result.predicting, *result.candidates)
-    )
-    return replace(result, arm=with_base(given), candidates=tuple(candidates), named=named, predicting=predicting)
-
-
-def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:
-    """Raise `InputError` for what is no arm, data that do not fit the arm or lack what its effects need, and a hold-out
-    of another arm or one that contains rows of the data."""
-    if not isinstance(arm, Arm):
-        chain = "whose chain says where effects act, which no other model does"
-        raise InputError(f"arm: {type(arm).__name__}, allowed: an Arm, {chain}")
-    check_measurements(Model(arm), measurements)
-    instrument = arm.chain.instrument
-    for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
-        if not (instrument.contact and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
-            raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
-    if holdout is None:
-        return
-    from scipy.spatial import KDTree  # deferred: only a hold-out pays for the import
-
-    if instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
-        what, names = instrument.target, ", ".join(measurements.marker_names)
-        raise InputError(f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate")
-    if holdout.links != measurements.links:
-        raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
-    if holdout.dimension != measurements.dimension:
-        other, needed = holdout.dimension, measurements.dimension
-        raise InputError(f"holdout: positions of {other} coordinates, allowed: {needed} as in the data")
-    data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
-    distance = KDTree(data).query(rows, p=np.inf)[0]
-    shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
-    if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
-        copied = f"{max(shared, near)} of {len(holdout)} rows are also in the data"
-        raise InputError(f"holdout: {copied}, allowed: rows not used before")
-
-
-def worse_than_geometry(tests: Sequence[Confirmation]) -> bool:
-    """Whether other postures are predicted better without all that was found, by more than chance."""
-    return tests[0].shrinks is False and tests[0].after > tests[0].before
-
-
-def diagnosis_of(
-    posterior: Posterior,
-    measurements: Measurements,
-    holdout: Measurements | None,
-    generator: np.random.Generator,
-    numbers: NDArray[np.int64],
-) -> Diagnosis:
-    """Everything that is read off the posterior;  numbers : (m,) of the rows in the table that was given, from 1"""
-    library, rows, best, whole = posterior.library, posterior.at.rows, posterior.best, posterior.whole
+    rows, best, whole, numbers = posterior.at.rows, posterior.best, posterior.whole, numbers + 1
     kept = np.ones(len(rows), dtype=bool)
     kept[[b.row for b in best.blocks if b.row is not None]] = False
-    base = fit(library.base, rows.pick(kept))
+    if not kept.all():
+        base = fit(library.base, rows.pick(kept))
     products = whole.products.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
 
     # what predicts best, and what it leaves
@@ -244,11 +188,56 @@ def diagnosis_of(
             *another_frame(library.arm, measurements),
             *outside_limits(library.arm, measurements),
             *([moved] if words else []),
+            *copies,
         ),
         replication=replications(fitted, measurements.session_names, named.effects),
         curves=curves,
     )
-    return replace(result, notes=tuple(notes(result, posterior, measurements, fitted)))
+    result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted)))
+    progress(1.0, 1.0, result.sentence)
+    if arm is given:
+        return result
+    first, average_there, *others = (  # of several sessions, with the base of the first one only
+        replace(one, calibration=without_sessions(one.calibration))
+        for one in (result.named, result.predicting, *result.candidates)
+    )
+    return replace(result, arm=with_base(given), candidates=tuple(others), named=first, predicting=average_there)
+
+
+def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:
+    """Raise `InputError` for what is no arm, data that do not fit the arm or lack what its effects need, and a hold-out
+    of another arm or one that contains rows of the data."""
+    if not isinstance(arm, Arm):
+        chain = "whose chain says where effects act, which no other model does"
+        raise InputError(f"arm: {type(arm).__name__}, allowed: an Arm, {chain}")
+    check_measurements(Model(arm), measurements)
+    instrument = arm.chain.instrument
+    for name, table in (("posture", measurements.postures), ("position", measurements.positions)):
+        if not (instrument.contact and name == "position") and np.all(np.ptp(table, axis=0) == 0.0):
+            raise InputError(f"measurements: the same {name} in all {len(table)} rows, allowed: several {name}s")
+    if holdout is None:
+        return
+    from scipy.spatial import KDTree  # deferred: only a hold-out pays for the import
+
+    if instrument.own_targets and (new := {*holdout.marker_names} - {*measurements.marker_names}):
+        what, names = instrument.target, ", ".join(measurements.marker_names)
+        raise InputError(f"holdout: found {what} {min(new)!r}, allowed: {names}, as in the data; or armcal validate")
+    if holdout.links != measurements.links:
+        raise InputError(f"holdout: {holdout.links} joints, allowed: {measurements.links} as in the data")
+    if holdout.dimension != measurements.dimension:
+        other, needed = holdout.dimension, measurements.dimension
+        raise InputError(f"holdout: positions of {other} coordinates, allowed: {needed} as in the data")
+    data, rows = (np.column_stack([d.postures / 1e-5, d.positions / 1e-3]) for d in (measurements, holdout))
+    distance = KDTree(data).query(rows, p=np.inf)[0]
+    shared, near = int(np.sum(distance == 0.0)), int(np.sum(distance <= 1.0))
+    if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
+        copied = f"{max(shared, near)} of {len(holdout)} rows are also in the data"
+        raise InputError(f"holdout: {copied}, allowed: rows not used before")
+
+
+def worse_than_geometry(tests: Sequence[Confirmation]) -> bool:
+    """Whether other postures are predicted better without all that was found, by more than chance."""
+    return tests[0].shrinks is False and tests[0].after > tests[0].before
 
 
 def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit) -> Iterator[str]:

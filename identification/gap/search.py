@@ -38,7 +38,7 @@ CREDIBLE = 0.9  # convention: probability of the credible set
 LEAST = 1e-5  # numerical: probability of a set that is kept
 ROUNDING = 1e-6  # numerical: of a log likelihood
 MOST_ROWS = 1250  # effort: rows that are searched for any effect
-PASSES = 3  # effort: linearizations, and passes of a climb
+PASSES = 3  # effort: linearizations, passes of a climb, and kinds of noise
 
 _OCTAVES = np.subtract.outer(np.arange(len(SIZES)), np.arange(len(SIZES)))
 # derived: (S, S) p(s | c) of a size, by column, around a common one
@@ -281,7 +281,12 @@ def posterior_of(
     for turn in range(1, PASSES + 1):
         tell(f"pass {turn}")
         here = at.on(few)
-        wrong, every = _striking(here), [n for n in noises(here) if not names or n.name in names]
+        # rows whose residual is large, and that do not come together as whole postures or neighbors do
+        left = np.sqrt(np.mean(np.square(few.whiten(here.left).reshape(len(few), -1)), axis=1))
+        limit, far = 3.0 * float(np.median(left)) / 0.83, np.zeros(len(few), dtype=bool)  # robust standard deviations
+        far[[k for k in np.argsort(-left, kind="stable")[:30] if left[k] > limit]] = True  # 30, as 3 above: effort
+        wrong = np.flatnonzero(far & ~together(far, few.postures, few.posture_numbers)).tolist()
+        every = [n for n in noises(here) if not names or n.name in names]
         number = next(k for k, n in enumerate(every) if (n.name, n.size) == noise)
         problem = linearized(library, at.on(every[number].rows), wrong)
         search, before = Search(problem.products, problem.blocks), [*chosen]
@@ -323,7 +328,7 @@ def posterior_of(
         library = wider
 
     end, walked = at.on(rows), list[tuple[NoiseModel, Linearized, list[Weighed], Counter[Key]]]()
-    for k in [number, *(k for k in likely if every[k].name != every[number].name)]:
+    for k in [number, *(k for k in likely if every[k].name != every[number].name)][:PASSES]:
         tell(f"sets of effects{', noise: ' + every[k].name if every[k].name else ''}")
         under = problem if k == number else linearized(library, at.on(every[k].rows), wrong)
         near, sets, draws = _walked(under, _same_set(under, chosen), generator)
@@ -377,14 +382,3 @@ def _mixture(
         blocks = tuple(problems[number].blocks[b] for b, _ in key)
         explanations.append(Explanation(blocks, key, number, float(probabilities[k])))
     return Posterior(tuple(explanations), every, problems, draws, whole, library, at)
-
-
-def _striking(at: At) -> list[int]:
-    """Rows whose residual is large, and that do not come together as whole postures or neighbors do."""
-    rows = at.rows
-    left = rows.whiten(at.left).reshape(len(rows), -1)
-    sizes = np.sqrt(np.mean(np.square(left), axis=1))
-    limit = 3.0 * float(np.median(sizes)) / 0.83  # robust standard deviations
-    far = np.zeros(len(rows), dtype=bool)
-    far[[k for k in np.argsort(-sizes, kind="stable")[:30] if sizes[k] > limit]] = True  # 30, as 3 above: effort
-    return np.flatnonzero(far & ~together(far, rows.postures, rows.posture_numbers)).tolist()

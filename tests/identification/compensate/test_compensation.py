@@ -58,30 +58,26 @@ def test_figures() -> None:
     assert frame["q1"].to_list() == pytest.approx([30.0, 0.0, -90.0])
 
 
-def test_a_frame_is_doubted_where_most_targets_are_out_of_reach() -> None:
-    assert FOUND.warnings == []  # one of three
-    (said,) = replace(FOUND, errors=np.array([1e-9, 0.25, 600.0])).warnings
-    assert said.startswith("2 of 3 targets are out of reach: are they in mm, and in the frame of the measurements")
-
-
 def test_rows_without_a_command_have_none() -> None:
-    """Nothing is left where a constraint bars a target, since nothing is driven there."""
+    """Nothing is left where a constraint bars a target, since nothing is driven there; a frame is doubted where most
+    targets are out of reach."""
     rows = FOUND.to_json()["commands"]
     assert [row["command"] for row in rows] == FOUND.to_json()["commands_deg"]
     assert [row["error_mm"] for row in rows] == [1e-9, 0.25, None]
     np.testing.assert_array_equal(FOUND.left, [1e-9, 0.25, np.nan])
-    posed = replace(FOUND, angles=np.radians([0.0, 2.0, 0.0]))
-    assert [row["error_deg"] for row in posed.to_json()["commands"]] == [0.0, pytest.approx(2.0), None]
-    np.testing.assert_array_equal(posed.left_angles, [0.0, np.radians(2.0), np.nan])
+    assert FOUND.warnings == []  # one of three
+    (said,) = replace(FOUND, errors=np.array([1e-9, 0.25, 600.0])).warnings
+    assert said.startswith("2 of 3 targets are out of reach: are they in mm, and in the frame of the measurements")
     assert replace(FOUND, errors=np.full(3, 1e-9)).to_json()["unreachable"] == [3]
 
 
 def test_a_pose_is_reached_if_its_angle_is_too() -> None:
+    posed = replace(FOUND, angles=np.radians([0.0, 2.0, 0.0]))
+    assert [row["error_deg"] for row in posed.to_json()["commands"]] == [0.0, pytest.approx(2.0), None]
+    np.testing.assert_array_equal(posed.left_angles, [0.0, np.radians(2.0), np.nan])
     posed = replace(FOUND, angles=np.radians([0.0, 0.0, 2.0]), constraints=(), violations=None)
     assert posed.reached.tolist() == [True, False, False]
-    assert (
-        posed.messages[2] == "out of reach within the joint limits: the nearest posture misses it by 1e-09 mm and 2 deg"
-    )
+    assert posed.messages[2].endswith("the nearest posture misses it by 1e-09 mm and 2 deg")
     assert posed.to_json()["max_error_deg"] == 0.0
 
 

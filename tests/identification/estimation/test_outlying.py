@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import comb
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from scipy.stats import chi2
 
 from identification.arm import Arm
 from identification.estimation import estimate
-from identification.estimation.uncertainty import limit_of, log_choose, outlying, studentised, together
+from identification.estimation.uncertainty import limit_of, outlying, studentised, together
 from identification.information import column_space
 from identification.model import Model
 from identification.simulate import simulate
@@ -130,9 +129,3 @@ def test_postures_that_gravity_explains_are_no_outliers() -> None:
     whole = [k for k in few if {3 * k + 1, 3 * k + 2, 3 * k + 3} <= set(found.unexplained_rows)]
     assert len(whole) >= 3
     assert any("whole postures" in doubt and "stay in the fit" in doubt for doubt in found.doubts)
-
-
-def test_choices_are_counted_on_the_log_scale() -> None:
-    many, few = np.arange(30)[:, None], np.arange(-2, 35)
-    exact = [[comb(n, k) if k >= 0 else 0 for k in few.tolist()] for n in range(30)]
-    np.testing.assert_allclose(np.exp(log_choose(many, few)), exact, rtol=1e-12)
