@@ -140,6 +140,7 @@ def design_files(
     discriminating: bool = False,
     order: str | None = None,
     approach: str = "any",
+    clearance_mm: float | None = None,
     criterion: CriterionOptions,
     keep: Path | None = None,
     candidates: Path | None = None,
@@ -162,6 +163,7 @@ def design_files(
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
     order : given, travel (least joint travel) or random; left out: travel where bodies are known.
     approach : any, or from where each joint comes to every posture: positive, negative or alternate.
+    clearance_mm : Smallest distance between bodies, instead of the arm file's.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
@@ -179,6 +181,11 @@ def design_files(
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
     loaded = load_arm(arm, package_dir)
+    if clearance_mm is not None:
+        if loaded.cell is None or not 0.0 <= clearance_mm <= 1000.0:
+            where = "" if loaded.cell is not None else f" for {arm}, which has no bodies"
+            raise InputError(f"--clearance-mm: found {clearance_mm:g}{where}, allowed: 0 to 1000, of arms with bodies")
+        loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     check_order(order)
     check_approach(approach)
     if approach != "any" and loaded.chain.instrument.contact:
