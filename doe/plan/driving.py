@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -208,10 +209,8 @@ def one_turn(problem: DesignProblem, room: Room, generator: np.random.Generator)
     criterion nor a list of postures tells the difference: into one turn each, which ends where the arm is least often
     free. Straight moves are shorter then, and more of them are free."""
     lower, upper, whole = problem.lower, problem.upper, 2.0 * np.pi
-    first, wound = (
-        lower.copy(),
-        turns(problem.model) & (upper - lower > 1.01 * whole) & (problem.choices is None or problem.sampled),
-    )
+    first, listed = lower.copy(), problem.choices is not None and not problem.sampled
+    wound = turns(problem.model) & (upper - lower > 1.01 * whole) & (not listed)
     drawn = random_postures(problem, max(problem.fewest_runs, 50), generator)
     for j in np.flatnonzero(wound):
         other = drawn.copy()
@@ -239,19 +238,27 @@ def another(
     candidates: int = 200,
     nearest: int = 10,
 ) -> Array:
-    """(m, n) postures, in the place of lost rows the best of random ones that have a free move to one of the nearest
-    others."""
+    """(m, n) postures, in the place of lost rows the best of those that have a free move to one of the nearest others:
+    the same with joints turned by whole turns, and random ones."""
     postures, kept = postures.copy(), np.delete(np.arange(len(postures)), lost)
+    whole = np.array([*product((0.0, 1.0, -1.0), repeat=problem.joints)]) * 2.0 * np.pi * turns(problem.model)
     for row in lost:
         if problem.choices is None:
             drawn = turn(random_postures(problem, candidates, generator))
         else:
             drawn = generator.permutation(problem.choices)[:candidates]
+        if problem.choices is None or problem.sampled:
+            turned = np.unique(postures[row] + whole, axis=0)
+            drawn = np.concatenate(
+                [turned[np.all((turned >= problem.lower) & (turned <= problem.upper), axis=1)], drawn]
+            )
         others = np.delete(postures, row, axis=0)
         apart = space.travel(drawn[:, None], others).min(axis=1, initial=np.inf)
-        drawn = drawn[(apart >= problem.minimum_distance) & room.allows(drawn)]
-        values = [problem.objective(np.vstack([others, each])) for each in drawn]
-        for each in drawn[np.argsort(values)[::-1]]:
+        drawn, total = drawn[(apart >= problem.minimum_distance) & room.allows(drawn)], len(others) + problem.prior.runs
+        before = total / (total + 1.0) * problem.information(others)[None]
+        offered = problem.scaled_jacobians(drawn)[None] / np.sqrt(total + 1.0)
+        values = problem.criterion.smooth.values_after_adding(before, offered)[0] if len(drawn) else np.empty(0)
+        for each in drawn[np.argsort(-values, kind="stable")]:
             near = postures[kept][np.argsort(space.travel(postures[kept], each))[:nearest]]
             if not len(near) or free(np.broadcast_to(each, near.shape), near, room).any():
                 postures[row], kept = each, np.append(kept, row)

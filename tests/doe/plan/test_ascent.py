@@ -84,6 +84,14 @@ def test_plans_end_better_and_feasible() -> None:
         assert WALLS.objective(ended) > WALLS.objective(start) + 1.0
 
 
+def test_plans_that_stand_for_fewer_runs() -> None:
+    """Weights are equal: the value is that of the mixture, with the prior of so many runs."""
+    case = six_axis()
+    plan = random_plan(case, 40)
+    mixture = case.prior.per_new_run(12).mixture(case.scaled_jacobians(plan), np.full(40, 1 / 40))
+    assert PlanAscent(case, runs=12).rise(plan)[0] == pytest.approx(float(case.criterion.value(mixture)), rel=1e-12)
+
+
 def test_singular_plans_have_no_slope_and_do_not_get_worse() -> None:
     """Stretched out, the arm's four lengths have equal columns, without rounding; at six equal postures the last digit
     decides whether M is singular, so that the plan may climb."""

@@ -160,6 +160,23 @@ def test_joints_are_turned_into_one_turn(effects: tuple[EffectSpec, ...], listed
     assert inside(problem, whole.moves.postures)
 
 
+def test_postures_that_no_way_leads_to_are_turned_or_replaced() -> None:
+    """The stretched arm does not get past a post: nothing is lost by what is measured in the place of a posture behind
+    it, since that may be measured a whole turn away."""
+    limits = np.radians([355.0, 10.0])
+    cell = Cell((ball("post", 0, 500.0, 0.0, 60.0), ball("hand", 2, 200.0, 0.0, 30.0)))
+    effects = (EffectSpec("gear_ratio", 1),)
+    arm = Arm(np.array([300.0, 200.0]), lower=-limits, upper=limits, sigma=0.1, cell=cell, effects=effects)
+    postures = np.radians([[40.0, 5.0], [100.0, -5.0], [200.0, 8.0], [300.0, -3.0], [-60.0, 2.0]])
+    problem = DesignProblem.of(Model(arm))
+    found = drive(problem, Plan(postures), order="given")
+    np.testing.assert_array_equal(found.plan.postures[:4], postures[:4])
+    turned = np.vstack([postures[:4], postures[4] + [2.0 * np.pi, 0.0]])
+    assert problem.objective(found.plan.postures) >= problem.objective(turned) - 1e-9
+    assert found.replaced == 1
+    assert inside(problem, found.moves.postures)
+
+
 def test_moves_out_of_sight_are_counted(arm: Arm) -> None:
     """By the angle at which a tracker sees the tip between two postures, of which it sees both."""
     sight = LineOfSight((0.0, 1000.0), np.radians(20.0), (0.0, 0.0))

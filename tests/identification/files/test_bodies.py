@@ -120,6 +120,13 @@ def test_a_cylinder_with_spheres_at_its_ends_is_a_capsule(tmp_path: Path) -> Non
     np.testing.assert_allclose(capsule, [0, 0, 0, 200, 0, 0, 50], atol=1e-9)
 
 
+@pytest.fixture
+def bare(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meshes are not covered, which takes longer than all else."""
+    monkeypatch.setattr("identification.cover.capsules_around", lambda _: np.empty((0, 7)))
+
+
+@pytest.mark.usefixtures("bare")
 @pytest.mark.parametrize("scale", ["", ' scale="100 100 -50"'])
 def test_meshes_in_metres(tmp_path: Path, scale: str) -> None:
     (tmp_path / "part.stl").write_bytes(binary(FACES * (0.1 if not scale else 1e-3)))
@@ -159,6 +166,7 @@ def mesh_found(tmp_path: Path, name: str, place: str) -> Path | None:
     return mesh_file(name.replace("/ABSOLUTE", str(tmp_path)), [tmp_path / "work/cell", tmp_path / "given"])
 
 
+@pytest.mark.usefixtures("bare")
 @pytest.mark.parametrize(("name", "place"), PLACES.items())
 def test_meshes_are_found_in_the_given_folders(tmp_path: Path, name: str, place: str) -> None:
     found = mesh_found(tmp_path, name, place)

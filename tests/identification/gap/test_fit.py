@@ -53,16 +53,6 @@ def test_agrees_with_scipy_within_bounds(flexibility: float) -> None:
     assert bool(found.free.all()) != at_bound
 
 
-def test_rank_counts_only_what_the_data_determine() -> None:
-    arm = Arm([300.0, 200.0])
-    q = np.column_stack([np.linspace(-2, 2, 15), np.zeros(15)])  # joint 2 never moves
-    model = Model(arm)
-    rows = Rows.of(Measurements(q, model.position(q) + 0.1 * np.random.default_rng(3).normal(size=(15, 2))))
-    found = fit(model, rows)
-    assert found.rank == 2
-    assert found.freedom == 28
-
-
 DRAWN = np.random.default_rng(8)
 
 
@@ -114,29 +104,21 @@ def compared(found: Diagnosis, other: Identification, auto: Identification) -> N
         assert shown.unit == row["unit"]
 
 
-def test_nothing_missing() -> None:
-    found, model = diagnosed(None), Model(ARM)
-    other = estimate(model, measured(None), sigma="estimated")
-    assert found.verdict == "none"
-    assert found.outlier_rows == ()
-    assert found.scatter == ()
-    compared(found, other, estimate(model, measured(None)))
-    assert found.gap.rms_before == pytest.approx(other.rms_after, **SAME)
-    assert found.detectability.freedom == other.dof
-
-
-@pytest.mark.parametrize("name", ["link_bending", "transmission_ripple"])
-def test_one_effect_named(name: str) -> None:
-    found = diagnosed(name)
-    assert found.outlier_rows == ()
-    assert found.scatter == ()
-    without = replace(found.extended_arm(found.named), calibration=None)
-    other = estimate(Model(without), measured(name), sigma="estimated")
-    compared(found, other, estimate(Model(without), measured(name)))
-    # and from the calibration that the extended arm carries
-    again = estimate(Model(found.extended_arm(found.named)), measured(name), sigma="estimated")
-    compared(found, again, estimate(Model(found.extended_arm(found.named)), measured(name)))
-    assert again.rms_before == pytest.approx(again.rms_after, **SAME)
+@pytest.mark.parametrize("name", [None, "link_bending", "transmission_ripple"])
+def test_what_is_named_has_the_figures_of_identify(name: str | None) -> None:
+    found, data = diagnosed(name), measured(name)
+    assert (found.outlier_rows, found.scatter) == ((), ())
+    extended = found.extended_arm(found.named)
+    without = Model(replace(extended, calibration=None))
+    other = estimate(without, data, sigma="estimated")
+    compared(found, other, estimate(without, data))
+    if name is None:
+        assert found.verdict == "none"
+        assert found.gap.rms_before == pytest.approx(other.rms_after, **SAME)
+        assert found.detectability.freedom == other.dof
+    else:  # and from the calibration that the extended arm carries
+        again = estimate(Model(extended), data, sigma="estimated")
+        assert again.rms_before == pytest.approx(again.rms_after, **SAME)
 
 
 def test_sigma_per_row_is_a_relative_weight() -> None:

@@ -53,21 +53,15 @@ def test_verdict_and_probabilities_never_contradict_each_other() -> None:
             assert found.rivals == []
         if verdict == "unknown":
             assert found.places[found.place or ""] == max(found.places.values())
+        p = float(rng.choice([1e-3, 1e-9, 0.0]))  # that noise leaves so much
+        guarded = found.not_none(p)
+        assert guarded.none == pytest.approx(p * found.none)
+        assert guarded.none + guarded.outside + sum(guarded.sets.values()) == pytest.approx(1.0)
+        assert guarded.verdict != "none"
         shares = list(found.credible.values())
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) + 0.5 * max(shares) >= min(CREDIBLE, 1.0 - 1e-9)
     assert seen == {"none", "named", "ambiguous", "unknown"}
-
-
-@pytest.mark.parametrize("p", [1e-3, 1e-9, 0.0])
-def test_where_the_noise_cannot_be_all_nothing_missing_is_not_said(p: float) -> None:
-    rng = np.random.default_rng(2)
-    for _ in range(500):
-        found = drawn(rng)
-        guarded = found.not_none(p)
-        assert guarded.none == pytest.approx(p * found.none)
-        assert guarded.none + guarded.outside + sum(guarded.sets.values()) == pytest.approx(1.0)
-        assert guarded.verdict != "none" or found.none == 0.0
 
 
 def diagnosis_with(found: Diagnosis, likely: Probabilities) -> Diagnosis:
