@@ -92,3 +92,17 @@ def test_what_is_said_without_moves_and_what_is_refused(folder: Folder) -> None:
     assert not {"moves", "travel_deg"} & set(data)
     assert folder.read("plan.csv").startswith("run,q1_deg,")
     folder.refused(f"{DESIGN} --approach up", "approach: unknown 'up', allowed: alternate, any, negative, positive")
+
+
+def test_another_clearance(cell: Folder) -> None:
+    """`--clearance-mm` prevails over `[cell]`, also to nothing; a plan for more room keeps it."""
+    cell.said(f"{DESIGN} --clearance-mm 60 --out wide.csv")
+    cell.said(f"{DESIGN} --out narrow.csv")
+    cell.write("wide.toml", cell.read("arm.toml").replace("clearance_mm = 10.0", "clearance_mm = 60.0"))
+    assert not cell.said("score wide.toml wide.csv --seconds 1")["collisions"]
+    assert cell.said("score wide.toml narrow.csv --seconds 1")["collisions"]
+    cell.write("bare.toml", ARM)
+    bare = DESIGN.replace("arm.toml", "bare.toml")
+    cell.refused(f"{bare} --clearance-mm 5", "--clearance-mm: found for an arm without bodies")
+    for wrong in ("-1", "nan", "inf"):
+        cell.refused(f"{DESIGN} --clearance-mm {wrong}", f"--clearance-mm: found {wrong}, allowed: a number >= 0")
