@@ -128,6 +128,19 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
     return answer
 
 
+def with_clearance(arm: Arm, clearance: float | None) -> Arm:
+    """The arm, whose bodies keep this far apart [mm]; None: as its file says. Raises `InputError`."""
+    if clearance is None:
+        return arm
+    if not 0.0 <= clearance < math.inf:
+        raise InputError(f"--clearance-mm: found {clearance:g}, allowed: a number >= 0")
+    if arm.cell is None:
+        raise InputError(
+            "--clearance-mm: found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
+        )
+    return replace(arm, cell=replace(arm.cell, clearance=clearance))
+
+
 # -- plans -------------------------------------------------------------------------------------------------------------
 @verb("armcal design arm.toml --runs 20 --out plan.csv")
 def design_files(
@@ -140,11 +153,11 @@ def design_files(
     discriminating: bool = False,
     order: str | None = None,
     approach: str = "any",
-    clearance_mm: float | None = None,
     criterion: CriterionOptions,
     keep: Path | None = None,
     candidates: Path | None = None,
     repeats: bool = False,
+    clearance_mm: float | None = None,
     picture: Picture | None = None,
     out: Written | None = None,
     package_dir: tuple[Path, ...] = (),
@@ -163,10 +176,10 @@ def design_files(
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
     order : given, travel (least joint travel) or random; left out: travel where bodies are known.
     approach : any, or from where each joint comes to every posture: positive, negative or alternate.
-    clearance_mm : Smallest distance between bodies, instead of the arm file's.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
+    clearance_mm : Smallest distance that bodies keep; left out: that of [cell].
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     """
@@ -180,12 +193,7 @@ def design_files(
 
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    loaded = load_arm(arm, package_dir)
-    if clearance_mm is not None:
-        if loaded.cell is None or not 0.0 <= clearance_mm <= 1000.0:
-            where = "" if loaded.cell is not None else f" for {arm}, which has no bodies"
-            raise InputError(f"--clearance-mm: found {clearance_mm:g}{where}, allowed: 0 to 1000, of arms with bodies")
-        loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
+    loaded = with_clearance(load_arm(arm, package_dir), clearance_mm)
     check_order(order)
     check_approach(approach)
     if approach != "any" and loaded.chain.instrument.contact:

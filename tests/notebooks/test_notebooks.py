@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,7 +89,9 @@ def test_notebook_runs_with_smaller_settings(path: Path, monkeypatch: pytest.Mon
     from IPython.core.interactiveshell import InteractiveShell
     from IPython.utils.capture import capture_output
 
+    monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])  # the shell puts its own there
     notebook, shell, kept = read(path), InteractiveShell.instance(), dict(base._LIBRARY)
+    sys.modules["__main__"] = shell.user_module
     for shown, instead in SMALLER.get(path.name[0], ()):
         (cell,) = (cell for cell in code_cells(notebook) if shown in cell.source)
         cell.source = cell.source.replace(shown, instead)

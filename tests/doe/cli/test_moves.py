@@ -74,19 +74,6 @@ def test_a_plan_among_posts(cell: Folder) -> None:
     assert f"to row {collide[0]}: " in done.err
 
 
-def test_another_clearance_than_the_files(cell: Folder) -> None:
-    """Points along the links, each with half its width of 30 mm, keep it from both posts of 40 mm."""
-    data = cell.said(f"{DESIGN} --clearance-mm 60")
-    lengths, turned = load_arm("arm.toml").lengths, np.cumsum(np.radians(data["postures_deg"]), axis=1)
-    joints = np.cumsum(np.insert(lengths * np.exp(1j * turned), 0, 0.0, axis=1), axis=1)
-    points = joints[:, :-1, None] + np.linspace(0.0, 1.0, 200) * np.diff(joints)[:, :, None]
-    for post in (330.0 + 260.0j, -330.0 + 260.0j):
-        assert np.abs(points - post).min() >= 60.0 + 15.0 + 40.0 - 1e-6
-    cell.refused(f"{DESIGN} --clearance-mm nan", "--clearance-mm: found nan, allowed: 0 to 1000, of arms with bodies")
-    cell.write("arm.toml", ARM)
-    cell.refused(f"{DESIGN} --clearance-mm 5", "--clearance-mm: found 5 for arm.toml, which has no bodies, allowed:")
-
-
 def test_every_joint_from_one_side(folder: Folder) -> None:
     """Without bodies: a way-point before each run, the sign of the last motion in its file and in what is simulated."""
     data = folder.said(f"{DESIGN} --approach negative --out plan.csv --force")
@@ -105,3 +92,17 @@ def test_what_is_said_without_moves_and_what_is_refused(folder: Folder) -> None:
     assert not {"moves", "travel_deg"} & set(data)
     assert folder.read("plan.csv").startswith("run,q1_deg,")
     folder.refused(f"{DESIGN} --approach up", "approach: unknown 'up', allowed: alternate, any, negative, positive")
+
+
+def test_another_clearance(cell: Folder) -> None:
+    """`--clearance-mm` prevails over `[cell]`, also to nothing; a plan for more room keeps it."""
+    cell.said(f"{DESIGN} --clearance-mm 60 --out wide.csv")
+    cell.said(f"{DESIGN} --out narrow.csv")
+    cell.write("wide.toml", cell.read("arm.toml").replace("clearance_mm = 10.0", "clearance_mm = 60.0"))
+    assert not cell.said("score wide.toml wide.csv --seconds 1")["collisions"]
+    assert cell.said("score wide.toml narrow.csv --seconds 1")["collisions"]
+    cell.write("bare.toml", ARM)
+    bare = DESIGN.replace("arm.toml", "bare.toml")
+    cell.refused(f"{bare} --clearance-mm 5", "--clearance-mm: found for an arm without bodies")
+    for wrong in ("-1", "nan", "inf"):
+        cell.refused(f"{DESIGN} --clearance-mm {wrong}", f"--clearance-mm: found {wrong}, allowed: a number >= 0")
