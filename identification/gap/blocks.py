@@ -476,8 +476,9 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
             shown.append((k, root, root.T @ rest, root.T @ inside))
     blocks, columns = [blocks[k] for k, *_ in shown], [columns[k] for k, *_ in shown]
     roots = [root for _, root, _, _ in shown]
-    table = np.concatenate([rest for *_, rest, _ in shown])  # (P, N): whitened, off the base
-    gram, right, inside = table @ table.T, table @ left, np.concatenate([across for *_, across in shown]).T
+    table = np.concatenate([np.zeros((0, len(u))), *(rest for *_, rest, _ in shown)])  # (P, N): whitened, off the base
+    inside = np.concatenate([np.zeros((0, u.shape[1])), *(across for *_, across in shown)]).T
+    gram, right = table @ table.T, table @ left
     ends = np.cumsum([0, *(root.shape[1] for root in roots)])
     signs = np.array([b.size == 1 and b.bounded for b in blocks], dtype=bool)
     products = Products(gram, right, float(left @ left), len(target) - u.shape[1], ends, signs)
