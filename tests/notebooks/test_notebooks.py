@@ -85,10 +85,11 @@ def test_all_nine_are_here() -> None:
 
 
 @by_notebook
-def test_notebook_runs_with_smaller_settings(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_runs_with_smaller_settings(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from IPython.core.interactiveshell import InteractiveShell
     from IPython.utils.capture import capture_output
 
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))  # not the user's
     monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])  # the shell puts its own there
     notebook, shell, kept = read(path), InteractiveShell.instance(), dict(base._LIBRARY)
     sys.modules["__main__"] = shell.user_module
