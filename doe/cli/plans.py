@@ -588,7 +588,11 @@ def discriminate_files(
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     if diagnosis.verdict != "ambiguous":
         sentence = f"Nothing to distinguish, since the verdict is not ambiguous. {diagnosis.sentence}"
-        nothing = {"postures_deg": [], "pairs": [], **dict.fromkeys(("payload_kg", "directions", "chance", "status"))}
+        nothing: dict[str, Any] = {
+            "postures_deg": [],
+            "pairs": [],
+            **dict.fromkeys(("payload_kg", "directions", "chance", "status")),
+        }
         return Answer(keys | nothing, [sentence])
     end = perf_counter() + seconds
 
