@@ -20,7 +20,6 @@ import pytest
 from doe.bounds.column_generation import continuous_design
 from doe.problem.problem import DesignProblem
 from identification.files.arm import load_arm
-from identification.gap.confirmation import split
 from identification.measurements import load_measurements
 from identification.model import Model
 from identification.model.minimal import minimal
@@ -28,6 +27,7 @@ from tests.benchmarks.peers.arms import ARMS, AXES, FOUR, Planar, Screws
 from tests.benchmarks.peers.fits import TRUTH, placed
 from tests.benchmarks.peers.plans import symbolic_rows
 from tests.benchmarks.peers.table import Answer, answer_of, compared
+from tests.benchmarks.test_ur10 import halves
 from tests.doe import arms
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS
 
@@ -116,7 +116,7 @@ def test_planar_identification(tmp_path: Path) -> None:
 def test_identification(series: str, tmp_path: Path) -> None:
     folder = SHARED if SHARED.exists() else SAMPLE
     data = load_measurements(folder / f"series_{series}.csv", load_arm(SAMPLE / "ur10.toml"))
-    fitted, held = split(data, 0.5, np.random.default_rng(0))
+    fitted, held = halves(data)
     np.savez(tmp_path / "rows.npz", q=fitted.postures, x=fitted.positions)
 
     def judged(answer: Answer) -> tuple[float, str, str]:

@@ -22,7 +22,6 @@ from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.estimation import Identification, estimate
 from identification.files.arm import load_arm
-from identification.gap.confirmation import split
 from identification.gap.diagnose import diagnose
 from identification.gap.library_prior import given_by, library_prior
 from identification.measurements import Measurements, load_measurements
@@ -62,7 +61,13 @@ def library_fit(arm: Arm, rows: Measurements) -> Identification:
 
 def halves(data: Measurements) -> tuple[Measurements, Measurements]:
     """Random halves of the postures, each with all rows of its postures."""
-    return split(data, 0.5, np.random.default_rng(0))
+    numbers = data.posture_numbers
+    counts = np.bincount(numbers)
+    order = np.random.default_rng(0).permutation(len(counts))
+    held_out = np.isin(numbers, order[: np.searchsorted(np.cumsum(counts[order]), 0.5 * len(numbers)) + 1])
+    if data.order is None:  # the halves know when in the session they were measured
+        data = replace(data, order=np.arange(len(numbers), dtype=float))
+    return data.rows(~held_out), data.rows(held_out)
 
 
 def first_half(data: Measurements) -> tuple[Measurements, Measurements]:

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 import pytest
 
@@ -85,6 +86,7 @@ def test_all_nine_are_here() -> None:
 
 
 @by_notebook
+@patch.dict("os.environ")  # notebook 9 changes it
 def test_notebook_runs_with_smaller_settings(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from IPython.core.interactiveshell import InteractiveShell
     from IPython.utils.capture import capture_output
@@ -97,7 +99,6 @@ def test_notebook_runs_with_smaller_settings(path: Path, tmp_path: Path, monkeyp
         (cell,) = (cell for cell in code_cells(notebook) if shown in cell.source)
         cell.source = cell.source.replace(shown, instead)
     monkeypatch.chdir(path.parent)
-    monkeypatch.setattr(os, "environ", os.environ.copy())  # notebook 9 changes it
     for place in (effects, base):  # notebook 7 registers an effect
         monkeypatch.setattr(place, "_LIBRARY", kept)
     shell.reset(new_session=False)
