@@ -16,6 +16,7 @@ from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
 from identification.documents.diagnosis import diagnosis_actions, diagnosis_document, diagnosis_verdict, gap_in_words
 from identification.documents.identification import (
+    MOST_HELD,
     calibrated_actions,
     command_rows,
     corrected_section,
@@ -286,6 +287,7 @@ class Campaign:
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
         earlier_labels = set() if other is None else {effect.label for effect in Model(other.arm).effects}
         named = [effect.label for effect in Model(last.arm).effects if effect.label not in earlier_labels]
+        named = named if len(named) <= MOST_HELD else []  # the library, held by a prior, names nothing
         residuals = measured.postures, before, last.residuals, measured.conditions
         signed = Compared(last.arm, *residuals, Model(last.arm), named).pictures(*pair)
         used = f"Fitted to these rows: {', '.join(fitted)}." if fitted else ""

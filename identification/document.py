@@ -297,8 +297,9 @@ def unit_or_dash(unit: str) -> str:
 
 
 def as_sentence(clause: str) -> str:
-    """With a capital and a full stop."""
-    return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
+    """With a full stop, and a capital unless it begins with a name such as `base_drift`."""
+    first = clause[:1] if "_" in clause.split(" ", 1)[0] else clause[:1].upper()
+    return f"{first}{clause[1:].rstrip('.')}."
 
 
 def of_joints(joints: Sequence[int]) -> str:

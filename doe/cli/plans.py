@@ -585,9 +585,15 @@ def discriminate_files(
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
     diagnosis = diagnose(loaded, measurements, seed=seed, progress=progress)
+    keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     if diagnosis.verdict != "ambiguous":
         sentence = f"Nothing to distinguish, since the verdict is not ambiguous. {diagnosis.sentence}"
-        return Answer({"verdict": diagnosis.verdict, "postures_deg": [], "chance": None}, [sentence])
+        nothing: dict[str, Any] = {
+            "postures_deg": [],
+            "pairs": [],
+            **dict.fromkeys(("payload_kg", "directions", "chance", "status")),
+        }
+        return Answer(keys | nothing, [sentence])
     end = perf_counter() + seconds
 
     def late() -> bool:
@@ -599,7 +605,6 @@ def discriminate_files(
     lines = written({out: chosen.plan.text(further=chosen.conditions)}, force, "next postures")
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
     shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
-    keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
+from doe.plan.driving import unproven
 from doe.plan.spacing import distance_to_keep
 from doe.problem.clearance import COLLISIONS, Clearance, distance_in_words
 from doe.problem.model import offers
@@ -215,6 +216,8 @@ def plan_section(
     looked = [each for each in problem.constraints if isinstance(each, Clearance)]
     near = [line for clearance in looked for line in clearance.in_words(postures)]
     near = near if looked or not arm.chain.projection else [COLLISIONS]
+    if plan.weights is None and (moves := unproven(problem.constraints, plan.postures)):
+        near.append(f"Moves: {len(moves)} of {len(plan) - 1} may collide on the way; armcal score names them.")
     title = f"The plan {name}".rstrip()
     if (steps := plan_steps(problem, plan, Path(name or "plan.csv").stem, tests)) is not None:
         short = [

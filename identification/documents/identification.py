@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
+MOST_HELD = 24  # parameters of effects that are listed without intervals; --library-prior has hundreds of them
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
     "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
@@ -202,7 +203,10 @@ def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
 def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str, folded: bool = False) -> Section:
     """The corrected values to enter in the controller, and what they mean to it: which are added to zeros, which belong
     together, and which the measurements do not determine."""
-    lines = []
+    listed, lines = [row for row in rows if row.std is not None or row.parameter is None or "." not in row.name], []
+    if len(rows) - len(listed) > MOST_HELD:
+        lines.append(f"And {len(rows) - len(listed)} parameters of effects without intervals, which the file has.")
+        rows = listed
     if any(row.name.startswith("zero of") for row in rows):
         lines.append("Zeros: add to the zero of the joint (real = reading + this), or take off every command.")
     if any(row.parameter == "base_offset.x0" for row in rows):

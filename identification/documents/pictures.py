@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from identification.gap.result import Diagnosis
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
+TITLED = 4  # lines of the title of a small picture, which names effects
 READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
 Pairs = Sequence[tuple[Array, str]]  # what two models leave, and their names
 
@@ -165,7 +166,10 @@ def signed_figures(rows: Compared) -> list[Figure]:
         # a joint with shorter levers says little
         still = np.linalg.norm(lever, axis=1).max() < 0.02 * rows.arm.reach
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]", ylim=(-scale, scale))
-        axes.set_title("hardly moves the measured point" if still else "\n".join(shares), fontsize=9, parse_math=False)
+        title = (
+            [*shares] if len(shares) <= TITLED else [*[*shares][: TITLED - 1], f"and {len(shares) - TITLED + 1} more"]
+        )
+        axes.set_title("hardly moves the measured point" if still else "\n".join(title), fontsize=9, parse_math=False)
         if j == 0:
             if at_joints(rows.named):
                 axes.plot([], [], label="effects", **black)

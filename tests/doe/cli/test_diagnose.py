@@ -128,3 +128,6 @@ def test_files_are_sessions(days: Folder) -> None:
     done = days.armcal("discriminate arm.toml monday.csv friday.csv --runs 2")
     assert done.code == 0, done.err
     assert "gear ripple, k times per turn (transmission_ripple:2[k=5])" in done.flat
+    settled = days.said("discriminate arm.toml monday.csv friday.csv --runs 2")
+    assert (settled["candidates"][0], settled["pairs"]) == (["transmission_ripple:2[k=5]"], [])
+    assert [settled[key] for key in ("payload_kg", "directions", "chance", "status")] == [None] * 4

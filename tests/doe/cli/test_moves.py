@@ -106,3 +106,16 @@ def test_another_clearance(cell: Folder) -> None:
     cell.refused(f"{bare} --clearance-mm 5", "--clearance-mm: found for an arm without bodies")
     for wrong in ("-1", "nan", "inf"):
         cell.refused(f"{DESIGN} --clearance-mm {wrong}", f"--clearance-mm: found {wrong}, allowed: a number >= 0")
+
+
+def test_the_page_says_which_plans_may_collide_on_the_way(cell: Folder) -> None:
+    cell.said(f"{DESIGN} --order given --out given.csv")
+    cell.said("report arm.toml given.csv --out free.html")
+    rows = [row for row in rows_of(cell, "given.csv") if row["kind"] == "measure"]
+    joints = {key: [row[key] for row in rows] for key in ("run", "q1_deg", "q2_deg", "q3_deg", "q4_deg")}
+    cell.write("bare.csv", table(joints))
+    cell.said("report arm.toml bare.csv --out bare.html")
+    colliding = len(cell.said("score arm.toml bare.csv --seconds 1")["moves"]["not_free"])
+    assert "may collide on the way" not in cell.read("free.html")
+    assert colliding
+    assert f"Moves: {colliding} of {len(rows) - 1} may collide on the way" in cell.read("bare.html")

@@ -35,6 +35,17 @@ def test_corrected_values_have_three_significant_digits_of_the_standard_deviatio
     assert table.rows == [["length of link 1", "500.0000", "501.0795", "0.0123", "501.0500", "501.1100", "mm"]]
 
 
+def test_hundreds_of_effects_without_intervals_are_counted_and_not_listed() -> None:
+    length = CorrectedValue("length of link 1", None, 500.0, 501.079512, 0.0123, 501.05, 501.11, "mm", "")
+    names = [f"transmission_ripple:1[k={k}].a" for k in range(1, 26)]
+    held = [CorrectedValue(n, n, 0.0, 0.01, None, None, None, "deg", "") for n in names]
+    for many, listed in ((25, 1), (24, 25)):
+        table, *lines = corrected_section("Corrected values", [length, *held[:many]]).parts
+        assert isinstance(table, Sheet)
+        assert len(table.rows) == listed
+        assert any("And 25 parameters of effects" in str(line) for line in lines) == (many == 25)
+
+
 def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     fit = {"rms_before_mm": 3.0, "rms_after_mm": 0.25}
     drawing = "from 1.00 mm (drawing, after fitting where the arm stands) to"

@@ -115,6 +115,15 @@ def test_no_label_leaves_a_small_picture() -> None:
         assert label.x0 > -2.0  # pixels of the font's own margin
 
 
+def test_a_small_picture_names_a_few_effects_and_counts_the_others() -> None:
+    waves = tuple(EffectSpec("transmission_ripple", 2, {"k": float(k)}) for k in range(3, 9))
+    arm = Arm(LENGTHS, effects=waves, calibration=Calibration({}))
+    q, nothing = np.random.default_rng(3).uniform(-1.5, 1.5, (14, 2)), np.zeros((14, 2))
+    rows = Compared(arm, q, nothing, nothing, model=Model(arm), named=[e.label for e in Model(arm).effects])
+    lines = signed_figures(rows)[1].axes[0].get_title().splitlines()
+    assert (len(lines), lines[-1]) == (4, "and 3 more")
+
+
 def test_an_effect_that_is_no_function_of_the_angle_is_drawn_at_the_rows() -> None:
     """Backlash: b this way or that way, by the side from which the joint came."""
     q = np.random.default_rng(9).uniform(-1.0, 1.0, (30, 2))
