@@ -160,7 +160,8 @@ def accuracy(design: Design) -> list[Sheet | str]:
     values = zip(names, *columns.values(), strict=True)
     rows = [[name, *(number(v, 5) for v in figures)] for name, *figures in values if name]
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
-    title = f"Expected standard deviations {condition} (sigma = {sigma:g} mm)"
+    noise = f"{sigma:.4g} mm, an error of each posture included" if missing else f"{sigma:g} mm"
+    title = f"Expected standard deviations {condition} (sigma = {noise})"
     table = Sheet(["link" if mean.by_link else "parameter", *columns], rows, title)
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
     return [table, *([f"and {len(weak)} {held}"] if weak else [])]

@@ -101,8 +101,9 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     sigma = "unknown" if fit.sigma is None else sigma
     chi2 = None
     if fit.p_value is not None:
-        scatter = f"the residuals scatter {number(fit.scatter, 5)} {unit}"
-        chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}: {scatter}"
+        chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
+        if fit.scatter is not None and not np.isclose(fit.scatter, fit.sigma or 0.0):  # a prior's fit has no less
+            chi2 += f": the residuals scatter {number(fit.scatter, 5)} {unit}"
     angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return [
         ("method", f"{fit.method}: {outcome}"),
