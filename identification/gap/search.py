@@ -143,8 +143,7 @@ class Search:
     def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
         """The sets that matter, likeliest first, and how often each was drawn, from a set to start from."""
         state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
-        moves = max(MOVES // (1 + len(top.places) // 64), 1)  # a move takes longer in larger sets
-        for _ in range(moves):
+        for _ in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
             left = state.without(state.blocks[taken] if taken < len(state.key) else None)
             if left.key not in steps:
@@ -168,7 +167,7 @@ class Search:
             for k, (block, size) in enumerate(key):
                 ways[key[:k] + key[k + 1 :]].append(block * len(SIZES) + size)
         for key, count in visits.items():
-            chances, blocks = steps[key] * (count / moves), [block for block, _ in key]
+            chances, blocks = steps[key] * (count / MOVES), [block for block, _ in key]
             share += float(np.sum(chances[ways[key]]))
             sets[tuple(blocks)].append((float(chances[-1]), key))
             table = chances[:-1].reshape(-1, len(SIZES))
