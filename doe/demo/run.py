@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
+from doe.plan.driving import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report.design import design_verdict, plan_section
@@ -105,6 +106,7 @@ class Demo:
     arm: Arm
     problem: DesignProblem
     design: Design
+    moves: Plan  # its plan with way-points, if the arm has bodies
     fresh: Measurements  # random postures that no fit has seen
     identified: Answer
     diagnosed: Answer
@@ -156,7 +158,9 @@ def run_demo(
     progress(1, 8, "plan")
     problem = DesignProblem.of(Model(arm))
     design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
-    write("plan.csv", design.plan.text())
+    driven = drive(problem, design.plan, seed=seed)
+    design, moves = replace(design, plan=driven.plan), driven.moves or driven.plan
+    write("plan.csv", moves.text())
     progress(2, 8, "measurements")
     generator = np.random.default_rng(seed)
     measured("data.csv", design.plan.postures)
@@ -203,7 +207,7 @@ def run_demo(
         "targets_corrected_mm": rms_distance(corrected),
     }
     answers = identified, diagnosed, extended, validate(named, directory / "fresh.csv")
-    return Demo(scenario, arm, problem, design, fresh, *answers, (before, after), gaps, hidden, tuple(files))
+    return Demo(scenario, arm, problem, design, moves, fresh, *answers, (before, after), gaps, hidden, tuple(files))
 
 
 # -- its page ----------------------------------------------------------------------------------------------------------
@@ -244,7 +248,7 @@ def demo_document(demo: Demo) -> Document:
     sections = [
         *diagnosed.parts,
         Section("Against the truth", truth),
-        plan_section(arm, demo.design.plan, lead=chosen, tests={"fresh.csv": demo.validated.result}),
+        plan_section(arm, demo.moves, lead=chosen, tests={"fresh.csv": demo.validated.result}),
         Section(
             "The certificate",
             [Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])],
