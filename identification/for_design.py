@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
-from identification.conditions import BY_ORDER, Conditions
+from identification.conditions import BY_ORDER, REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
@@ -56,13 +56,16 @@ class ArmModel(Model):
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
-        conditions, each = self.condition_table(np.zeros((1, self.joints)), Conditions())[0], []
-        for name in {"reference", "missing", "errors", "off"} & set(self._columns):  # none is measured or looked up
-            conditions[self._columns[name]] = float(name == "missing")
+        at, chain, each = self._columns, self.arm.chain, []
+        conditions = ca.SX(ca.DM(Conditions().table(at, np.zeros((1, self.joints)), self.arm.payload)[0]))
+        if "past" in at:
+            conditions[at["past"]] = ca.vec(ca.repmat(q.T, REMEMBERED, 1))
         for point in range(self.points_read):
             if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
-                conditions[self._columns["marker"]] = point
-            each.append(self.expressions.position_function(q, ca.DM(conditions), p))
+                conditions[at["marker"]] = point
+            if "orientation" in at:
+                conditions[at["orientation"]] = ca.vec(chain.orientation(q, self.geometry, ca.SX(point)).T)
+            each.append(self.expressions.position_function(q, conditions, p))
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------

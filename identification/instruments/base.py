@@ -74,7 +74,6 @@ class Instrument:
     # of the base and rows name them as they name measured points (`Measurements.marker`); empty: they count as
     # sessions, each of which has a base
     own_targets: ClassVar[str] = ""
-    unsaid: ClassVar[float] = 0.0  # number of the target where nothing is said of it
     offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
     reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
     # names of those parameters of the base that move arm and instrument together, or turn the frame of the instrument

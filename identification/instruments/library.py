@@ -359,7 +359,6 @@ class Socket(AtTargets):
     keys = frozenset({"cups", "distances_mm"})
     target = "cup"
     own_targets = "cup"
-    unsaid = -1.0
     hides = frozenset(error_names(PLACE))
     guide = Guide(
         about="a ball at the tool, seated in cups that stand anywhere",

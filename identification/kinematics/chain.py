@@ -338,20 +338,19 @@ class KinematicChain(ByValue):
         how far the measured frame is turned against its reference [mm], (0,) where only points are measured.
 
         values : those of `parameters`;  marker : number of the measured point from 0, None: the first
-        reference : (9,) orientation to compare with, by columns
+        reference : (9,) orientation to compare with, by rows
         """
         named = {name: values[k] for k, name in enumerate(self.parameters().names)}
         measured = self.measured(self.frames(q, named, added)[-1], named, in_space(added["tool"]))
         point = _of_marker([frame.point(ca.SX(3, 1)) for frame in measured], marker)[: self.dimension]
         if self.angle_scale is None or reference is None:
             return point, ca.SX(0, 1)
-        axes = ca.reshape(_of_marker([ca.vec(frame.axes) for frame in measured], marker), 3, 3)
-        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3).T))
+        axes = _of_marker([frame.axes for frame in measured], marker)
+        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3)))
 
     def orientation(self, q: ca.SX, values: Values, marker: ca.SX | None = None) -> ca.SX:
-        """(9,) axes of the measured frame, by columns, for the instrument; arguments as of `frames` and `tip`."""
-        measured = self.measured(self.frames(q, values)[-1], values)
-        return _of_marker([ca.vec(frame.axes) for frame in measured], marker)
+        """(3, 3) axes of the measured frame for the instrument, as columns; arguments as of `frames` and `tip`."""
+        return _of_marker([frame.axes for frame in self.measured(self.frames(q, values)[-1], values)], marker)
 
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""

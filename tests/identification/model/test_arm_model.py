@@ -149,10 +149,6 @@ def random_case(generator: np.random.Generator, arm: Arm, m: int) -> tuple[Model
     return model, postures, conditions, np.where(positive, np.abs(values), values)
 
 
-def table(model: Model, conditions: Conditions, m: int) -> np.ndarray:
-    return conditions.table(m, model.arm.links, model.arm.gravity.payload)
-
-
 @pytest.mark.parametrize("n", [1, 12])
 def test_all_effects_together_are_the_plain_formula_and_its_central_difference(n: int) -> None:
     generator = np.random.default_rng(n)
@@ -160,7 +156,8 @@ def test_all_effects_together_are_the_plain_formula_and_its_central_difference(n
     arm = random_arm(generator, n, [*(spec(name, None) for name in WHOLE), *(spec(name, n) for name in few)])
     model, postures, conditions, values = random_case(generator, arm, 4)
     named = dict(zip(model.names, values, strict=True))
-    expected = [reference(arm, q, row, named) for q, row in zip(postures, table(model, conditions, 4), strict=True)]
+    table = model.condition_table(postures, conditions)
+    expected = [reference(arm, q, row, named) for q, row in zip(postures, table, strict=True)]
     # differences of energies lose 1e-9 of a torque; its effect is some mm
     np.testing.assert_allclose(model.position(postures, values, conditions), expected, rtol=0, atol=1e-6)
     jacobian = model.jacobian(postures, values, conditions)
