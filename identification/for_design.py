@@ -118,16 +118,17 @@ class ArmModel(Model):
         lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
         """
         chain = self.arm.chain
-        if key := chain.instrument.unknown(self.best_known):
-            reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
-            raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
+        for p in chain.instrument.parameters:
+            if p.start is None and self.best_known[p.name] == p.neutral:
+                reason = f"{p.toml_key} is not known: where the {chain.instrument.kind} is touched depends on it"
+                raise InputError(f"instrument: {reason}, allowed for plans: with {p.toml_key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often
         for _ in range(batches):
             anywhere = generator.uniform(lower, upper, (batch, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
             target = np.arange(batch, dtype=float) % targets if targets else None
-            q = led_to_contact(self, anywhere, chain.instrument.touched, units, target)
+            q = led_to_contact(self, anywhere, 0.0, units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
@@ -152,7 +153,7 @@ class ArmModel(Model):
 
     def gaps(self, postures: Array) -> Array:
         """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
-        return np.asarray(np.linalg.norm(self.position(postures) - self.arm.chain.instrument.touched, axis=1))
+        return np.asarray(np.linalg.norm(self.position(postures), axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the

@@ -67,7 +67,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     if instrument.own_targets:
         session, marker = names.get("session"), places
     coordinates = instrument.coordinates[: len(chain.axes)]
-    positions = np.full((len(table), len(coordinates) or instrument.dimension), instrument.touched)
+    positions = np.zeros((len(table), len(coordinates) or instrument.dimension))
     for k, (name, quantity, positive) in enumerate(coordinates):
         positions[:, k] = read_column(table, name, quantity, LENGTH_RANGE if positive else None)
     has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])

@@ -17,7 +17,8 @@ NOTHING = np.zeros(0), np.zeros(1)  # of its own, and the first target
 
 @pytest.mark.parametrize("instrument", LENGTHS, ids=lambda one: one.kind)
 def test_readings_and_derivatives(instrument: Instrument) -> None:
-    expected = POINTS[:, 2] if instrument.kind == "plane" else np.linalg.norm(POINTS, axis=1)
+    above = np.linalg.norm(POINTS, axis=1) - (instrument.radius if isinstance(instrument, Sphere) else 0.0)
+    expected = POINTS[:, 2] if instrument.kind == "plane" else above
     read, slopes, _ = instrument.linearized(POINTS, *NOTHING)
     np.testing.assert_allclose(read[:, 0], expected, rtol=1e-15)
     symbol = ca.SX.sym("p", 3)
