@@ -131,7 +131,8 @@ def widths(chain: KinematicChain) -> dict[str, int]:
     n, d, turns = len(chain), chain.dimension, len(chain.turning)
     loads = dict(zip(OF_LOAD, (1, turns, d), strict=True))
     frame = {"tool": d, "base_rotation": turns, "base_translation": d, "instrument": d}
-    return {**loads, "joint_angles": n, "extensions": n, **chain.bends, **frame}
+    bends = {place: n * each for place, each in chain.bends.items()}
+    return {**loads, "joint_angles": n, "extensions": n, **bends, **frame}
 
 
 def state_slices(chain: KinematicChain) -> dict[str, slice]:

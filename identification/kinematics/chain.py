@@ -115,6 +115,9 @@ class KinematicChain(ByValue):
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
     # kinds of the parameters that say where it stands and what is measured on it, each a frame
     frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
+    # how effects bend it: place (identification/effects/chain.py) -> its elements for each joint, the joint's frame after
+    # it moved; in the plane each link's end to its left
+    bends: ClassVar[Mapping[str, int]] = MappingProxyType({"joint_turns": 3, "joint_shifts": 3})
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
     planar: ClassVar[bool] = False  # a `PlanarChain`
 
@@ -142,20 +145,9 @@ class KinematicChain(ByValue):
         return len(self.axes)
 
     @property
-    def bends(self) -> dict[str, int]:
-        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In space each joint's
-        frame after it moved, by three turns and three shifts; in the plane each link's end to its left."""
-        return {"joint_turns": 3 * len(self.joints), "joint_shifts": 3 * len(self.joints)}
-
-    @property
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
         return bool(self.frame_kinds) and not self.fixed
-
-    @property
-    def held(self) -> frozenset[str]:
-        """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
-        return self.fixed
 
     @property
     def coordinates(self) -> int:
@@ -425,16 +417,9 @@ class PlanarChain(KinematicChain):
     turn_names = ("w",)
     base_shift = ("base_offset.x0", "base_offset.y0")
     frame_kinds = ()
+    bends = MappingProxyType({"deflections": 1, "slopes": 1})
     projection = None
     planar = True
-
-    @property
-    def bends(self) -> dict[str, int]:
-        return {"deflections": len(self.joints), "slopes": len(self.joints)}
-
-    @property
-    def held(self) -> frozenset[str]:
-        return self.fixed | self.instrument.hidden(self.base)
 
     @property
     def levers(self) -> Array:
@@ -445,13 +430,15 @@ class PlanarChain(KinematicChain):
         return self.parameters()
 
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
-        """Length errors, joint offsets and those of the instrument.
+        """Length errors, joint offsets and those of the instrument, without what no reading of that shows.
 
         best : best known values, by which the offsets are scaled as far as anything is left of a link
         """
         lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
         scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths))
-        return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
+        hidden = self.instrument.hidden(self.base)
+        shown = (p for p in chain_parameters(scales) if p.name not in hidden)
+        return ParameterSet([*shown, *self.instrument.parameters])
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
