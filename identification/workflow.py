@@ -60,7 +60,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """
-    from identification.inspection.readings import data_warnings, wrong_units
+    from identification.inspection.readings import data_warnings, read_differently
     from identification.measurements import load_measurements
     from identification.sessions import pooled_sessions
 
@@ -71,8 +71,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     read = []
     for path in paths:
         read.append(load_measurements(path, arm))
-        if wrong := wrong_units(read[-1], arm)[1]:
-            raise InputError(f"{path}: {wrong}")
+        if (readings := read_differently(arm, read[-1], search=False)).certain:
+            raise InputError(f"{path}: {readings.sentences[0]}")
         for sentence in data_warnings(read[-1], arm):
             warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     stems = [Path(path).stem for path in paths]
