@@ -648,9 +648,7 @@ def compensate_files(
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     lines = []
     if out is not None:
-        wanted_poses = commands.orientations, commands.left_angles
-        columns = commands.left, arm.joint_types, *wanted_poses, commands.reached, commands.messages
-        write_together({out: commands_text(commands.safe_commands, commands.targets, *columns)}, force)
+        write_together({out: commands_text(commands)}, force)
         lines = [f"commands written to {out}"]
     return Answer(commands.to_json(), [commands.document().plus(*lines)], commands, warnings=commands.warnings)
 
