@@ -637,7 +637,7 @@ def compensate_files(
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
-    from identification.files.measurement import commands_text, load_targets
+    from identification.files.measurement import load_targets
     from identification.model import Model
     from identification.origin import check_calibrated
 
@@ -648,7 +648,7 @@ def compensate_files(
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     lines = []
     if out is not None:
-        write_together({out: commands_text(commands)}, force)
+        write_together({out: commands.text()}, force)
         lines = [f"commands written to {out}"]
     return Answer(commands.to_json(), [commands.document().plus(*lines)], commands, warnings=commands.warnings)
 

@@ -17,18 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, as_frame, readonly
-from identification.conditions import directions_from_order, gaps_of
+from identification.conditions import VALUES, directions_from_order, gaps_of
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
 from identification.kinematics.parameters import PRISMATIC
-from identification.measurements import VALUES, Measurements
 
 if TYPE_CHECKING:
-    from identification.compensate import Compensation
     from identification.instruments import Instrument
+    from identification.measurements import Measurements
 
 Columns = dict[str, NDArray[np.generic]]
 JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
@@ -236,8 +235,10 @@ def read_orientations(table: Table) -> Array | None:
 def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]) -> dict[str, Any]:
     """Those of the `NUMBERS` columns, (m,), and `directions` (m, n) of the joints: +1 or -1, NaN where the cell is
     empty or coupled joints leave it open; None where the table has none."""
-    rules = {column: (NUMBERS[column], *VALUES[NUMBERS[column]][1:]) for column in numbers}
-    fields = {key: table.floats(name, *rule) if name in table else None for name, (key, *rule) in rules.items()}
+    fields: dict[str, Any] = {}
+    for column in numbers:
+        _, allowed, test = VALUES[NUMBERS[column]]
+        fields[NUMBERS[column]] = table.floats(column, allowed, test) if column in table else None
     n, counting = types if isinstance(types, int) else len(types), counting_in(types)
     present = [column for column in table.columns if re.fullmatch(r"direction[1-9]\d*", column)]
     wanted = [f"direction{j}" for j in range(1, n + 1)]
@@ -439,7 +440,7 @@ def load_plan(
     return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
 
 
-# -- targets and commands ----------------------------------------------------------------------------------------------
+# -- targets -----------------------------------------------------------------------------------------------------------
 class Targets(NamedTuple):
     """What the tip is to reach: positions (k, d) [mm], or the nominal tips of postures (k, n) [rad]; one is None.
 
@@ -469,16 +470,3 @@ def load_targets(path: PathLike, arm: Arm) -> Targets:
     orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
     table.warn_unused(["run"])
     return Targets(positions, postures, orientations)
-
-
-def commands_text(commands: Compensation) -> str:
-    """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm, reachable`: joint commands, empty where none may be driven to, the
-    targets, and what is left between [mm]; of poses `rx_deg..` and `error_deg`, and `message` where any says why not.
-    """
-    columns = posture_columns(commands.safe_commands, commands.joint_types or None)
-    columns |= {f"{axis}_mm": column for axis, column in zip("xyz", commands.targets.T, strict=False)}
-    columns |= {} if commands.orientations is None else angle_columns(commands.orientations)
-    columns["error_mm"] = commands.left
-    columns |= {} if commands.left_angles is None else {"error_deg": np.degrees(commands.left_angles)}
-    columns["reachable"] = commands.reached.astype(int)
-    return csv_text(columns | ({"message": np.array(commands.messages)} if any(commands.messages) else {}))

@@ -40,7 +40,7 @@ Place = Callable[[Array, Array], Placement]
 
 # -- what the drawing leaves -------------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
-class Rows(ByValue):
+class SomeRows(ByValue):
     """Rows of the point and session that is measured most, spread over the file.
 
     postures : (m, n) [rad, mm];  positions : (3, m, d) [mm] of the same row of the file, the next, and the one before,
@@ -51,7 +51,7 @@ class Rows(ByValue):
     positions: Array
 
     @classmethod
-    def of(cls, measurements: Measurements) -> Rows:
+    def of(cls, measurements: Measurements) -> SomeRows:
         """Of a file."""
         rows = np.arange(len(measurements))
         for names in (measurements.marker_numbers, measurements.session):  # between sessions the base may have moved
@@ -162,7 +162,7 @@ class Reading:
         read = columns[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
         return np.linalg.solve(self.matrix, read.T).T if self.sums else read
 
-    def placed(self, rows: Rows, place: Place) -> Placement:
+    def placed(self, rows: SomeRows, place: Place) -> Placement:
         """Where the drawing stands by it."""
         positions = np.array(rows.positions[self.late])
         positions[:, POINT][:, -1] *= -1.0 if self.mirrored else 1.0
@@ -277,14 +277,14 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     """
     joints = f"found {measurements.links} joints, allowed: {arm.links}, as the arm has"
     require(measurements.links == arm.links, f"measurements: {joints}")
-    readings = _read_differently(anywhere(arm), Rows.of(measurements), search)
+    readings = _read_differently(anywhere(arm), SomeRows.of(measurements), search)
     if readings.better is None or not readings.explained:
         return readings
     return replace(readings, counting=readings.better.counting(arm.counting))
 
 
 @lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings
-def _read_differently(arm: Arm, rows: Rows, search: bool) -> Readings:
+def _read_differently(arm: Arm, rows: SomeRows, search: bool) -> Readings:
     def placed(reading: Reading) -> Reading:
         base, _, rms = reading.placed(rows, _place(arm))
         return replace(reading, rms=rms, base=base)
@@ -413,7 +413,7 @@ def _without_far_rows(arm: Arm, q: Array, x: Array) -> tuple[float, NDArray[np.b
     return place(q[near], x[near]).rms, near
 
 
-def _other_units(arm: Arm, rows: Rows, written: Reading) -> Readings | None:
+def _other_units(arm: Arm, rows: SomeRows, written: Reading) -> Readings | None:
     """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
     where that fits the arm clearly better for how far apart the positions then are. Rows far from all others do not
     count. Angles are suspected only where all are below 7 deg, or one is above 7 rad; how many times the lengths of one
@@ -437,7 +437,7 @@ def _other_units(arm: Arm, rows: Rows, written: Reading) -> Readings | None:
     for turned, q in postures.items():
         size = max(drawn[turned], np.finfo(float).tiny)
         # what positions may have to be multiplied by; a point far from the tip adds to their spread
-        factors = size / spread * 2.0 ** np.arange(-3, 4) if spread and drawn[turned] else []
+        factors: Any = size / spread * 2.0 ** np.arange(-3, 4) if spread and drawn[turned] else []
         for scaled in (1.0, *map(float, factors)):
             rms, near = _without_far_rows(arm, q, positions * scaled)
             left[turned, scaled] = rms / size, near
@@ -476,7 +476,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if arm.reach > 20000.0:  # [mm]
         how = "lengths that were written in millimetres there come out 1000 times too large"
         units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")
-    if units or not arm.chain.frame_kinds or Rows.of(measurements).few(anywhere(arm)):
+    if units or not arm.chain.frame_kinds or SomeRows.of(measurements).few(anywhere(arm)):
         return units
     # as it is drawn; with one measured point where it has several and the rows name none
     bare = replace(arm, chain=one_unnamed(arm.chain, measurements), effects=(), calibration=None)
@@ -560,7 +560,7 @@ def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ..
     points = [np.ones(len(measurements), dtype=bool)] if numbers is None else (numbers == k for k in np.unique(numbers))
     unseen = {j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC}
     for point in points:
-        rows = Rows.of(measurements.rows(np.flatnonzero(point)))
+        rows = SomeRows.of(measurements.rows(np.flatnonzero(point)))
         written = plain.placed(rows, place).rms
         if rows.few(arm) or written > DRAWN * arm.reach:
             return ()
