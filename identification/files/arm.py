@@ -608,9 +608,7 @@ def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> 
     named = _named(names, values, "calibration")
     in_file = {name: _in_file(values[api], factor) for api, (name, factor) in named.items()}
     if chain.planar:
-        held = replace(
-            calibration, values=dict.fromkeys(chain.instrument.hidden(chain.base), 0.0) | dict(calibration.values)
-        )
+        held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         offsets = _in_file(held.joint_offsets, math.degrees(1.0))
         table: Plain = {"length_errors_mm": _in_file(held.length_errors), "joint_offsets_deg": offsets}
     else:

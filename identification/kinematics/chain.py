@@ -115,8 +115,8 @@ class KinematicChain(ByValue):
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
     # kinds of the parameters that say where it stands and what is measured on it, each a frame
     frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
-    # how effects bend it: place (identification/effects/chain.py) -> its elements for each joint, the joint's frame after
-    # it moved; in the plane each link's end to its left
+    # how effects bend it: place (identification/effects/chain.py) -> its elements for each joint. In space the joint's
+    # frame after it moved; in the plane each link's end to its left
     bends: ClassVar[Mapping[str, int]] = MappingProxyType({"joint_turns": 3, "joint_shifts": 3})
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
     planar: ClassVar[bool] = False  # a `PlanarChain`
@@ -148,6 +148,11 @@ class KinematicChain(ByValue):
     def redundant(self) -> bool:
         """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
         return bool(self.frame_kinds) and not self.fixed
+
+    @property
+    def held(self) -> frozenset[str]:
+        """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
+        return self.fixed
 
     @property
     def coordinates(self) -> int:
@@ -422,6 +427,10 @@ class PlanarChain(KinematicChain):
     planar = True
 
     @property
+    def held(self) -> frozenset[str]:
+        return self.fixed | self.instrument.hidden(self.base)
+
+    @property
     def levers(self) -> Array:
         return self.lengths
 
@@ -430,15 +439,13 @@ class PlanarChain(KinematicChain):
         return self.parameters()
 
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
-        """Length errors, joint offsets and those of the instrument, without what no reading of that shows.
+        """Length errors, joint offsets and those of the instrument.
 
         best : best known values, by which the offsets are scaled as far as anything is left of a link
         """
         lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
         scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths))
-        hidden = self.instrument.hidden(self.base)
-        shown = (p for p in chain_parameters(scales) if p.name not in hidden)
-        return ParameterSet([*shown, *self.instrument.parameters])
+        return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]

@@ -89,7 +89,7 @@ class Model:
     @cached_property
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
-        values = {name: self._calibrated.get(name, 0.0) for name in self.arm.chain.fixed} | dict(self.held or {})
+        values = {name: self._calibrated.get(name, 0.0) for name in self.arm.chain.held} | dict(self.held or {})
         for effect, spec in self._built:
             values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
         return values
