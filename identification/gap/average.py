@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -97,10 +97,13 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
 
     # an error curve takes up all else that depends on its joint's angle alone: within the angles measured they may
     # cancel, and beyond them, where a curve does not hold, their sum is worth no more
-    of_curves = {b.span: [b] for b in kept if b.span is not None}
-    for (joint, *_), taken in of_curves.items():
-        taken += [b for b in kept if b.effect is not None and slope_by_angle(b.effect, joint, library.base) is not None]
-    absorbed = [b.label for taken in of_curves.values() for b in taken]
+    of_curves = list[tuple[tuple[int, float, float], dict[str, Callable[[Array], Array]]]]()
+    for curve in (b for b in kept if b.span is not None):
+        joint, start, stop = span = curve.span or (0, 0.0, 0.0)
+        slopes = {b.label: slope_by_angle(b.effect, joint, library.base) for b in kept if b.effect is not None}
+        functions = {label: slope for label, slope in slopes.items() if slope is not None}
+        of_curves.append((span, {curve.label: partial(curve_waves, start=start, stop=stop), **functions}))
+    absorbed = [label for _, functions in of_curves for label in functions]
     members = [b for b in kept if b.spec is not None and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
@@ -111,25 +114,27 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
     curves = []
-    for (joint, start, stop), taken in of_curves.items():
-        at = np.concatenate([places[b.label] for b in taken])
+    for (joint, start, stop), functions in of_curves:
+        at = np.concatenate([places[label] for label in functions])
         beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
-        parts = zip(library.base.names, sum(geometry_of[b.label] for b in taken).tolist(), strict=True)
+        parts = zip(
+            library.base.names, np.sum([geometry_of[label] for label in functions], axis=0).tolist(), strict=True
+        )
         shifted = {name: value for name, value in parts if not name.startswith(f"{SESSIONS}.")}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
         count, wrong = WAVES, np.inf
         while wrong > FAITHFUL:
             angles = np.linspace(start, stop, 2 * count + 1)
-            slopes = (slope_by_angle(b.effect, joint, library.base) for b in taken[1:] if b.effect is not None)
-            functions = np.column_stack([curve_waves(angles, start, stop), *(slope(angles) for slope in slopes)])
-            error = functions @ mean[at]
+            values_at = np.column_stack([function(angles) for function in functions.values()])
+            error = values_at @ mean[at]
             table = ErrorCurve(start, stop, np.radians(np.round(np.degrees(error[::2]), 7)), shifted)
-            wrong = np.linalg.norm(table.at(angles) - error) / max(np.linalg.norm(error), 1e-12)
+            missed, size = (float(np.sqrt(np.mean(np.square(x)))) for x in (table.at(angles) - error, error))
+            wrong = missed / max(size, 1e-6)  # a microradian is none
             count *= 2
         # beside all else that goes with it: what they exchange makes no difference to any point
-        std = np.sqrt(np.maximum(np.sum((functions @ beside) * functions, axis=1), 0.0))
+        std = np.sqrt(np.maximum(np.sum((values_at @ beside) * values_at, axis=1), 0.0))
         curves.append(Curve(joint + 1, table, std))
     entries = (*specs, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
