@@ -26,7 +26,7 @@ from doe.bounds.planar_theorem import pair_means
 from doe.criteria import information_matrix
 from doe.jobs import Row, frame_of
 from doe.studies.monte_carlo import Study, dft_postures, run_study
-from identification import Arm, Array, InputError, Model, Plan, Progress, load_arm, silent
+from identification import Arm, Array, InputError, Plan, Progress, design_model, load_arm
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())
 LENGTHS, SIGMA = np.array(PAPER["lengths_mm"]), PAPER["sigma_mm"]
@@ -95,7 +95,7 @@ def table_2(runs: int = 20) -> pl.DataFrame:
     """
     rows = []
     for links in (2, 3, 4):
-        jacobian = Model(paper_arm(links)).jacobian(dft_postures(links, runs))
+        jacobian = design_model(paper_arm(links)).jacobian(dft_postures(links, runs))
         # columns by joint offsets are sums of those by orientations (eq. 8): difference them
         by_orientation = -np.diff(jacobian[..., links:], axis=-1, append=0.0)
         total = information_matrix(np.concatenate([by_orientation, jacobian[..., :links]], axis=-1))
@@ -235,7 +235,7 @@ def errata(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
 
 # -- everything together -----------------------------------------------------------------------------------------------
 def paper_study(
-    replications: int | None = None, *, seed: int = 0, progress: Progress = silent
+    replications: int | None = None, *, seed: int = 0, progress: Progress = Progress()
 ) -> dict[str, pl.DataFrame]:
     """Everything of the paper by the names of the functions here, `text` for `text_figures`.
 
