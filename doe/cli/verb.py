@@ -33,7 +33,6 @@ from identification.files.io import check_writable
 from identification.workflow import Folder, Written
 
 if TYPE_CHECKING:
-    from doe.jobs import Workers as Pool
     from identification.document import Document
 
 PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
@@ -107,14 +106,9 @@ class JobOptions:
     resume: bool = False
     force: bool = False
 
-    def where(self, workers: int | None = None) -> Pool:
-        """The workers asked for, left out: this many. Raises `InputError` if the cluster does not answer."""
-        from doe.jobs import SERIAL, cluster, processes
-
-        if self.cluster is not None:
-            return cluster(self.cluster)
-        number = self.workers or workers or os.cpu_count() or 1
-        return SERIAL if number == 1 else processes(number)
+    def where(self, otherwise: int | None = None) -> int | str:
+        """Address of a cluster, or number of processes; left out: this many, None: as there are cores."""
+        return self.cluster or self.workers or otherwise or os.cpu_count() or 1
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
