@@ -470,10 +470,9 @@ def compare_files(
     comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, criteria)
     for arm, number in product(loaded, runs):
         check_runs(compared_problem(arm, criteria[0]), number)
-    where = job.where(1)  # before the folder is made
     path = None if job.out is None else job.out / "rows.parquet"
     with interruptible(job.out), RowTable(path, resume=job.resume, force=job.force) as table:
-        rows = compare(comparison, table, where, seed=seed, progress=progress)
+        rows = compare(comparison, table, job.where(1), seed=seed, progress=progress)
     shown, summed = comparison_parts(rows), summary(rows)
     if job.out is not None:
         from doe.report.page import svg

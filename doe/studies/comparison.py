@@ -65,7 +65,7 @@ class Comparison:
 def compare(
     comparison: Comparison,
     table: RowTable | None = None,
-    workers: Workers | None = None,
+    workers: Workers = 1,
     *,
     seed: int = 0,
     progress: Progress = silent,

@@ -124,7 +124,7 @@ class StudyResult:
 def run_study(
     study: Study,
     folder: Path | str | None = None,
-    workers: Workers | None = None,
+    workers: Workers = 1,
     *,
     seed: int = 0,
     resume: bool = False,

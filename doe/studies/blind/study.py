@@ -97,7 +97,7 @@ def blind_study(
     cells: Sequence[str] | None = None,
     count: int | None = None,
     folder: Path | None = None,
-    workers: Workers | None = None,
+    workers: Workers = 1,
     *,
     seed: int = 0,
     resume: bool = False,
