@@ -60,7 +60,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """
-    from identification.inspection.readings import data_warnings, wrong_units
+    from identification.inspection.readings import data_warnings, read_differently
     from identification.measurements import load_measurements
     from identification.sessions import pooled_sessions
 
@@ -71,8 +71,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     read = []
     for path in paths:
         read.append(load_measurements(path, arm))
-        if wrong := wrong_units(read[-1], arm)[1]:
-            raise InputError(f"{path}: {wrong}")
+        if (readings := read_differently(arm, read[-1], search=False)).certain:
+            raise InputError(f"{path}: {readings.sentences[0]}")
         for sentence in data_warnings(read[-1], arm):
             warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     stems = [Path(path).stem for path in paths]
@@ -637,7 +637,7 @@ def compensate_files(
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
-    from identification.files.measurement import commands_text, load_targets
+    from identification.files.measurement import load_targets
     from identification.model import Model
     from identification.origin import check_calibrated
 
@@ -648,9 +648,7 @@ def compensate_files(
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     lines = []
     if out is not None:
-        wanted_poses = commands.orientations, commands.left_angles
-        columns = commands.left, arm.joint_types, *wanted_poses, commands.reached, commands.messages
-        write_together({out: commands_text(commands.safe_commands, commands.targets, *columns)}, force)
+        write_together({out: commands.text()}, force)
         lines = [f"commands written to {out}"]
     return Answer(commands.to_json(), [commands.document().plus(*lines)], commands, warnings=commands.warnings)
 
