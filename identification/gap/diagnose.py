@@ -37,7 +37,7 @@ from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
-from identification.running import Progress, Status, silent, single_thread
+from identification.running import Progress, Status, single_thread
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 
 KINDS = {
@@ -55,7 +55,7 @@ def diagnose(
     measurements: Measurements,
     holdout: Measurements | None = None,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Diagnosis:
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
