@@ -22,6 +22,8 @@ from identification.document import Document, Documented
 from identification.documents.identification import compensation_document
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
+from identification.files.csv import csv_text
+from identification.files.measurement import angle_columns, posture_columns
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import counting_in, in_columns, turned_into
 from identification.kinematics.parameters import REVOLUTE
@@ -224,6 +226,17 @@ class Compensation(Documented):
     def left_angles(self) -> Array | None:
         """(k,) as `angles` [rad], NaN as in `left`."""
         return None if self.angles is None else np.where(np.isnan(self.left), np.nan, self.angles)
+
+    def text(self) -> str:
+        """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm, reachable`: joint commands, empty where none may be driven to, the
+        targets, and what is left [mm]; of poses `rx_deg..` and `error_deg`, and `message` where any says why not."""
+        columns = posture_columns(self.safe_commands, self.joint_types or None)
+        columns |= {f"{axis}_mm": column for axis, column in zip("xyz", self.targets.T, strict=False)}
+        columns |= {} if self.orientations is None else angle_columns(self.orientations)
+        columns["error_mm"] = self.left
+        columns |= {} if self.left_angles is None else {"error_deg": np.degrees(self.left_angles)}
+        columns["reachable"] = self.reached.astype(int)
+        return csv_text(columns | ({"message": np.array(self.messages)} if any(self.messages) else {}))
 
     @property
     def warnings(self) -> list[str]:
