@@ -5,6 +5,7 @@ Errors are one line on standard error and an exit code, answers one JSON object 
 
 from __future__ import annotations
 
+import _thread
 import inspect
 import json
 import logging
@@ -18,21 +19,20 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from identification import InputError, JobError, Progress, silent
+from identification import InputError, JobError, Progress
 from identification.document import Answer
 from identification.files.io import check_writable
-from identification.workflow import Folder, Picture, Written
+from identification.workflow import Folder, Written
 
 if TYPE_CHECKING:
-    from doe.jobs import Workers as Pool
     from identification.document import Document
 
 PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
@@ -42,6 +42,9 @@ EVERYWHERE = {  # options that mean the same wherever they are
     "package_dir": "Folder in which packages of the URDF's meshes are; may be repeated.",
 }
 LONGEST_LINE = 1000  # characters of a message
+
+
+Picture = NewType("Picture", Written)  # .png, .svg, .pdf
 
 
 # -- types of options --------------------------------------------------------------------------------------------------
@@ -103,14 +106,9 @@ class JobOptions:
     resume: bool = False
     force: bool = False
 
-    def where(self, workers: int | None = None) -> Pool:
-        """The workers asked for, left out: this many. Raises `InputError` if the cluster does not answer."""
-        from doe.jobs import SERIAL, cluster, processes
-
-        if self.cluster is not None:
-            return cluster(self.cluster)
-        number = self.workers or workers or os.cpu_count() or 1
-        return SERIAL if number == 1 else processes(number)
+    def where(self, otherwise: int | None = None) -> int | str:
+        """Address of a cluster, or number of processes; left out: this many, None: as there are cores."""
+        return self.cluster or self.workers or otherwise or os.cpu_count() or 1
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
@@ -169,8 +167,7 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
             with warnings_as_lines(quiet), shown_progress(called, quiet) as progress:
                 provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints}
                 values |= {key: value for key, value in provided.items() if key in signature}
-                with errors_as_lines():
-                    check_outputs(click.get_current_context())
+                with errors_as_lines(), stoppable(check_outputs(click.get_current_context())):
                     answer = function(**values)
                 for sentence in answer.warnings if as_json else ():
                     warnings.warn(sentence, UserWarning, stacklevel=2)
@@ -243,9 +240,12 @@ def say(sentence: str) -> None:
     click.echo(f"armcal: {in_one_line(sentence)}", err=True)
 
 
-def check_outputs(context: click.Context) -> None:
-    """Raises `InputError`, before any work, for an output file that cannot be written, or that is also an input or
-    another output: one would overwrite the other."""
+def check_outputs(context: click.Context) -> list[Path]:
+    """The files that a verb writes, those in folders aside.
+
+    Raises `InputError`, before any work, for one that cannot be written, or that is also an input or another output:
+    one would overwrite the other.
+    """
     paths = [
         (parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name, kind, path)
         for parameter in context.command.params
@@ -262,16 +262,16 @@ def check_outputs(context: click.Context) -> None:
                 raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
             if kind is not FOLDER:
                 check_writable(path, context.params["force"], picture=kind.picture)
+    return [path for _, kind, path in paths if kind.written and kind is not FOLDER]
 
 
 @contextmanager
 def errors_as_lines() -> Iterator[None]:
     """Where there is no answer, one line says why and the command ends."""
     try:
-        with stoppable():
-            if sys.stdout is None:
-                raise JobError("standard output is closed; send it to a file or to /dev/null")
-            yield
+        if sys.stdout is None:
+            raise JobError("standard output is closed; send it to a file or to /dev/null")
+        yield
         return
     except (InputError, JobError) as error:
         say(str(error))
@@ -288,32 +288,56 @@ def errors_as_lines() -> Iterator[None]:
 
 
 @contextmanager
-def stoppable() -> Iterator[None]:
-    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does."""
-    came: list[KeyboardInterrupt] = []
+def stoppable(outputs: Sequence[Path] = ()) -> Iterator[None]:
+    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does.
 
-    def stop(number: int, _: object) -> NoReturn:
-        came.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
-        threading.excepthook = lambda _: None  # of threads whose processes are killed next
-        raise came[0]
+    Whoever catches it may answer with the best so far. Once an output is written it comes too late: the verb is done.
+    """
+    stops, before = list[KeyboardInterrupt](), [written_at(path) for path in outputs]
+
+    def stop(number: int, _: object) -> None:
+        if [written_at(path) for path in outputs] == before:
+            stops.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
+            threading.excepthook = lambda _: None  # of threads whose processes are killed next
+            raise stops[-1]
 
     with ExitStack() as stack:
         if threading.current_thread() is threading.main_thread():
-            stack.callback(setattr, threading, "excepthook", threading.excepthook)
+            for hook, module in (("excepthook", threading), ("unraisablehook", sys)):
+                stack.callback(setattr, module, hook, getattr(module, hook))
             for number in (signal.SIGTERM, signal.SIGINT):
-                if (before := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
-                    stack.callback(signal.signal, number, before)
+                if (handler := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
+                    stack.callback(signal.signal, number, handler)
                     signal.signal(number, stop)
+
+            def lost(unraisable: sys.UnraisableHookArgs, otherwise: Any = sys.unraisablehook) -> None:
+                """It met the end of an object, where nothing can be raised: it comes again a little later."""
+                if unraisable.exc_value not in stops:
+                    otherwise(unraisable)
+                    return
+                again = signal.SIGTERM if unraisable.exc_value.args else signal.SIGINT
+                timer = threading.Timer(0.01, _thread.interrupt_main, [again])
+                timer.daemon = True
+                stack.callback(timer.cancel)
+                timer.start()
+
+            sys.unraisablehook = lost
         try:
             yield
         except (InputError, JobError):
             raise
         except Exception:  # what a library in C makes of the signal while it is loaded
-            if came:
-                raise came[0] from None
+            if stops:
+                raise stops[0] from None
             raise
-        if came:  # it met the end of an object, where nothing can be raised
-            raise came[0]
+
+
+def written_at(path: Path) -> tuple[int, int] | None:
+    """Which file has this name, and of when; None: none."""
+    with suppress(OSError):
+        state = path.stat()
+        return state.st_ino, state.st_mtime_ns
+    return None
 
 
 def stopped_by(error: BaseException) -> str:
@@ -355,7 +379,7 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
     `interval` seconds, even while the job reports nothing."""
     started = time.monotonic()
     if quiet or sys.stderr is None:  # None: closed, as by 2>&-
-        yield silent
+        yield Progress()
     elif sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -374,7 +398,7 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
                 visible = time.monotonic() - started > 0.5
                 bar.update(task, completed=done, total=total, description=message or title, visible=visible)
 
-            yield report
+            yield Progress(report)
     else:
         latest: str | None = ""
         timers = list[threading.Timer]()
@@ -396,7 +420,7 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
 
         wait()
         try:
-            yield tell
+            yield Progress(tell)
         finally:
             latest = None
             timers[0].cancel()

@@ -41,7 +41,7 @@ class Command(NamedTuple):
     """What is killed.
 
     words : of the command line;  again : what a run after the kill has besides, if there are files
-    paths : files and folders that it writes;  best_so_far : whether Ctrl-C may leave another result than the last
+    paths : files and folders that it writes;  best_so_far : whether Ctrl-C may leave another plan than the last
     """
 
     name: str
@@ -179,12 +179,15 @@ def verdict(
         os.kill(one, signal.SIGKILL)
     wrong += ["processes left behind"] if left else []
     for name, held in content(command, folder).items():
-        # as in the reference, or a table with fewer rows, or, where nobody could tidy up, the journal of a table
-        fewer = name.endswith(".parquet") or (command.best_so_far and code == 0)
-        if name not in reference.files and not (name.endswith(".parquet.journal") and code < 0):
-            wrong.append(f"{name} left behind")
-        elif name in reference.files and not fewer and held != reference.files[name]:
-            wrong.append(f"{name} is half written")
+        # as in the reference, or a table with fewer rows, or another plan with as many, or, where nobody could tidy up,
+        # the journal of a table
+        if "nothing was written" in errors:
+            wrong.append(f"{name} was written")
+        elif name not in reference.files:
+            wrong += [] if name.endswith(".parquet.journal") and code < 0 else [f"{name} left behind"]
+        elif held != reference.files[name] and not name.endswith(".parquet"):
+            lines = reference.files[name].count(b"\n") if command.best_so_far else None
+            wrong += [] if held.count(b"\n") == lines else [f"{name} is half written"]
     by = "Ctrl-C" if number is signal.SIGINT else number.name
     said = errors.count("\n") == 1 and f"stopped by {by}" in errors
     if "Traceback" in errors or "Exception ignored" in errors:

@@ -7,14 +7,19 @@ import resource
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
+from doe.plan.spacing import separated
+from doe.report.design import design_document
 from tests.doe.cli.conftest import Folder, without_progress
 from tests.doe.faults import COMMANDS, Command, Reference, content, prepare, verdict
 
@@ -45,8 +50,27 @@ def test_a_killed_study_resumes_to_the_same_bits(reference: Reference, tmp_path:
 
 
 def test_a_design_that_is_stopped_leaves_no_process_and_no_half_file(tmp_path: Path) -> None:
-    made = Reference(LONG_DESIGN, {"plan.csv": None}, 2.0)  # its plan is not compared: it is the best so far
+    made = Reference(LONG_DESIGN, {"plan.csv": b"\n" * 8}, 2.0)  # headings, and seven postures: the best so far
     assert verdict(made, tmp_path / "killed", signal.SIGINT, 1.0, again=False) == []
+
+
+def test_a_search_that_is_stopped_answers_with_its_best(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The signal comes while a plan is judged, in no library; a second one, when the plan is written, is too late."""
+
+    def interrupted(function: Callable[..., Any], call: int) -> Callable[..., Any]:
+        calls = count(1)
+
+        def run(*arguments: Any) -> Any:
+            if next(calls) == call:
+                signal.raise_signal(signal.SIGINT)
+            return function(*arguments)
+
+        return run
+
+    monkeypatch.setattr("doe.solvers.solving.separated", interrupted(separated, 2))
+    monkeypatch.setattr("doe.report.design.design_document", interrupted(design_document, 1))
+    data = folder.said("design arm.toml --runs 5 --solver exchange --out new.csv")
+    assert (data["status"], folder.read("new.csv").count("\n")) == ("interrupted", 6)
 
 
 def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> None:
