@@ -296,7 +296,9 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
     has no place.
     """
-    instrument, stands = chain.instrument, BASE in chain.settled or chain.instrument.stands(chain.base)
+    instrument = chain.instrument
+    placed = bool(instrument.targets) if instrument.own_targets else not np.array_equal(chain.base, np.eye(4))
+    stands = placed or BASE in chain.settled
     if not instrument.reads_positions and not contacts:
         chain.refuse_contacts()
     if (instrument.contact or instrument.own_targets) and not stands:

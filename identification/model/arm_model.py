@@ -14,7 +14,7 @@ most uses, and searches ask for hundreds of models, so models that have the same
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import attrgetter
@@ -123,11 +123,6 @@ class Model:
     def dimension(self) -> int:
         """d, measured coordinates per posture: 2, 3, 6 of a pose, or 1 of a length."""
         return self.arm.chain.coordinates
-
-    @property
-    def dimensions(self) -> tuple[int, ...]:
-        """Coordinates that measurements may have: of poses also those of points alone."""
-        return tuple(sorted({min(self.arm.dimension, self.dimension), self.dimension}))
 
     joints = property(attrgetter("arm.links"))  # n, joints of a posture
     joint_types = property(attrgetter("arm.joint_types"))  # (n) `revolute` or `prismatic`
@@ -338,12 +333,11 @@ class Model:
         """
         return self.arm.chain.points(self._postures(postures), self.geometry)
 
-    def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
-        """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
+    def torques(self, postures: ArrayLike, conditions: When = None) -> Array:
+        """(m, n) gravity torques of the nominal arm (`Chain.torques`). Raises `InputError` for one without gravity."""
         q, c = self.expressions.symbols[:2]
-        value = ca.cse(ca.densify(expression(self.chain_at(q, c))))
-        evaluate = vectorize(ca.Function("expression", [q, c], [value]))
-        return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
+        torques = ca.Function("torques", [q, c], [ca.cse(ca.densify(self.chain_at(q, c).torques))])
+        return vectorize(torques)(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
