@@ -31,6 +31,7 @@ from identification.conditions import BY_ORDER, REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.placed import led_to_contact, of_positions, tip_jacobian
@@ -249,7 +250,7 @@ class ArmModel(Model):
 
         def by_order(postures: Array) -> Array:
             """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""
-            conditions = Conditions.in_order(postures, ordered.remembers)
+            conditions = Measurements(postures, np.zeros((len(postures), ordered.dimension))).conditions
             return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
         return base, design_model(model), tuple(bases), weights, by_order, partial(detectability, arm)

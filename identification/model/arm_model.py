@@ -148,11 +148,6 @@ class Model:
         """What the effects need of arm and data: gravity, directions, temperature, time, past."""
         return frozenset().union(*(effect.needs for effect in self.effects))
 
-    @property
-    def remembers(self) -> bool:
-        """True if an effect depends on the postures measured before."""
-        return "past" in self.needs
-
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
@@ -178,7 +173,7 @@ class Model:
         """Where each condition stands among the columns of the table."""
         chain = self.arm.chain
         several = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
-        further = ("past",) * self.remembers + ("marker",) * several
+        further = ("past",) * ("past" in self.needs) + ("marker",) * several
         further += ("orientation",) * (chain.angle_scale is not None) + ("errors", "off") * bool(self._curves)
         return condition_columns(self.joints, further)
 
@@ -279,10 +274,7 @@ class Model:
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
-        """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets.
-
-        Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
-        """
+        """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets."""
         return self.expressions._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def linearize(
@@ -341,7 +333,7 @@ class Model:
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
-        if q.ndim not in (2, 3) or q.shape[-1] != self.joints:
+        if q.ndim != 2 or q.shape[1] != self.joints:
             raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.joints})")
         return q
 
