@@ -31,6 +31,7 @@ from identification.conditions import BY_ORDER, REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.placed import led_to_contact, of_positions, tip_jacobian
@@ -249,7 +250,7 @@ class ArmModel(Model):
 
         def by_order(postures: Array) -> Array:
             """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""
-            conditions = Conditions.in_order(postures, ordered.remembers)
+            conditions = Measurements(postures, np.zeros((len(postures), ordered.dimension))).conditions
             return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
         return base, design_model(model), tuple(bases), weights, by_order, partial(detectability, arm)
@@ -296,7 +297,9 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
     has no place.
     """
-    instrument, stands = chain.instrument, BASE in chain.settled or chain.instrument.stands(chain.base)
+    instrument = chain.instrument
+    placed = bool(instrument.targets) if instrument.own_targets else not np.array_equal(chain.base, np.eye(4))
+    stands = placed or BASE in chain.settled
     if not instrument.reads_positions and not contacts:
         chain.refuse_contacts()
     if (instrument.contact or instrument.own_targets) and not stands:

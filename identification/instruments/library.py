@@ -65,7 +65,6 @@ class Distance(Instrument):
     keys = frozenset({"center_mm"})
     coordinates: ClassVar[tuple[Coordinate, ...]] = (Coordinate("distance", positive=True),)
     offers = frozenset({"distance"})
-    hides = frozenset(error_names(PLACE)[3:])
     guide = Guide(
         about="a ball bar, a draw wire, a laser distance: how far the measured point is from a fixed center",
         table='kind = "distance"\n'
@@ -77,6 +76,9 @@ class Distance(Instrument):
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return distance_to_center(point)
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset(error_names(PLACE)[3:])
 
     def place(self, rows: Unplaced) -> Placement:
         """What the lengths leave open of the base is along the arm's own axes."""
@@ -287,7 +289,6 @@ class PlanarDistance(AtTargets):
     keys = frozenset({"center_mm"})
     coordinates = Distance.coordinates
     own_targets = "center"
-    hides = frozenset({f"{JOINT_OFFSET}:1"})
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         centers = [values[2 * k : 2 * k + 2] for k in range(len(self.at))] or [ca.SX.zeros(2)]
@@ -297,6 +298,9 @@ class PlanarDistance(AtTargets):
         for value in super().own_values(values):
             name = f"center {value.name.removeprefix('center[').replace(']', '').replace('.', ' ')}"
             yield value._replace(name=name, convention="of the distances, in the frame of the base")
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset({f"{JOINT_OFFSET}:1"})
 
     def place(self, rows: Unplaced) -> Placement:
         """The center alone is to be found, and is the origin of the base that is found."""
@@ -340,7 +344,6 @@ class Socket(AtTargets):
     keys = frozenset({"cups", "distances_mm"})
     target = "cup"
     own_targets = "cup"
-    hides = frozenset(error_names(PLACE))
     guide = Guide(
         about="a ball at the tool, seated in cups that stand anywhere",
         table='kind = "socket"\n'
@@ -398,6 +401,9 @@ class Socket(AtTargets):
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
         """Of a cup nothing is known but its center."""
         return np.ones(len(points), dtype=bool)
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset(error_names(PLACE))
 
     # -- where a fit starts --------------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:

@@ -538,23 +538,23 @@ class PlanarClosedForm:
     def solver(self, postures: Array, weights: Array, tolerance: float) -> Solver:
         """Function of positions (K, m, 2) [mm] -> (K, q) parameters and (K,) weighted sums of squares.
 
-        postures : (m, n) [rad] for all data sets, or (K, m, n) for each its own;  weights : (m,) of the rows
+        postures : (m, n) [rad] for all data sets;  weights : (m,) of the rows
         tolerance : singular values below this share of the largest are zero; the columns have equal lengths
         """
-        columns, root = np.exp(1j * np.cumsum(postures, axis=-1)), np.sqrt(weights)  # exp(i theta_j)
+        columns, root = np.exp(1j * np.cumsum(postures, axis=1)), np.sqrt(weights)  # exp(i theta_j)
         n, nominal = len(self.lengths), np.r_[self.lengths, np.zeros(int(self.offset))].astype(complex)
         if self.offset:
-            columns = np.concatenate([columns, np.ones((*columns.shape[:-1], 1))], axis=-1)
-        back = _pseudo_inverse(root[:, None] * columns, tolerance) * root
-        back, forth = (np.ascontiguousarray(np.swapaxes(a, -1, -2)) for a in (back, columns))
+            columns = np.column_stack([columns, np.ones(len(columns))])
+        back = np.asarray(np.linalg.pinv(root[:, None] * columns, rcond=tolerance)) * root
+        back, forth = (np.ascontiguousarray(a.T) for a in (back, columns))
 
         def solve(positions: Array) -> tuple[Array, Array]:
             # x + iy, without a copy where memory allows
             measured = np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0]
             # differences to the nominal arm: the sum of squares then loses no digits
             rest = measured - columns @ nominal
-            change = _times(rest, back)
-            residuals = (rest - _times(change, forth)) * root
+            change = rest @ back
+            residuals = (rest - change @ forth) * root
             squares = residuals.view(np.float64)
             unknowns = nominal + change
             u, shift = unknowns[..., :n], unknowns[..., n:]
@@ -564,28 +564,3 @@ class PlanarClosedForm:
             return np.concatenate(parts, axis=-1), np.einsum("ki,ki->k", squares, squares)
 
         return solve
-
-
-def _times(rows: Complex, matrix: Complex) -> Complex:
-    """(K, b) rows (K, a) times one matrix (a, b), or each times its own (K, a, b)."""
-    return rows @ matrix if matrix.ndim == 2 else (rows[:, None, :] @ matrix)[:, 0, :]
-
-
-def _pseudo_inverse(columns: Complex, tolerance: float) -> Complex:
-    """(..., u, m) of columns (m, u) or (K, m, u).
-
-    Of many, by the inverse of the normal matrix, which squares the condition, where that costs no digits that matter.
-    """
-    if columns.ndim == 2:
-        return np.asarray(np.linalg.pinv(columns, rcond=tolerance))
-    across = np.swapaxes(columns.conj(), -1, -2)
-    normal = across @ columns
-    inverse = np.asarray(
-        np.linalg.inv(normal + np.finfo(float).eps * normal[:, :1, :1].real * np.eye(normal.shape[-1])), dtype=complex
-    )
-    pseudo_inverses = inverse @ across
-    condition = np.linalg.norm(normal, 1, axis=(-2, -1)) * np.linalg.norm(inverse, 1, axis=(-2, -1))
-    # from a condition (1-norm) of 1e6 on the inverse is not used
-    ill = np.flatnonzero(~(condition < min(1e6, tolerance**-2)))
-    pseudo_inverses[ill] = np.linalg.pinv(columns[ill], rcond=tolerance)
-    return pseudo_inverses

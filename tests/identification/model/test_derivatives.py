@@ -138,7 +138,7 @@ def test_gravity_torques_are_the_work_of_the_loads() -> None:
         ends[1] = home[2]  # link 2 ends where joint 3 begins to slide
         return float(-down @ (masses @ (points[:-1] + share[:, None] * (ends - points[:-1])) + payload * points[-1]))
 
-    torques = model.on_chain(lambda chain: chain.torques)(q[None], Conditions())[0]
+    torques = model.torques(q[None])[0]
     for j, length in enumerate((1.0, 1.0, 1000.0, 1.0)):  # a slide is in millimetres, its force per metre
         step = 1e-5 * length * np.eye(4)[j]
         expected = -(energy(q + step) - energy(q - step)) / 2e-5
