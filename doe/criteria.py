@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, log_determinants, nearest, readonly
+from identification import Array, InputError, log_determinants
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
@@ -34,7 +34,7 @@ def criterion(
     Raises `InputError` for an unknown name, and where what the criterion needs is missing.
     """
     if name not in NAMES:
-        raise InputError(f"criterion: unknown name {name!r}, {nearest(name, NAMES)}")
+        raise InputError.unknown("criterion: unknown name", name, NAMES)
     if name == "I":
         if test_jacobians is None or not len(test_jacobians):
             raise InputError("criterion: I needs test poses, none are given, allowed: at least one posture")
@@ -257,9 +257,6 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
 
     jacobians: Array
     name = "I"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "jacobians", readonly(self.jacobians))
 
     @property
     def points(self) -> int:

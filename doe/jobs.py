@@ -24,9 +24,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
-from functools import partial
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -34,12 +32,13 @@ import numpy as np
 import polars as pl
 
 from doe import SINGLE_THREAD
-from identification import InputError, JobError, Progress, silent
+from identification import InputError, JobError, Progress
 from identification.files.io import check_writable, write_together
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
 Row = dict[str, Any]
 Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
+Workers = int | str  # processes of this machine, 1: this one, one task at a time; or the address of a dask scheduler
 KEY = "key"  # column with the key's canonical text
 SEED = "seed"  # column; a key with an entry of this name brings its own
 LOST = "the workers were lost; finished rows are kept, go on with --resume"
@@ -179,16 +178,6 @@ class RowTable:
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Workers:
-    """Where tasks run: what gives an executor; how many tasks run at once; what raises `JobError` where futures of the
-    executor will never end."""
-
-    open: Callable[[], AbstractContextManager[Executor]]
-    count: int = 1
-    check: Callable[[Any], None] = lambda _: None
-
-
 class _Serial(Executor):
     """Runs each task in this process when it is submitted; one that raises is a row."""
 
@@ -198,18 +187,15 @@ class _Serial(Executor):
         return future
 
 
-SERIAL = Workers(_Serial)  # this process, one task at a time
-
-
 def run_tasks(
     function: Function,
     keys: Sequence[Key],
     table: RowTable,
-    workers: Workers | None = None,
+    workers: Workers = 1,
     *,
     seed: int = 0,
     payload: Callable[[Key], Any] | None = None,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> pl.DataFrame:
     """The rows of all keys, in the order of the keys; those that the table has already are not done again.
 
@@ -220,15 +206,13 @@ def run_tasks(
     crash loses only what was being computed.
     Raises `JobError` if the workers are lost, `InputError` if the table's rows are those of another seed.
     """
-    asked, workers = {canonical(key): key for key in keys}, workers or SERIAL
+    asked = {canonical(key): key for key in keys}
     for made in (row.get(SEED, seed) for text in asked for row in table.rows.get(text, ())):
         if made != seed:
             allowed = f"--seed {made} to go on, or --force to replace them"
             raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     waiting, running = deque(text for text in asked if text not in table.rows), dict[Future[Any], str]()
     done, failed, suspects = len(asked) - len(waiting), 0, set[str]()  # that may have killed their worker: run alone
-    # three tasks per worker, so that none waits; a million tasks are never in flight at once
-    ahead = workers.count * 3 if workers.count > 1 else 1
 
     def store(text: str, rows: list[Row] | None, error: BaseException | None = None) -> None:
         nonlocal done, failed
@@ -240,7 +224,9 @@ def run_tasks(
     try:
         while waiting:
             try:
-                with workers.open() as executor:
+                with executor_of(workers) as (executor, count):
+                    # three tasks per worker, so that none waits; a million tasks are never in flight at once
+                    ahead = count * 3 if count > 1 else 1
                     while waiting or running:
                         while waiting and len(running) < (1 if suspects & {waiting[0], *running.values()} else ahead):
                             key = asked[waiting[0]]
@@ -254,7 +240,10 @@ def run_tasks(
                                 raise error
                             text = running.pop(future)  # the executor's own error: rows that cannot travel
                             store(text, None if error else future.result(), error)
-                        workers.check(executor)
+                        # a dask client loses its scheduler once and for all, and some futures never end: what fails
+                        # while a result is fetched is logged and dropped
+                        if (client := getattr(executor, "_client", None)) and client.status != "running":
+                            raise JobError(LOST)
             except BrokenExecutor as error:  # one task of these killed its worker, and took the others with it
                 if not running:
                     raise JobError(LOST) from None
@@ -292,9 +281,17 @@ def one_line(error: BaseException | None) -> str:
 
 
 # -- workers -----------------------------------------------------------------------------------------------------------
-def processes(number: int) -> Workers:
-    """`number` processes of this machine, each with one thread of linear algebra."""
-    return Workers(partial(_pool, number), number)
+@contextmanager
+def executor_of(workers: Workers) -> Iterator[tuple[Executor, int]]:
+    """What runs tasks, and how many at once. Raises `InputError` if no cluster answers."""
+    if isinstance(workers, str):
+        with cluster(workers) as connected:
+            yield connected
+    elif workers > 1:
+        with _pool(workers) as pool:
+            yield pool, workers
+    else:
+        yield _Serial(), 1
 
 
 @contextmanager
@@ -340,8 +337,10 @@ def ending(error: BrokenExecutor) -> str:
     return f"signal {-number}" if number < 0 else f"exit code {number}"
 
 
-def cluster(address: str, patience: float = 10.0) -> Workers:
-    """An existing dask cluster, `tcp://host:port` of its scheduler; its workers need this package installed.
+@contextmanager
+def cluster(address: str, patience: float = 10.0) -> Iterator[tuple[Executor, int]]:
+    """Executor and number of threads of a dask cluster, `tcp://host:port` of its scheduler; its workers need this
+    package installed. dask prints nothing meanwhile: a lost scheduler is one line of ours.
 
     patience : time to wait for an answer, and for a first worker [s]
 
@@ -356,42 +355,24 @@ def cluster(address: str, patience: float = 10.0) -> Workers:
         get_address_host_port(address, strict=True)  # a client of a bad address hangs when it is closed
     except (ValueError, TypeError, NotImplementedError):
         raise InputError(f"--cluster: found {address!r}, allowed: an address as tcp://host:8786") from None
-
-    @contextmanager
-    def connected() -> Iterator[Any]:
-        """dask prints nothing meanwhile: a lost scheduler is one line of ours."""
-        before = logging.root.manager.disable
+    with ExitStack() as stack:
+        stack.callback(logging.disable, logging.root.manager.disable)
         logging.disable()
         try:
             client = Client(address, timeout=patience, set_as_default=False)
-            executor = client.get_executor(pure=False)
-            try:
-                yield executor
-            except Exception:
-                scheduler_is_there(executor)
-                raise
-            finally:
-                client.close(timeout=patience)
-        finally:
-            logging.disable(before)
-
-    try:
-        with connected() as executor:
-            client = executor._client
+            stack.callback(client.close, timeout=patience)
             client.wait_for_workers(1, timeout=patience)
             threads = sum(client.nthreads().values())
-    except OSError as error:
-        allowed = f"one that runs, with workers, started with `dask worker {address}`"
-        reason = f"no scheduler with workers answers ({one_line(error)})"
-        raise InputError(f"--cluster {address}: {reason}, allowed: {allowed}") from None
-    return Workers(connected, max(threads, 1), scheduler_is_there)
-
-
-def scheduler_is_there(executor: Any) -> None:
-    """Raises `JobError` if a dask client has lost its scheduler: it does so once and for all, and some futures never
-    end, as what fails while a result is fetched is logged and dropped."""
-    if executor._client.status != "running":
-        raise JobError(LOST)
+        except OSError as error:
+            allowed = f"one that runs, with workers, started with `dask worker {address}`"
+            reason = f"no scheduler with workers answers ({one_line(error)})"
+            raise InputError(f"--cluster {address}: {reason}, allowed: {allowed}") from None
+        try:
+            yield client.get_executor(pure=False), max(threads, 1)
+        except Exception:
+            if client.status != "running":
+                raise JobError(LOST) from None
+            raise
 
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.arm import LARGEST
 from identification.arrays import Array, ByValue
 
 # what follows from the order of measurement: all, and what only rows that follow each other show
@@ -19,6 +20,35 @@ FOLLOWING = frozenset({"directions", "past"})
 REMEMBERED = 12  # turning points of a past: of 60 random postures in 3,000 one row needs more
 
 
+# -- what a row may have -----------------------------------------------------------------------------------------------
+def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
+    """(m, 3, 3) True in rows that turn and do not mirror."""
+    square = np.swapaxes(matrices, 1, 2) @ matrices
+    good = np.all(np.abs(square - np.eye(3)) < 1e-6, axis=(1, 2)) & (np.linalg.det(matrices) > 0.0)
+    return np.broadcast_to(good[:, None, None], matrices.shape)
+
+
+# for every field of `Measurements` its shapes behind the rows (n: joints), what is allowed in words, and a test; files
+# have the same rules for its column
+VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Any], NDArray[np.bool_]]]] = {
+    "postures": ((("n",),), "finite angles [rad]", np.isfinite),
+    # 1: a length
+    "positions": (((2,), (3,), (6,), (1,)), "finite coordinates [mm]", np.isfinite),
+    "order": (((),), "a finite number", np.isfinite),
+    "payload": (((),), f"a number >= 0 [kg], up to {LARGEST:g}", lambda v: (v >= 0.0) & (v <= LARGEST)),
+    "temperature": (((),), "a number >= -273.15 [deg C]", lambda v: np.isfinite(v) & (v >= -273.15)),
+    "directions": ((("n",),), "+1 or -1, empty: unknown", lambda v: (np.abs(v) == 1.0) | np.isnan(v)),
+    "gaps": (((),), "0 or 1", lambda v: np.isin(v, (0.0, 1.0))),
+    "sigma": (((),), "a number > 0 [mm]", lambda v: np.isfinite(v) & (v > 0.0)),
+    "repeats": (((),), "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < 2.0**53)),
+    "commanded": ((("n",),), "finite angles [rad]", np.isfinite),
+    "orientations": (((3, 3),), "rotation matrices", _is_rotation),
+    "session": (((),), "a name", lambda v: v != ""),
+    "marker": (((),), "a name", lambda v: v != ""),
+}
+
+
+# -- what a row is measured under --------------------------------------------------------------------------------------
 class Past:
     """(m, n, 12) what each joint remembers (`past_from_order`), worked out when an effect asks for it: of thousands of
     rows it takes as long as a fit. An array to numpy; indexed by rows.

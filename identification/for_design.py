@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, Conditions
 from identification.errors import InputError
@@ -36,7 +37,6 @@ from identification.model.placed import led_to_contact, of_positions, tip_jacobi
 from identification.workspace import circle_across
 
 if TYPE_CHECKING:
-    from identification.arm import Arm
     from identification.gap.detectability import Detectability
     from identification.gap.library_prior import LibraryPrior
 
@@ -273,7 +273,9 @@ class ArmModel(Model):
 
 
 def design_model(model: Any) -> Any:
-    """The `ArmModel` of the model of an arm; any other model as it is."""
+    """The `ArmModel` of an arm, or of its model; any other model as it is."""
+    if isinstance(model, Arm):
+        return ArmModel(model)
     return model if isinstance(model, ArmModel) or not isinstance(model, Model) else ArmModel(model.arm, model.held)
 
 

@@ -31,7 +31,7 @@ from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives, Walls
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
-from identification import Array, InputError, JobError, Status, nearest, newton_ascent
+from identification import Array, InputError, JobError, Status, newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited; with the gap (relative) up to which it need not be asked again
@@ -381,7 +381,7 @@ def relax(
     solver returns no weights.
     """
     if solver not in (*LARGEST, "column_generation"):
-        raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*LARGEST, 'column_generation'))}")
+        raise InputError.unknown("solver: unknown name", solver, (*LARGEST, "column_generation"))
     if isinstance(candidates, int | np.integer):
         chosen = grid(problem, int(candidates))
     else:

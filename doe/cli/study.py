@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from doe.cli.verb import Count, JobOptions, interruptible, verb
-from identification import InputError, JobError, Progress, nearest, silent
+from identification import InputError, JobError, Progress
 from identification.document import Answer
 from identification.files.io import check_writable, write_together
 
@@ -55,12 +55,12 @@ def command(
     cells: Annotated[tuple[str, ...], "--cell", "NAME"] = (),
     job: JobOptions,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Run a simulation study, or one that comes with armcal.
 
     Simulate, identify and count: what plans, models and noise do to the accuracy. STUDY is a file, or the name of a
-    study that comes with armcal: paper (every table, figure and number of the paper, with errata), blind (diagnoses
+    study that comes with armcal: paper (the deviations that the paper prints, with errata), blind (diagnoses
     of data with hidden effects, compared with the truth afterwards), blind-spatial (the same for six-axis arms).
     The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and
     plans.parquet; notebooks read them with polars.
@@ -69,28 +69,23 @@ def command(
     cells : Of blind or blind-spatial: only this; repeatable.
     """
     if study not in BUILT_IN and not study.endswith(".toml"):
-        raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
+        raise InputError.unknown("study: unknown name", study, [*BUILT_IN, "NAME.toml"])
     if cells and study not in ("blind", "blind-spatial"):
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
     if study == "paper":
         # in some seconds, in this process, without anything to resume
         from doe.jobs import make_folder, parquet
-        from doe.report.page import svg
-        from doe.report.studies import figure_1_picture, figure_2_picture, paper_parts
+        from doe.report.studies import paper_parts
         from doe.studies.paper import paper_study, passed
 
         force = job.force or job.resume
         if folder.exists():
             check_writable(folder / "errata.parquet", force)
         results = paper_study(replications, seed=seed, progress=progress)
-        files: dict[Path, str | bytes] = {folder / f"{name}.parquet": parquet(frame) for name, frame in results.items()}
-        files |= {folder / "figure_1.svg": svg(figure_1_picture(results["figure_1"]))}
-        files |= {folder / "figure_2.svg": svg(figure_2_picture(results["figure_2"]))}
         make_folder(folder)
-        write_together(files, force)
+        write_together({folder / f"{name}.parquet": parquet(frame) for name, frame in results.items()}, force)
         return _tables_answer(results, passed(results), folder, paper_parts(results))
-    where = job.where()
     with interruptible(folder):
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
@@ -98,13 +93,13 @@ def command(
             from doe.studies.blind.study import blind_study, reported_cells
 
             named = cells or reported_cells(space=study == "blind-spatial")
-            result = blind_study(named, replications, folder, where, **options)
+            result = blind_study(named, replications, folder, job.where(), **options)
             blind_pictures(folder, result)
             return _tables_answer(result.tables, result.passed, folder, blind_parts(result))
         from doe.report.studies import monte_carlo_parts
         from doe.studies.monte_carlo import CELLS, load_study, run_study
 
-        made = run_study(load_study(Path(study), replications), folder, where, **options)
+        made = run_study(load_study(Path(study), replications), folder, job.where(), **options)
         if "done" not in made.blocks["status"]:
             reason = re.sub(r"\b[A-Z]\w*Error: ", "", made.blocks["error"][0])  # users need no exception types
             raise JobError(f"no cell could be done: {reason}")

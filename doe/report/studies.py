@@ -12,7 +12,6 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from doe.report.figures import AFTER, BEFORE
 from doe.studies.blind.study import ALL, KEEPS, NOTHING, OUTSIDE, BlindStudy
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL, StudyResult
@@ -131,11 +130,11 @@ def monte_carlo_parts(result: StudyResult) -> list[Any]:
 # -- armcal study paper ------------------------------------------------------------------------------------------------
 def paper_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     """Verdict, printed, theory and simulation side by side, and the errata with their evidence."""
-    every = [verdict for name in ("table_1", "table_2", "table_3", "text") for verdict in tables[name]["verdict"]]
+    every = [verdict for name in ("table_3", "text") for verdict in tables[name]["verdict"]]
     words = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot be identified"}
     counts = ", ".join(f"{every.count(word)} {text}" for word, text in (words | {"added": "added here"}).items())
     sentence = f"theory and simulation {'agree everywhere' if passed(tables) else 'DISAGREE somewhere'}"
-    parts: list[Any] = [f"The paper reproduced: {sentence}. Printed statements: {counts}."]
+    parts: list[Any] = [f"The paper reproduced: {sentence}. Printed figures: {counts}."]
     formats = {"printed": ".3f", "theory": ".5f", "simulated": ".5f"}
     headings = ["place", "links", "runs", "item", *formats, "unit", "verdict"]
     for name, title in (("table_3", "Table III and joint limits"), ("text", "Numbers in the text (Section VI)")):
@@ -153,46 +152,6 @@ def paper_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     ]
     names = ("place", "printed", "correct", "error of printed", "error of correct", "shown")
     return [*parts, Sheet(names, errata, "Errata; those of deviations by simulation")]
-
-
-def figure_1_picture(data: pl.DataFrame) -> Figure:
-    """Figure 1: determinants of random plans, the optimal plan marked."""
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    left.hist(data["det_d"].to_numpy(), bins=60, color=AFTER)
-    left.axvline(1.0, color=BEFORE, lw=2)
-    left.set(xlabel="det D' of random plans; red: optimal plans", ylabel="plans", xlim=(0.0, 1.03))
-    right.plot(data["det_c"].to_numpy(), data["det_s"].to_numpy(), ".", ms=2, alpha=0.4, color=AFTER)
-    right.plot(1.0, 0.0, "*", ms=14, color=BEFORE)
-    right.set(xlabel="det C'", ylabel="det S'", xlim=(0.0, 1.03))
-    right.set_title("D*: det C' to 1 and det S' to 0 (star: optimal plans)", fontsize=9)
-    return figure
-
-
-def figure_2_picture(data: pl.DataFrame) -> Figure:
-    """Figure 2: deviations against the number of measurements, lengths left, orientations of all links right."""
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
-    panels = figure.subplots(1, 2)
-    ticks = [digit * 10.0**power for power in range(-4, 1) for digit in (1, 2, 5)]
-    for axes, kind, unit in zip(panels, ("length_error", "orientation_offset"), ("mm", "deg"), strict=True):
-        for link, color in enumerate((AFTER, BEFORE, "#55a868", "#8172b2"), start=1):
-            rows = data.filter(item=f"{kind}:{link}")
-            m = rows["runs"].to_numpy()
-            axes.plot(m, rows["optimal"].to_numpy(), "-", color=color, label=f"link {link}")
-            axes.plot(m, rows["optimal_simulated"].to_numpy(), "x", color=color, ms=5)
-            axes.plot(m, rows["ordinary"].to_numpy(), "o", color=color, ms=4, mfc="none")
-            axes.plot(m, rows["random_mean"].to_numpy(), "--", color=color, lw=1)
-        axes.set(xlabel="measurements m", ylabel=f"standard deviation of the {kind.replace('_', ' ')} [{unit}]")
-        axes.set(yscale="log", xticks=np.arange(4, 21, 4))
-        axes.set_yticks([tick for tick in ticks if axes.get_ylim()[0] < tick < axes.get_ylim()[1]])
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("")
-    panels[1].legend(fontsize=8)
-    figure.suptitle(
-        "line: eq. 25;  x: optimal plan, simulated;  o: one random plan, simulated;  dashed: mean over random plans",
-        fontsize=9,
-    )
-    return figure
 
 
 # -- armcal study blind ------------------------------------------------------------------------------------------------

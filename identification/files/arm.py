@@ -128,7 +128,7 @@ def _named(names: Names, keys: Iterable[str], place: str, points: float | None =
         elif points is not None and (point := MARKER.fullmatch(key)):
             named[key] = key, points if point[1] else 1.0
         else:
-            raise InputError(f"{place}: unknown parameter {key!r}, {nearest(key, names)}")
+            raise InputError.unknown(f"{place}: unknown parameter", key, names)
     return named
 
 

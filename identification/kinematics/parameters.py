@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array, readonly
-from identification.errors import InputError, nearest
+from identification.errors import InputError
 
 MAX_LINKS = 12
 AXES = "xyz"
@@ -124,7 +124,7 @@ class ParameterSet(tuple[Parameter, ...]):
     def index(self, name: str) -> int:  # type: ignore[override]
         """Place of a parameter; raises `InputError` for a name that is not among these."""
         if name not in self._places:
-            raise InputError(f"parameter: unknown name {name!r}, {nearest(name, self.names)}")
+            raise InputError.unknown("parameter: unknown name", name, self.names)
         return self._places[name]
 
     def indices(self, kind: str) -> NDArray[np.int64]:

@@ -172,7 +172,7 @@ CASES: list[Case] = [
         case("study study.toml --workers 1 --out folder", named, study=STUDY + text)
         for text, named in (
             ('plans = ["exchange_ipopt"]\nruns = [3]\n', "runs: found 3; at least 4"),
-            ('plans = ["randm"]\nruns = [8]\n', "'random'; ipopt, random, or NAME.csv"),
+            ('plans = ["randm"]\nruns = [8]\n', "'random'; allowed: NAME.csv, analytic"),
             (
                 'plans = ["random"]\nruns = [8]\n[[truths]]\nname = "t"\nlength_errors_mm = [1.0]\n',
                 "study.toml: truths: t with arm paper-4-link: ; length_errors_mm; 1; 4",

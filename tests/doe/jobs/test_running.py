@@ -24,19 +24,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.cli.verb import JobOptions
-from doe.jobs import (
-    LOST,
-    SERIAL,
-    RowTable,
-    Workers,
-    call,
-    cluster,
-    parquet,
-    processes,
-    run_tasks,
-    scheduler_is_there,
-)
+from doe import jobs
+from doe.jobs import LOST, RowTable, Workers, call, cluster, parquet, run_tasks
 from identification.errors import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -49,16 +38,22 @@ MANY = [{"task": task} for task in range(60)]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
-def rows(function: Any, workers: Workers = SERIAL, keys: list[dict[str, Any]] = KEYS, **options: Any) -> pl.DataFrame:
+def rows(function: Any, workers: Workers = 1, keys: list[dict[str, Any]] = KEYS, **options: Any) -> pl.DataFrame:
     return run_tasks(function, keys, RowTable(), workers, **options).drop("seconds")
 
 
+@pytest.fixture
+def run_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[Executor, int], None]:
+    """Has this executor run all tasks, so many at once."""
+    return lambda *executor: monkeypatch.setattr(jobs, "executor_of", lambda _: nullcontext(executor))
+
+
 @pytest.mark.parametrize("threads", [False, True])
-def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds(threads: bool) -> None:
-    """In this process, or by an executor of the caller's."""
+def test_rows_come_in_the_order_of_the_keys_and_from_their_own_seeds(threads: bool, run_by: Any) -> None:
     with ThreadPoolExecutor(3) as executor:
-        frame = rows(work.draw, Workers(lambda: nullcontext(executor), 8) if threads else SERIAL, seed=5)
-        executor.submit(int)  # still open
+        if threads:
+            run_by(executor, 8)
+        frame = rows(work.draw, seed=5)
     assert frame["task"].to_list() == [k for k in range(12) for _ in range(2)]
     assert frame["value"].to_list() == work.drawn(KEYS, seed=5)
     assert len(set(frame["value"])) == 24
@@ -93,25 +88,26 @@ def test_ctrl_c_among_processes_leaves_what_is_finished_and_no_failures(tmp_path
 
     path = tmp_path / "rows.parquet"
     with pytest.raises(KeyboardInterrupt), RowTable(path) as table:
-        run_tasks(work.slow_draw, MANY, table, processes(2), progress=stop)
+        run_tasks(work.slow_draw, MANY, table, 2, progress=stop)
     kept = pl.read_parquet(path)
     assert 5 <= len(kept) / 2 < 20
     assert set(kept["status"]) == {"done"}
     assert kept["value"].to_list() == work.drawn([{"task": task} for task in kept["task"][::2]])
 
 
-def test_killed_processes_lose_nothing_and_a_task_that_kills_them_is_a_row(tmp_path: Path) -> None:
+def test_killed_processes_lose_nothing_and_a_task_that_kills_them_is_a_row(tmp_path: Path, run_by: Any) -> None:
     keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 5 else ""} for task in range(12)]
-    frame, others = rows(work.die, processes(2), keys), pl.col("task") != 9
+    frame, others = rows(work.die, 2, keys), pl.col("task") != 9
     assert (tmp_path / "mark").exists()
-    expected = rows(work.draw, SERIAL, keys).filter(others)
+    expected = rows(work.draw, 1, keys).filter(others)
     assert frame.filter(others).drop("error").equals(expected.drop("error"))
     (killer,) = frame.filter(~others).to_dicts()
     assert (killer["status"], killer["value"]) == ("failed", None)
     assert killer["error"] == "JobError: the worker process died when it ran this task alone (signal 9)"
     executor = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))  # does not come back
+    run_by(executor, 1)
     with pytest.raises(JobError, match="--resume"):
-        rows(work.die, Workers(lambda: nullcontext(executor)), keys[9:])
+        rows(work.die, keys=keys[9:])
     executor.shutdown()
 
 
@@ -188,12 +184,12 @@ def dask(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, Callabl
         yield scheduler, address, lambda: stack.enter_context(started("dask_worker", address, *options))
 
 
-def ready(address: str, count: int) -> Workers:
-    """The cluster, once its workers have come."""
+def ready(address: str, count: int) -> str:
+    """The address of the cluster, once its workers have come."""
     for _ in range(60):
-        workers = cluster(address, patience=30.0)
-        if workers.count == count:
-            return workers
+        with cluster(address, patience=30.0) as (_, threads):
+            if threads == count:
+                return address
         time.sleep(0.5)
     return pytest.fail("the workers did not start")
 
@@ -205,7 +201,7 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
     scheduler, address, start = dask
     path, printed, victims = tmp_path / "rows.parquet", list[logging.LogRecord](), list[int]()
     with pytest.raises(InputError, match=rf"no scheduler with workers answers.*dask worker {address}"):
-        cluster(address, patience=0.5)
+        cluster(address, patience=0.5).__enter__()
     start(), start()
     workers = ready(address, 2)
 
@@ -221,7 +217,7 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
     assert len(set(frame["process"])) == 2
     assert victims[0] not in set(frame["process"][-20:])
     assert pl.read_parquet(path).equals(frame)  # in the order of the keys, whoever finished first
-    assert frame.drop("seconds", "process").equals(rows(work.draw, SERIAL, MANY))
+    assert frame.drop("seconds", "process").equals(rows(work.draw, 1, MANY))
 
     def kill(done: float, total: float | None, message: str) -> None:
         if done >= 5:
@@ -259,10 +255,11 @@ class Scheduler(Executor):
 
 
 @pytest.mark.parametrize("done", [0, 1, 9])
-def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int) -> None:
-    path, scheduler = tmp_path / "rows.parquet", Scheduler(done)
+def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int, run_by: Any) -> None:
+    path = tmp_path / "rows.parquet"
+    run_by(Scheduler(done), 3)
     with pytest.raises(JobError, match=LOST), RowTable(path) as table:
-        run_tasks(work.draw, MANY, table, Workers(lambda: nullcontext(scheduler), 3, scheduler_is_there))
+        run_tasks(work.draw, MANY, table)
     assert len(pl.read_parquet(path)) / 2 == done if done else not path.exists()
 
 
@@ -279,7 +276,7 @@ def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int) -> 
 def test_bad_address_is_one_line_at_once(address: str, said: str) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match=f"--cluster.*{said}"):
-        cluster(address, patience=1.0)
+        cluster(address, patience=1.0).__enter__()
 
 
 def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -288,12 +285,11 @@ def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPat
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    assert (JobOptions(workers=1).where().count, JobOptions(workers=3).where().count) == (1, 3)
     # by its full name: as an attribute of its package it is multiprocessing's until somebody has imported it
     locks = importlib.import_module("joblib.externals.loky.backend.synchronize")
     monkeypatch.setattr(locks.SemLock, "__init__", refuse)
     with pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
-        rows(work.draw, processes(2))
+        rows(work.draw, 2)
 
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------
