@@ -43,7 +43,8 @@ def fitted(columns: np.ndarray, values: np.ndarray, postures: np.ndarray | None 
 
 def test_reflectors_of_one_posture_count_as_what_they_show_together() -> None:
     """A posture shows two numbers in six rows, mixed in the same way each time: of new postures the fit is off by
-    E tr(Z B Z^T), Z (6, p), which rows counted one by one make less than half; the leverages do not. With equal leverages it is 1 - p / N, however often each row is repeated."""
+    E tr(Z B Z^T), Z (6, p), which rows counted one by one make less than half; the leverages do not. With equal
+    leverages it is 1 - p / N, however often each row is repeated."""
     rng, mixed, shown, one_by_one = np.random.default_rng(8), np.random.default_rng(7).normal(size=(6, 2)), [], []
     for _ in range(200):
         columns, fresh = (np.einsum("rk,gkp->grp", mixed, rng.normal(size=(g, 2, 8))) for g in (10, 200))
