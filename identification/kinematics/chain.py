@@ -46,14 +46,13 @@ from identification.kinematics.parameters import (
     chain_parameters,
     error_names,
 )
-from identification.vectorized import Evaluate, vectorize
+from identification.vectorized import vectorize
 
 DIMENSION = 3  # of space
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 Values = Mapping[str, ca.SX | float]  # parameter name -> value [mm, rad]; what is not there is zero
 Numbers = Mapping[str, float]
 NOTHING: Mapping[str, Any] = MappingProxyType({})
-Complex = NDArray[np.complex128]
 Solver = Callable[[Array], tuple[Array, Array]]
 
 
@@ -362,8 +361,8 @@ class KinematicChain(ByValue):
 
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
-        """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
-        return np.swapaxes(_points(self, tuple(values.items()))(postures)[0], -1, -2)
+        """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
+        return np.delete(self.frames_at(values)(postures)[..., :3, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
@@ -372,30 +371,22 @@ class KinematicChain(ByValue):
     def frames_at(self, values: Numbers) -> Callable[[Array], Array]:
         """What gives the frames (..., n + 3, 4, 4) [mm] at postures (..., n), in that of the base: base, each joint
         after it moved, tip, and the first measured point or frame."""
-        compiled = _frames(self, tuple(values.items()))
-
-        def at(postures: Array) -> Array:
-            placed = compiled(postures)[0]
-            frames = np.zeros((*placed.shape[:-2], len(self) + 3, 4, 4))
-            frames[..., 3, 3] = 1.0
-            frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], len(self) + 3, 4), -3, -2)
-            return frames
-
-        return at
+        return _frames_at(self, tuple(values.items()))
 
 
-@lru_cache(maxsize=32)  # compiled once, used in every search; without axes a fifth of the time of `_frames`
-def _points(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
-    q = ca.SX.sym("q", len(chain))
-    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, dict(values))))
-    return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
-
-
-@lru_cache(maxsize=32)
-def _frames(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
+@lru_cache(maxsize=32)  # compiled once, used in every search
+def _frames_at(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Callable[[Array], Array]:
     q = ca.SX.sym("q", len(chain))
     placed = [ca.horzcat(frame.axes, frame.origin) for frame in chain._in_base(q, dict(values))]
-    return vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.horzcat(*placed)))]))
+    evaluate = vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.vertcat(*placed)))]))
+
+    def at(postures: Array) -> Array:
+        frames = np.zeros((*postures.shape[:-1], len(placed), 4, 4))
+        frames[..., 3, 3] = 1.0
+        frames[..., :3, :] = evaluate(postures)[0].reshape(*frames.shape[:-2], 3, 4)
+        return frames
+
+    return at
 
 
 def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
@@ -464,6 +455,9 @@ class PlanarChain(KinematicChain):
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 1 points (2,), since joint 1 is the base."""
         return [point[:2] for point in super().symbolic_points(q, values)[1:]]
+
+    def points(self, postures: Array, values: Numbers) -> Array:
+        return super().points(postures, values)[..., 1:, :2]
 
 
 def planar_chain(lengths: ArrayLike) -> KinematicChain:
