@@ -177,8 +177,7 @@ def _refitted(
         ("joints", measurements.links, model.joints),
         ("coordinates", measurements.dimension, model.dimension),
     ):
-        points_of_poses = what == "coordinates" and counted == min(arm.dimension, needed)
-        if counted != needed and not points_of_poses:
+        if counted != needed and (what == "joints" or counted not in model.dimensions):
             raise InputError(f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
     if "gravity" in model.needs and arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
