@@ -60,7 +60,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
-    touched = np.full((len(table), instrument.dimension), instrument.touched)
+    touched = np.zeros((len(table), instrument.dimension))
     has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
     fields: dict[str, Any] = {
         "postures": postures,
@@ -362,6 +362,41 @@ class Plan(ByValue):
         return readonly(np.column_stack([*self.columns.values()]))
 
     @classmethod
+    def load(
+        cls,
+        path: PathLike,
+        joints: JointTypes = None,
+        *,
+        carried_out: bool = False,
+        vias: bool = False,
+    ) -> Self:
+        """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.
+
+        joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
+        carried_out : the file is one of measurements, and has other columns
+        vias : read the way-points of the moves too, which nobody measures
+
+        Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns
+        (`UserWarning`) once about columns that are not used.
+        """
+        table = read_table(path, vias=vias)
+        postures, weights, via, conditions = read_postures(table, joints), None, None, dict[str, Any]()
+        if vias and "kind" in table:
+            via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
+        if not carried_out:
+            if "weight" in table:
+                weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
+                if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
+                    wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
+                    raise InputError(f"{table.path}: column weight: {wrong}")
+            n = postures.shape[1]
+            conditions = _conditions(table, n if joints is None else joints, ("payload_kg", "temperature_C"))
+            further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
+            table.warn_unused(further)
+        cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
+        return cls(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
+
+    @classmethod
     def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
         """The plan whose `displayed` postures (m, n) are these."""
         units = [UNITS[_quantity(joint_types, j)] for j in range(1, len(joint_types) + 1)]
@@ -384,7 +419,7 @@ class Plan(ByValue):
             return str(self.to_frame()._repr_html_())
 
     def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
-        """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad).
+        """The text of a plan file; `load` reads the same from it, to rounding (1e-14 rad).
 
         joint_types : None: those of the plan;  further : columns of names, one for each run
 
@@ -404,40 +439,6 @@ class Plan(ByValue):
             columns[name] = np.full(len(self), "" if column.dtype.kind == "U" else np.nan, dtype=column.dtype)
             columns[name][measured] = column
         return csv_text(columns if self.weights is None else columns | {"weight": self.weights}, self.fit)
-
-
-def load_plan(
-    path: PathLike,
-    joints: JointTypes = None,
-    *,
-    carried_out: bool = False,
-    vias: bool = False,
-) -> Plan:
-    """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.
-
-    joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
-    carried_out : the file is one of measurements, and has other columns
-    vias : read the way-points of the moves too, which nobody measures
-
-    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
-    once about columns that are not used.
-    """
-    table = read_table(path, vias=vias)
-    postures, weights, via, conditions = read_postures(table, joints), None, None, dict[str, Any]()
-    if vias and "kind" in table:
-        via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
-    if not carried_out:
-        if "weight" in table:
-            weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
-            if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
-                wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
-                raise InputError(f"{table.path}: column weight: {wrong}")
-        n = postures.shape[1]
-        conditions = _conditions(table, n if joints is None else joints, ("payload_kg", "temperature_C"))
-        further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
-        table.warn_unused(further)
-    cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
-    return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
 
 
 # -- targets -----------------------------------------------------------------------------------------------------------
