@@ -11,7 +11,6 @@ _PLACES = {
     "Design": "doe.design",
     "DesignProblem": "doe.problem.problem",
     "Plan": "identification",
-    "load_plan": "identification",
     "score": "doe.design",
     "score_plan": "doe.design",
     "solve": "doe.solvers",

@@ -22,7 +22,7 @@ from doe.plan.spacing import with_additions
 from doe.problem.model import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification import Arm, Array, InputError, Plan, Progress, silent
+from identification import Arm, Array, InputError, Plan, Progress
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def advise(
     target: float | None = None,
     seed: int = 0,
     seconds: float | None = None,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Advice:
     """Design a plan for every number of runs; stop early only by Ctrl-C, which keeps what is there.
 

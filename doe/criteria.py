@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError, log_determinants, nearest, readonly
+from identification import Array, InputError, log_determinants
 
 NAMES = ("D", "A", "E", "I", "Ds", "Dstar")
 Term = tuple[float, NDArray[np.intp]]  # sign, rows
@@ -34,7 +34,7 @@ def criterion(
     Raises `InputError` for an unknown name, and where what the criterion needs is missing.
     """
     if name not in NAMES:
-        raise InputError(f"criterion: unknown name {name!r}, {nearest(name, NAMES)}")
+        raise InputError.unknown("criterion: unknown name", name, NAMES)
     if name == "I":
         if test_jacobians is None or not len(test_jacobians):
             raise InputError("criterion: I needs test poses, none are given, allowed: at least one posture")
@@ -141,6 +141,15 @@ class D(Criterion):
         total = np.zeros_like(information)
         for sign, rows in self.terms(information.shape[-1]):
             total[..., rows[:, None], rows] += sign * np.linalg.inv(information[..., rows[:, None], rows])
+        return total
+
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """-sum_t s_t tr(M_t^-1 X_a M_t^-1 X_b), with real inverses only."""
+        total = np.zeros((len(directions), len(directions)))
+        for sign, rows in self.terms(len(information)):
+            root = np.linalg.inv(np.linalg.cholesky(information[rows[:, None], rows]))
+            whitened = (root @ directions[:, rows[:, None], rows] @ root.T).reshape(len(directions), -1)
+            total -= sign * (whitened @ whitened.T)
         return total
 
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
@@ -257,9 +266,6 @@ class I(InverseTrace):  # noqa: E742 (its name in the literature)
 
     jacobians: Array
     name = "I"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "jacobians", readonly(self.jacobians))
 
     @property
     def points(self) -> int:

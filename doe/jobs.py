@@ -32,7 +32,7 @@ import numpy as np
 import polars as pl
 
 from doe import SINGLE_THREAD
-from identification import InputError, JobError, Progress, silent
+from identification import InputError, JobError, Progress
 from identification.files.io import check_writable, write_together
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
@@ -195,7 +195,7 @@ def run_tasks(
     *,
     seed: int = 0,
     payload: Callable[[Key], Any] | None = None,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> pl.DataFrame:
     """The rows of all keys, in the order of the keys; those that the table has already are not done again.
 

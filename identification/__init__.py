@@ -19,9 +19,8 @@ if TYPE_CHECKING:  # isort: off
     from identification.kinematics.parameters import Parameter, ParameterSet
     from identification.kinematics.counting import turned_into
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
-    from identification.files import formats
     from identification.files.arm import dump_arm, load_arm, with_effects
-    from identification.files.measurement import Plan, load_plan
+    from identification.files.measurement import Plan
     from identification.workflow import load_sessions
     from identification.campaign import Campaign
 
@@ -43,7 +42,7 @@ if TYPE_CHECKING:  # isort: off
     from identification.errors import ArmcalError, InputError, JobError, nearest
     from identification.vectorized import vectorize
     from identification.newton import newton_ascent
-    from identification.running import Progress, Status, additions, silent
+    from identification.running import Progress, Status, additions
     from identification.arrays import Array, readonly
 
 _IMPORTS = (node for node in ast.walk(ast.parse(Path(__file__).read_text())) if isinstance(node, ast.ImportFrom))

@@ -33,7 +33,7 @@ from identification.estimation.result import corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table, read_table
 from identification.files.io import read_text
-from identification.files.measurement import UNITS, Plan, load_plan
+from identification.files.measurement import UNITS, Plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances, load_measurements
@@ -132,7 +132,7 @@ class Campaign:
         if touched or any(column in table for column in columns):
             self.measurements[name] = load_measurements(path, arm)
             return "measurements"
-        self.plans[name] = load_plan(path, arm.joint_types, vias=True)
+        self.plans[name] = Plan.load(path, arm.joint_types, vias=True)
         return "plan"
 
     # -- models and measurements ---------------------------------------------------------------------------------------

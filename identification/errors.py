@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import SequenceMatcher
 from types import MappingProxyType
+from typing import Self
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -23,6 +24,14 @@ class InputError(ArmcalError):
     """Bad input or usage: the message names the place, what was found and what is allowed."""
 
     exit_code = 2
+
+    @classmethod
+    def unknown(cls, what: str, name: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> Self:
+        """Of a name that is not allowed: `solver: unknown name 'ipot', did you mean 'ipopt'? allowed: ...`
+
+        what : the place, and what the name is there;  meant : as for `nearest`
+        """
+        return cls(f"{what} {name!r}, {nearest(name, allowed, meant)}")
 
 
 class JobError(ArmcalError):

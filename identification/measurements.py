@@ -21,7 +21,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array, ByValue, as_frame
-from identification.conditions import REMEMBERED, Conditions, Past, directions_from_order, past_from_order, session_time
+from identification.conditions import (
+    REMEMBERED,
+    VALUES,
+    Conditions,
+    Past,
+    directions_from_order,
+    past_from_order,
+    session_time,
+)
 from identification.errors import InputError
 from identification.kinematics.parameters import MAX_LINKS
 
@@ -43,32 +51,6 @@ __all__ = [
 # this, 0.1 / 202, a wave of 202 periods per turn (two per turn of a gear of 1:101) changes by a tenth of its amplitude.
 SAME_POSTURE = 5e-4
 POINT = slice(3)  # the coordinates of a residual that are those of a point, in a plane, in space and of a pose
-
-
-def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
-    """(m, 3, 3) True in rows that turn and do not mirror."""
-    square = np.swapaxes(matrices, 1, 2) @ matrices
-    good = np.all(np.abs(square - np.eye(3)) < 1e-6, axis=(1, 2)) & (np.linalg.det(matrices) > 0.0)
-    return np.broadcast_to(good[:, None, None], matrices.shape)
-
-
-# for every field of `Measurements` its shapes behind the rows (n: joints), what is allowed in words, and a test
-VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Any], NDArray[np.bool_]]]] = {
-    "postures": ((("n",),), "finite angles [rad]", np.isfinite),
-    # 1: a length
-    "positions": (((2,), (3,), (6,), (1,)), "finite coordinates [mm]", np.isfinite),
-    "order": (((),), "finite numbers", np.isfinite),
-    "payload": (((),), "numbers >= 0 [kg]", lambda v: np.isfinite(v) & (v >= 0.0)),
-    "temperature": (((),), "numbers >= -273.15 [deg C]", lambda v: np.isfinite(v) & (v >= -273.15)),
-    "directions": ((("n",),), "+1 or -1, NaN: unknown", lambda v: (np.abs(v) == 1.0) | np.isnan(v)),
-    "gaps": (((),), "0 or 1", lambda v: np.isin(v, (0.0, 1.0))),
-    "sigma": (((),), "numbers > 0 [mm]", lambda v: np.isfinite(v) & (v > 0.0)),
-    "repeats": (((),), "whole numbers", lambda v: np.isfinite(v) & (v == np.round(v))),
-    "commanded": ((("n",),), "finite angles [rad]", np.isfinite),
-    "orientations": (((3, 3),), "rotation matrices", _is_rotation),
-    "session": (((),), "a name", lambda v: v != ""),
-    "marker": (((),), "a name", lambda v: v != ""),
-}
 OPTIONAL = frozenset(VALUES.keys() - {"postures", "positions"})
 
 

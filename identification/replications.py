@@ -23,7 +23,7 @@ from identification.errors import InputError
 from identification.estimation import estimate_batch
 from identification.files.arm import arm_from_tables, dump_arm, load_arm
 from identification.files.io import named_file, read_toml
-from identification.files.measurement import Plan, load_plan
+from identification.files.measurement import Plan
 from identification.files.schema import StrictTable, validated
 from identification.for_design import with_points, without_prior
 from identification.information import spectrum
@@ -126,7 +126,7 @@ class StudyFile(StrictTable):
         for name in (name for name in plans if name.endswith(".csv")):
             if any(arm.counting != arms[0].counting for arm in arms):
                 raise InputError("plans: found files for arms with different [joints], allowed: the same in all arms")
-            plans[name] = load_plan(beside(name, "plans"), arms[0].joint_types if arms[0].counting else None)
+            plans[name] = Plan.load(beside(name, "plans"), arms[0].joint_types if arms[0].counting else None)
         return arms, plans, {key: value for key, value in content.items() if key not in ("arms", "plans")}
 
 

@@ -6,10 +6,11 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from importlib import metadata
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from identification.errors import InputError
 
@@ -46,14 +47,17 @@ class Status(Enum):
         return self not in (Status.solver_failed, Status.infeasible)
 
 
-class Progress(Protocol):
-    """Called as `progress(done, total, message)`; `total` may be None when it is not known."""
+@dataclass(frozen=True)
+class Progress:
+    """Called as `progress(done, total, message)`; `total` may be None when it is not known.
 
-    def __call__(self, done: float, total: float | None, message: str) -> None: ...
+    show : what is done with it; left out: nothing is shown
+    """
 
+    show: Callable[[float, float | None, str], object] = lambda *_: None
 
-def silent(done: float, total: float | None, message: str) -> None:
-    """The default: nothing is printed."""
+    def __call__(self, done: float, total: float | None, message: str) -> None:
+        self.show(done, total, message)
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from identification.documents.identification import (
     validation_sections,
     validation_verdict,
 )
-from identification.errors import InputError, nearest
+from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import left_out_residuals
 from identification.estimation.problem import Problem
@@ -142,7 +142,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
     """
     if refit not in REFITS:
-        raise InputError(f"refit: unknown name {refit!r}, {nearest(refit, REFITS)}")
+        raise InputError.unknown("refit: unknown name", refit, REFITS)
     check_calibrated(arm)
     refitted, residuals, left_open = _refitted(arm, measurements, refit)
     drawing = replace(arm, effects=(), calibration=None)

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, TypeVar
 
 from identification.document import Answer, Document
-from identification.errors import InputError, nearest
+from identification.errors import InputError
 from identification.files.io import PathLike, read_bytes, read_text, read_toml, write_together
-from identification.running import Progress, Status, silent
+from identification.running import Progress, Status
 
 if TYPE_CHECKING:
     from identification.arm import Arm, Calibration, EffectSpec
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from identification.model import Model
 
 Written = NewType("Written", Path)  # a file that a verb writes
-Picture = NewType("Picture", Written)  # .png, .svg, .pdf
 Folder = NewType("Folder", Path)  # that a verb writes files into
 Names = Annotated[str, "NAMES"]
 Verb = TypeVar("Verb", bound=Callable[..., Answer])
@@ -60,7 +59,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """
-    from identification.inspection.readings import data_warnings, wrong_units
+    from identification.inspection.readings import data_warnings, read_differently
     from identification.measurements import load_measurements
     from identification.sessions import pooled_sessions
 
@@ -71,8 +70,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     read = []
     for path in paths:
         read.append(load_measurements(path, arm))
-        if wrong := wrong_units(read[-1], arm)[1]:
-            raise InputError(f"{path}: {wrong}")
+        if (readings := read_differently(arm, read[-1], search=False)).certain:
+            raise InputError(f"{path}: {readings.sentences[0]}")
         for sentence in data_warnings(read[-1], arm):
             warnings.warn(f"{path}: {sentence}", UserWarning, stacklevel=2)
     stems = [Path(path).stem for path in paths]
@@ -118,8 +117,8 @@ def init_files(
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
     if instrument is not None and robot is None and dh is None:
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
-    if instrument is not None and instrument not in KINDS:
-        raise InputError(f"--instrument: found {instrument!r}, {nearest(instrument, KINDS)}")
+    if instrument is not None and instrument not in (kinds := KINDS["xyz"]):
+        raise InputError.unknown("--instrument: found", instrument, kinds)
     if robot is not None:
         files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:
@@ -157,7 +156,7 @@ def check_files(
     *,
     package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Are the measurements what they should be?
 
@@ -172,7 +171,7 @@ def check_files(
 
     from identification.files.arm import load_arm, urdf_masses
     from identification.files.csv import read_table
-    from identification.files.measurement import load_plan
+    from identification.files.measurement import Plan
     from identification.inspection.inspection import inspect
     from identification.measurements import load_measurements
     from identification.model import Model
@@ -180,7 +179,7 @@ def check_files(
     loaded = load_arm(arm, package_dir)
     bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
     if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
-        q = load_plan(data, loaded.joint_types).postures
+        q = Plan.load(data, loaded.joint_types).postures
         outside = (np.flatnonzero(np.any((q < loaded.lower - 1e-6) | (q > loaded.upper + 1e-6), axis=1)) + 1).tolist()
         near = [each for clearance in bodies for each in clearance.to_json(q)]
         said = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
@@ -211,7 +210,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
 
     from identification.effects import build_all
     from identification.files.arm import load_arm
-    from identification.files.measurement import load_plan, measurement_text
+    from identification.files.measurement import Plan, measurement_text
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
@@ -220,7 +219,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
-    wanted = load_plan(plan, loaded.joint_types)
+    wanted = Plan.load(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
     if sigma is None:
         raise InputError(f"{arm}: measurement.sigma_mm is missing, allowed: a number > 0 [mm], here or in {truth}")
@@ -257,7 +256,7 @@ def identify_files(
     urdf: Written | None = None,
     out: Written | None = None,
     force: bool = False,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Estimate the arm's parameters from measurements.
 
@@ -529,7 +528,7 @@ def diagnose_files(
     out: Written | None = None,
     force: bool = False,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
     page: Callable[[Document, Sequence[Path]], str] = lambda document, _: document._repr_html_(),
 ) -> Answer:
     """Find and name the effect that the model lacks.
@@ -637,7 +636,7 @@ def compensate_files(
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
-    from identification.files.measurement import commands_text, load_targets
+    from identification.files.measurement import load_targets
     from identification.model import Model
     from identification.origin import check_calibrated
 
@@ -648,9 +647,7 @@ def compensate_files(
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
     lines = []
     if out is not None:
-        wanted_poses = commands.orientations, commands.left_angles
-        columns = commands.left, arm.joint_types, *wanted_poses, commands.reached, commands.messages
-        write_together({out: commands_text(commands.safe_commands, commands.targets, *columns)}, force)
+        write_together({out: commands.text()}, force)
         lines = [f"commands written to {out}"]
     return Answer(commands.to_json(), [commands.document().plus(*lines)], commands, warnings=commands.warnings)
 

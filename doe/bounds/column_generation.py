@@ -31,7 +31,7 @@ from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives, Walls
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
-from identification import Array, InputError, JobError, Status, nearest, newton_ascent
+from identification import Array, InputError, JobError, Status, newton_ascent
 
 # (p, p) gradient, tr(G M), and (k, n) postures in the working set -> postures to add (j, n), best first, and the
 # largest sensitivity of all that was visited; with the gap (relative) up to which it need not be asked again
@@ -351,7 +351,8 @@ def generate_columns(
             break
         # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
         if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
-            weights = sparsest(jacobians, weights)
+            # an interior point leaves every posture a little, as much as it is accurate: that is no weight
+            weights = sparsest(jacobians, np.where(weights > 10.0 * accuracy, weights, 0.0))
             postures, jacobians, weights = postures[weights > 0.0], jacobians[weights > 0.0], weights[weights > 0.0]
         smallest, offers = min(smallest, gap), offers[new]
         offers = offers[distinct(comparable(offers))]
@@ -381,7 +382,7 @@ def relax(
     solver returns no weights.
     """
     if solver not in (*LARGEST, "column_generation"):
-        raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, (*LARGEST, 'column_generation'))}")
+        raise InputError.unknown("solver: unknown name", solver, (*LARGEST, "column_generation"))
     if isinstance(candidates, int | np.integer):
         chosen = grid(problem, int(candidates))
     else:

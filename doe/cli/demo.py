@@ -7,7 +7,7 @@ from pathlib import Path
 
 from doe.cli.plans import with_collisions
 from doe.cli.verb import stopped_by, verb
-from identification import InputError, JobError, Progress, silent
+from identification import InputError, JobError, Progress
 from identification.document import Answer, Document
 from identification.files.io import write_together
 from identification.workflow import Folder
@@ -20,7 +20,7 @@ def command(
     out: Folder = Folder(Path("armcal-demo")),  # noqa: B008
     force: bool = False,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
     page: Callable[[Document, Sequence[Path]], str],
 ) -> Answer:
     """Run the whole loop on a simulated arm.

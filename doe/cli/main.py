@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from importlib.resources import files
 from typing import Any
 
 import click
@@ -12,7 +13,7 @@ import click
 from doe import SINGLE_THREAD
 from doe.cli import demo, plans, study
 from doe.cli.verb import in_one_line, say, verb
-from identification import InputError, nearest
+from identification import InputError
 from identification.document import Answer
 from identification.workflow import VERBS
 
@@ -58,7 +59,7 @@ class Verbs(click.Group):
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As in click, with a suggestion."""
         if args and not args[0].startswith("-") and args[0] not in self.commands:
-            ctx.fail(f"unknown verb {args[0]!r}, {nearest(args[0], self.commands, OTHER_VERBS)}")
+            ctx.fail(str(InputError.unknown("unknown verb", args[0], self.commands, OTHER_VERBS)))
         return super().resolve_command(ctx, args)
 
 
@@ -88,12 +89,10 @@ def help_of(topic: str = "formats") -> Answer:
     if topic == "formats":
         from rich.markdown import Markdown
 
-        from identification import formats
-
-        text = formats()
+        text = files("identification.files").joinpath("README.md").read_text(encoding="utf-8")
         return Answer({"topic": topic, "text": text}, [Markdown(text)])
     if topic not in main.commands:
-        raise InputError(f"unknown topic {topic!r}, {nearest(topic, ['formats', *main.commands])}")
+        raise InputError.unknown("unknown topic", topic, ["formats", *main.commands])
     parent = click.get_current_context().parent
     text = main.commands[topic].get_help(click.Context(main.commands[topic], info_name=topic, parent=parent))
     return Answer({"topic": topic, "text": text}, [text])

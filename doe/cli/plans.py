@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from doe.cli.verb import Count, JobOptions, Names, Seconds, WholeNumbers, interruptible, verb
-from identification import InputError, Progress, load_sessions, nearest, silent
+from doe.cli.verb import Count, JobOptions, Names, Picture, Seconds, WholeNumbers, interruptible, verb
+from identification import InputError, Progress
 from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
-from identification.workflow import Picture, Written
+from identification.workflow import VERBS, Written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +66,7 @@ def design_problem(
     from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import missing_effects, robust_problem, tip_jacobians
-    from identification import Model, load_plan
+    from identification import Plan, design_model
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
     if wanted.missing is not None and not wanted.robust:
@@ -74,11 +74,11 @@ def design_problem(
     for option, value, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
         if value is not None and name in NAMES and name != needed:
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
-    model, restrictions = Model(arm), dict[str, Any]()
+    model, restrictions = design_model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
-        restrictions["kept"] = load_plan(keep, arm.joint_types, carried_out=True).postures
+        restrictions["kept"] = Plan.load(keep, arm.joint_types, carried_out=True).postures
     if candidates is not None:
-        choices = restrictions["choices"] = load_plan(candidates, arm.joint_types).postures
+        choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
         try:
             listed_candidates(DesignProblem.of(model, choices=choices), choices)
         except InputError as error:  # none is within limits and constraints
@@ -91,11 +91,11 @@ def design_problem(
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
         problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
-        poses = None if wanted.test_poses is None else load_plan(wanted.test_poses, arm.joint_types).postures
+        poses = None if wanted.test_poses is None else Plan.load(wanted.test_poses, arm.joint_types).postures
         names = problem.model.parameters.names
         for word in wanted.subset or ():
             if word not in names:
-                raise InputError(f"--subset: unknown parameter {word!r}, {nearest(word, names)}")
+                raise InputError.unknown("--subset: unknown parameter", word, names)
         chosen = criterion(
             name,
             units=list(problem.model.parameters.units),
@@ -163,7 +163,7 @@ def design_files(
     package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Choose the postures to measure, with a certificate.
 
@@ -266,10 +266,10 @@ def score_files(
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
-    from identification import Model, design_model, load_arm, load_plan
+    from identification import Plan, design_model, load_arm
 
     loaded = load_arm(arm, package_dir)
-    judged = load_plan(plan, loaded.joint_types)
+    judged = Plan.load(plan, loaded.joint_types)
     bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing))
     if robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
@@ -283,11 +283,11 @@ def score_files(
         warnings.warn(sentence, UserWarning, stacklevel=2)
     sees = None
     try:
-        sees = design_model(Model(loaded)).detectability(judged.postures)
+        sees = design_model(loaded).detectability(judged.postures)
         tables: list[Any] = [*sees.document().parts]
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         tables = [f"missing effects: {reason}"]
-    problem = DesignProblem.of(Model(loaded))
+    problem = DesignProblem.of(loaded)
     values, tip = criterion_values(problem, judged.postures), replace(problem, criterion=average_error(problem))
     data = design.to_json() | {
         "workspace_error_mm": None if values["I"] is None else error_at_poses(tip, values["I"], len(judged)),
@@ -295,7 +295,7 @@ def score_files(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    driven = load_plan(plan, loaded.joint_types, vias=True).postures
+    driven = Plan.load(plan, loaded.joint_types, vias=True).postures
     moves = None if judged.weights is not None else unproven(problem.constraints, driven)
     if moves is not None:
         data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
@@ -315,7 +315,7 @@ def advise_files(
     seconds: Seconds = 60.0,
     package_dir: tuple[Path, ...] = (),
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """How many measurements are needed?
 
@@ -330,11 +330,11 @@ def advise_files(
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import Model, design_model, load_arm
+    from identification import design_model, load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
     named = [word for words in only for word in words]
-    model = design_model(Model(loaded))
+    model = design_model(loaded)
     problem = DesignProblem.of(model.only(named) if named else model)
     fewest = problem.fewest_runs
     text = runs or (f"{fewest}:40" if named else "4:40")
@@ -370,7 +370,7 @@ def relax_files(
     package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Optimal weights over candidate postures.
 
@@ -388,7 +388,7 @@ def relax_files(
     from doe.cross_check import cross_check
     from doe.problem.uncertain import with_choices
     from doe.report.design import relax_document
-    from identification import load_arm, load_plan
+    from identification import Plan, load_arm
 
     loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
@@ -403,7 +403,7 @@ def relax_files(
         reason, allowed = f"found with --solver {solver}", "column_generation"
         raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
     if candidates is not None:
-        places: Any = load_plan(candidates, problem.model.joint_types).postures
+        places: Any = Plan.load(candidates, problem.model.joint_types).postures
     elif problem.choices is not None:
         places = problem.choices
         if grid is not None:
@@ -441,7 +441,7 @@ def compare_files(
     seconds: Seconds = 60.0,
     job: JobOptions,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Compare design solvers side by side.
 
@@ -512,10 +512,10 @@ def program_files(
     out : Write the program, which takes the name of the file.
     """
     from doe.program.program import program
-    from identification import load_arm, load_plan
+    from identification import Plan, load_arm
 
     loaded = load_arm(arm, package_dir)
-    file = load_plan(plan, loaded.joint_types, vias=True)
+    file = Plan.load(plan, loaded.joint_types, vias=True)
     if file.weights is not None:
         raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
     options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
@@ -548,7 +548,7 @@ def discriminate_files(
     package_dir: tuple[Path, ...] = (),
     force: bool = False,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Next postures for an ambiguous diagnosis.
 
@@ -563,7 +563,7 @@ def discriminate_files(
     from doe.discrimination.t_optimal import discriminate
     from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
-    from identification import Model, diagnose, load_arm
+    from identification import Plan, load_arm
 
     loaded, masses = load_arm(arm, package_dir), None
     if payloads is not None:
@@ -575,24 +575,24 @@ def discriminate_files(
             raise InputError(f"--payloads: {payloads!r}, allowed: numbers >= 0 [kg], as in 0,5,10")
         if loaded.gravity is None:
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
-    measurements = load_sessions(data, loaded)
     loaded.chain.refuse_contacts()
-    problem = DesignProblem.of(Model(loaded))
-    postures, fewest = len(set(measurements.posture_numbers.tolist())), problem.fewest_runs
-    if postures < fewest:
-        counted = f"{len(measurements)} rows of {postures} posture{'s' * (postures != 1)}"
+    problem = DesignProblem.of(loaded)
+    measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]
+    if (postures := len(set(map(tuple, measured)))) < (fewest := problem.fewest_runs):
+        counted = f"{len(measured)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
-    diagnosis = diagnose(loaded, measurements, seed=seed, progress=progress)
+    diagnosis = VERBS["diagnose"][0](arm, data, seed=seed, progress=progress).result
     keys = {"verdict": diagnosis.verdict, "candidates": [list(candidate.effects) for candidate in diagnosis.candidates]}
     if diagnosis.verdict != "ambiguous":
-        sentence = f"Nothing to distinguish, since the verdict is not ambiguous. {diagnosis.sentence}"
+        lines = [f"Nothing to distinguish, since the verdict is not ambiguous. {diagnosis.sentence}"]
+        lines += [] if out is None else [f"{out} was not written: there are no next postures"]
         nothing: dict[str, Any] = {
             "postures_deg": [],
             "pairs": [],
             **dict.fromkeys(("payload_kg", "directions", "chance", "status")),
         }
-        return Answer(keys | nothing, [sentence])
+        return Answer(keys | nothing, lines)
     end = perf_counter() + seconds
 
     def late() -> bool:
@@ -600,10 +600,10 @@ def discriminate_files(
         progress(5, None, f"choosing the next postures, at most {max(left, 0.0):.0f} s left")
         return left < 0.0
 
-    chosen = discriminate(loaded, diagnosis, measurements, runs, seed, masses, stop=late)
-    lines = written({out: chosen.plan.text(further=chosen.conditions)}, force, "next postures")
+    chosen = discriminate(loaded, diagnosis, runs, seed, masses, stop=late)
+    lines = written({out: chosen.plan.text(further=chosen.columns)}, force, "next postures")
     lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
-    shown = [next_document(loaded, measurements, diagnosis, chosen).plus(*lines)]
+    shown = [next_document(diagnosis, chosen).plus(*lines)]
     return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
 
 

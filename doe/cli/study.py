@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from doe.cli.verb import Count, JobOptions, interruptible, verb
-from identification import InputError, JobError, Progress, nearest, silent
+from identification import InputError, JobError, Progress
 from identification.document import Answer
 from identification.files.io import check_writable, write_together
 
@@ -55,7 +55,7 @@ def command(
     cells: Annotated[tuple[str, ...], "--cell", "NAME"] = (),
     job: JobOptions,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Answer:
     """Run a simulation study, or one that comes with armcal.
 
@@ -69,7 +69,7 @@ def command(
     cells : Of blind or blind-spatial: only this; repeatable.
     """
     if study not in BUILT_IN and not study.endswith(".toml"):
-        raise InputError(f"study: unknown name {study!r}, {nearest(study, BUILT_IN)}, or a file NAME.toml")
+        raise InputError.unknown("study: unknown name", study, [*BUILT_IN, "NAME.toml"])
     if cells and study not in ("blind", "blind-spatial"):
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")

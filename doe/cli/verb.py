@@ -23,14 +23,14 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from identification import InputError, JobError, Progress, silent
+from identification import InputError, JobError, Progress
 from identification.document import Answer
 from identification.files.io import check_writable
-from identification.workflow import Folder, Picture, Written
+from identification.workflow import Folder, Written
 
 if TYPE_CHECKING:
     from identification.document import Document
@@ -42,6 +42,9 @@ EVERYWHERE = {  # options that mean the same wherever they are
     "package_dir": "Folder in which packages of the URDF's meshes are; may be repeated.",
 }
 LONGEST_LINE = 1000  # characters of a message
+
+
+Picture = NewType("Picture", Written)  # .png, .svg, .pdf
 
 
 # -- types of options --------------------------------------------------------------------------------------------------
@@ -376,7 +379,7 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
     `interval` seconds, even while the job reports nothing."""
     started = time.monotonic()
     if quiet or sys.stderr is None:  # None: closed, as by 2>&-
-        yield silent
+        yield Progress()
     elif sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -395,7 +398,7 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
                 visible = time.monotonic() - started > 0.5
                 bar.update(task, completed=done, total=total, description=message or title, visible=visible)
 
-            yield report
+            yield Progress(report)
     else:
         latest: str | None = ""
         timers = list[threading.Timer]()
@@ -417,7 +420,7 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
 
         wait()
         try:
-            yield tell
+            yield Progress(tell)
         finally:
             latest = None
             timers[0].cancel()

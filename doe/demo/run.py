@@ -23,15 +23,12 @@ from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
 from identification import (
     Arm,
     Array,
-    Compared,
     Measurements,
-    Model,
     Plan,
     Progress,
+    design_model,
     load_arm,
     rms_distance,
-    silent,
-    with_effects,
 )
 from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
@@ -68,7 +65,7 @@ class Scenario:
 def planar() -> Scenario:
     """The paper's arm, with the paper's errors and an encoder that sits off centre."""
     truth = f"{PLANAR_ARM}\n{TRUTH}"
-    model = Model(load_arm(tomllib.loads(truth)))
+    model = design_model(load_arm(tomllib.loads(truth)))
     hidden = {p.name: model.best_known[p.name] * p.to_file for p in model.all_parameters}
     files = {"arm.toml": PLANAR_ARM, "truth.toml": truth}
     return Scenario("the paper's 4-link arm", files, model.position, hidden, runs=20)
@@ -115,7 +112,7 @@ class Demo:
 
 
 def run_demo(
-    directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = silent, force: bool = True
+    directory: Path, scenario: Scenario, seed: int = 0, progress: Progress = Progress(), force: bool = True
 ) -> Demo:
     """Make the files and results of the demo in a directory that exists; files there are replaced with `force`."""
     files: list[str] = []
@@ -141,7 +138,7 @@ def run_demo(
         write(name, text)
     arm = load_arm(directory / "arm.toml")
     progress(1, 8, "plan")
-    problem = DesignProblem.of(Model(arm))
+    problem = DesignProblem.of(arm)
     design = solve(problem, scenario.runs, seed=seed, **scenario.effort)
     driven = drive(problem, design.plan, seed=seed)
     design, moves = replace(design, plan=driven.plan), driven.moves or driven.plan
@@ -158,15 +155,15 @@ def run_demo(
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     progress(4, 8, "diagnosis")
-    diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
+    named = to_write("extended.toml")
+    test = directory / "fresh.csv"
+    diagnosed = diagnose(path, (rows,), holdout=test, named_only=True, out=named, force=True, seed=seed)
     progress(5, 8, "identification again")
-    write("extended.toml", with_effects(scenario.files["arm.toml"], diagnosed.result.named.specs, directory))
-    extended_file = Written(directory / "extended.toml")
-    extended = identify(extended_file, rows, out=extended_file, force=True)
+    extended = identify(named, rows, out=named, force=True)
     progress(6, 8, "commands")
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
     write("targets.csv", Plan(targets).text(arm.joint_types))
-    sent = compensate(extended_file, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
+    sent = compensate(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
     progress(7, 8, "page")
     before, after = (
         fresh.positions - fit.model.position(fresh.postures, fit.parameters, fresh.conditions)
@@ -197,7 +194,7 @@ def run_demo(
         },
         "files": files,
     }
-    validated = validate(extended_file, directory / "fresh.csv")
+    validated = validate(named, directory / "fresh.csv")
     return Demo(scenario.title, arm, design, moves, fresh, identified, diagnosed, validated, (before, after), data)
 
 
@@ -302,10 +299,13 @@ def overview_figure(demo: Demo) -> Figure:
     # residuals turned into the joint angle error they mean, against the joint that the diagnosis names
     axes = figure.add_subplot(places[2])
     joint = next((spec.joint for spec in diagnosis.named.specs if spec.joint), 1)
-    fresh, q = demo.fresh, np.degrees(demo.fresh.postures[:, joint - 1])
-    errors = Compared(demo.arm, fresh.postures, *demo.left, fresh.conditions).errors
-    for each, color, name in zip(errors, (BEFORE, AFTER), ("identified", "effect added"), strict=True):
-        axes.plot(q, np.degrees(each[:, joint - 1]), ".", color=color, ms=4, label=name)
+    postures = demo.fresh.postures
+    levers = design_model(demo.arm).joint_levers(postures, conditions=demo.fresh.conditions)[..., joint - 1]
+    squares = np.sum(levers**2, axis=1)
+    clear = squares > 0.1 * squares.max()  # of shorter levers residuals say little
+    for left, color, name in zip(demo.left, (BEFORE, AFTER), ("identified", "effect added"), strict=True):
+        errors = np.degrees(np.sum(levers * left, axis=1) / squares)[clear]
+        axes.plot(np.degrees(postures[clear, joint - 1]), errors, ".", color=color, ms=4, label=name)
     axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")
     axes.legend(frameon=False, fontsize=9)
     axes.set_title(f"3. diagnosis:\n{' + '.join(diagnosis.effects) or diagnosis.verdict}", fontsize=10)

@@ -35,7 +35,7 @@ from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import information_of_each
 from doe.solvers import Solver, solve
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget
-from identification import Array, InputError, Model, Progress, Status, design_model, silent, spectrum
+from identification import Array, InputError, Progress, Status, design_model, spectrum
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -74,7 +74,7 @@ class EffectLibrary:
     @classmethod
     def of(cls, arm: Arm) -> EffectLibrary:
         """The effects of the library that an arm can have, besides its own; without the rare ones."""
-        return cls(*offered(design_model(Model(arm)), "rival_effects", "discriminating")())
+        return cls(*offered(design_model(arm), "rival_effects", "discriminating")())
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def discrimination_design(
     seed: int = 0,
     starts: int | None = None,
     seconds: float | None = None,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> DiscriminationDesign:
     """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
 
@@ -352,7 +352,7 @@ class Swaps:
         return np.concatenate([pool, near[self.problem.feasible(near)]])
 
     def improved(
-        self, postures: Array, least: float, generator: Generator, budget: Budget, progress: Progress = silent
+        self, postures: Array, least: float, generator: Generator, budget: Budget, progress: Progress = Progress()
     ) -> Iterator[Array]:
         """(m, n) the plan, and it after every swap, better and better;  least : of the base problem's criterion
 

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, InputError, Measurements, Model, Plan, Status, readonly
+from identification import Array, InputError, Plan, Status
 
 if TYPE_CHECKING:
     from identification import Arm, Diagnosis
@@ -26,15 +26,13 @@ if TYPE_CHECKING:
 class NextPostures:
     """The measurements that should distinguish the candidates.
 
-    plan : (K) postures in the order of measurement
-    payload : (K,) [kg], None if there was no choice;  directions : (K, n) of approach, None if they do not matter
+    plan : (K) postures in the order of measurement, and of their conditions `payload` (K,) [kg] where there was a
+        choice and `directions` (K, n) of approach where they matter
     chance : upper bound on the predicted probability that only the right candidate is left
     pairs : (candidate, rival) -> expected lambda between them;  status : `local_optimum` or `time_limit`
     """
 
     plan: Plan
-    payload: Array | None
-    directions: Array | None
     chance: float
     pairs: dict[tuple[str, str], float]
     status: Status = Status.local_optimum
@@ -45,23 +43,19 @@ class NextPostures:
         return f"{len(self.plan)} postures{cut}; probability of resolving the ambiguity: {chance}"
 
     @property
-    def columns(self) -> dict[str, Any]:
-        """Columns of the plan file: run, angles, and payload and directions where they matter."""
-        return {"run": np.arange(1, len(self.plan) + 1), **self.plan.columns, **self.conditions}
-
-    @property
-    def conditions(self) -> dict[str, Array]:
-        """Those columns of it that say how to measure."""
-        payload = {} if self.payload is None else {"payload_kg": self.payload}
-        sides = () if self.directions is None else self.directions.T
-        return payload | {f"direction{j}": column for j, column in enumerate(sides, start=1)}
+    def columns(self) -> dict[str, Array]:
+        """Those of the plan file that say how to measure: payload and directions, where they matter."""
+        payload, directions = (self.plan.conditions.get(name) for name in ("payload", "directions"))
+        columns = {} if payload is None else {"payload_kg": payload}
+        sides = () if directions is None else directions.T
+        return columns | {f"direction{j}": side for j, side in enumerate(sides, start=1)}
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `armcal discriminate` beside those of the diagnosis."""
         return {
             "postures_deg": self.plan.displayed,
-            "payload_kg": self.payload,
-            "directions": self.directions,
+            "payload_kg": self.plan.conditions.get("payload"),
+            "directions": self.plan.conditions.get("directions"),
             "chance": self.chance,
             "status": self.status.name,
             "pairs": [{"candidate": a, "rival": b, "lambda": size} for (a, b), size in self.pairs.items()],
@@ -134,7 +128,6 @@ class RivalPredictions:
 def discriminate(
     arm: Arm,
     diagnosis: Diagnosis,
-    measurements: Measurements,
     runs: int,
     seed: int = 0,
     payloads: tuple[float, ...] | None = None,
@@ -153,7 +146,7 @@ def discriminate(
             f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
     generator = np.random.default_rng(seed)
-    pool = random_postures(DesignProblem.of(Model(arm)), 1500, generator)  # effort
+    pool = random_postures(DesignProblem.of(arm), 1500, generator)  # effort
     # a payload and directions of approach for each posture, at random
     usual = 0.0 if arm.gravity is None else arm.gravity.payload
     payload = generator.choice(np.array(payloads or (usual,)), len(pool))
@@ -171,10 +164,10 @@ def discriminate(
     chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
     np.fill_diagonal(chance, 1.0)
     names = [" + ".join(candidate.effects) for candidate in diagnosis.candidates]
+    conditions = {"payload": payload[chosen]} if payloads else {}
+    conditions |= {"directions": directions[chosen]} if "directions" in diagnosis.needs else {}
     return NextPostures(
-        Plan(pool[chosen], joint_types=diagnosis.arm.joint_types),
-        readonly(payload[chosen]) if payloads else None,
-        readonly(directions[chosen]) if "directions" in diagnosis.needs else None,
+        Plan(pool[chosen], joint_types=diagnosis.arm.joint_types, conditions=conditions),
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
         Status.time_limit if stop() else Status.local_optimum,

@@ -19,7 +19,7 @@ from doe.problem.constraints import KINDS, Constraint
 from doe.problem.model import turns
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, InputError, JobError, Plan, nearest
+from identification import Array, InputError, JobError, Plan
 
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (False, False), "positive": (True, False), "negative": (False, True), "alternate": (True, True)}
@@ -299,7 +299,7 @@ def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | Non
 def check_approach(approach: str) -> None:
     """Raises `InputError` with the nearest name for an unknown approach."""
     if approach not in SENSES:
-        raise InputError(f"approach: unknown {approach!r}, {nearest(approach, SENSES)}")
+        raise InputError.unknown("approach: unknown", approach, SENSES)
 
 
 def with_approach(problem: DesignProblem, approach: str, signs: Sequence[int] = ()) -> DesignProblem:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from doe.criteria import Criterion, D, information_matrix
 from doe.problem.constraints import Constraint, Derivatives, Walls, constraints_of
 from doe.problem.model import NEEDS_SIGMA, DesignModel, check_model, offers, turns
-from identification import Array, InputError, design_model, readonly, vectorize
+from identification import Array, InputError, design_model, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
 MANY = 16  # parameters above which gradients pay: exchanges and second derivatives of plans cost the cube of them
@@ -109,6 +109,8 @@ class DesignProblem:
 
     def __post_init__(self) -> None:
         def settle(name: str, value: Any) -> None:
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
             object.__setattr__(self, name, value)
 
         settle("model", design_model(self.model))
@@ -118,11 +120,11 @@ class DesignProblem:
             raise InputError(f"criterion: {self.criterion!r:.40}, allowed: {allowed}")
         for name in ("lower", "upper"):
             limit = getattr(self, name)
-            settle(name, readonly(getattr(self.model, name) if limit is None else limit, -1))
-        kept = np.empty((0, self.joints)) if self.kept is None else np.atleast_2d(np.asarray(self.kept, dtype=float))
+            settle(name, np.array(getattr(self.model, name) if limit is None else limit, dtype=float).ravel())
+        kept = np.empty((0, self.joints)) if self.kept is None else np.atleast_2d(np.array(self.kept, dtype=float))
         if kept.size and kept.shape[1:] != (self.joints,):
             raise InputError(f"kept: shape {kept.shape}, allowed: (k, {self.joints})")
-        settle("kept", readonly(kept.reshape(-1, self.joints)))
+        settle("kept", kept.reshape(-1, self.joints))
         if self.choices is not None and np.shape(self.choices)[1:] != (self.joints,):
             raise InputError(f"candidates: shape {np.shape(self.choices)}, allowed: (N, {self.joints})")
         settle("deviations", dict(self.deviations))
@@ -255,7 +257,7 @@ class DesignProblem:
             sizes[parameters.index(name)] = deviation
         if self.deviations and self.model.sigma is None:
             raise InputError(f"a prior {NEEDS_SIGMA}")
-        return readonly(((self.model.sigma or 0.0) / (parameters.scales * sizes)) ** 2)
+        return np.asarray(((self.model.sigma or 0.0) / (parameters.scales * sizes)) ** 2)
 
     @cached_property
     def scaled_jacobian_function(self) -> ca.Function:

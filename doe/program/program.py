@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from doe.plan.driving import in_sentences, room_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
-from identification import Arm, Array, InputError, Model, Plan
+from identification import Arm, Array, InputError, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
@@ -159,7 +159,7 @@ def program(
 def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
     """Raises `InputError` for the first row that breaks a constraint; a way-point need not be seen, and where bodies
     are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
-    constraints = constraints_of(Model(arm))
+    constraints = constraints_of(arm)
     room = room_of(constraints)
     for constraint in constraints:
         passed = via & (constraint.kind == "line_of_sight" or room is not None)

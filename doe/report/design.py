@@ -19,14 +19,14 @@ from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
-from identification import Array, Model, Plan
+from identification import Array, Plan
 from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
     from doe.discrimination.design import DiscriminationDesign
     from doe.discrimination.t_optimal import NextPostures
-    from identification import Arm, Diagnosis, Measurements
+    from identification import Arm, Diagnosis
 
 Data = Mapping[str, Any]  # what a command says with --json
 
@@ -213,7 +213,7 @@ def plan_section(
     """
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
-    problem, postures = DesignProblem.of(Model(arm)), plan.measured.postures
+    problem, postures = DesignProblem.of(arm), plan.measured.postures
     looked = [each for each in problem.constraints if isinstance(each, Clearance)]
     near = [line for clearance in looked for line in clearance.in_words(postures)]
     near = near if looked or not arm.chain.projection else [COLLISIONS]
@@ -400,13 +400,14 @@ def discriminating_parts(result: DiscriminationDesign) -> list[Any]:
 
 
 # -- armcal discriminate -----------------------------------------------------------------------------------------------
-def next_document(arm: Arm, measurements: Measurements, diagnosis: Diagnosis, result: NextPostures) -> Document:
+def next_document(diagnosis: Diagnosis, result: NextPostures) -> Document:
     """The rivals, the chance, the postures, and what to do before their rows can be appended: measurements without a
     payload column mean the arm's own payload."""
-    columns = result.columns
+    columns = {"run": np.arange(1, len(result.plan) + 1), **result.plan.columns, **result.columns}
+    arm, measured = diagnosis.arm, diagnosis.residuals.conditions
     rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
     notes = []
-    if result.payload is not None and measurements.payload is None and arm.gravity is not None:
+    if "payload_kg" in columns and measured.payload is None and arm.gravity is not None:
         notes = [f"note: the measured rows need a column payload_kg too: {arm.gravity.payload:g} in each of them"]
     table = Sheet(list(columns), rows, "Next postures")
     return Document("Next postures", [str(result)], [diagnosis.sentence, table, *notes])

@@ -16,7 +16,7 @@ from doe.advise import Advice
 from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
 from doe.report.scene import side, simplified, trackers
-from identification import Arm, Array, Model, design_model
+from identification import Arm, Array, design_model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
 LINK, CELL, FLOOR, SIGHT = "#a9bccb", "#cdbfa8", "#e9edf1", "#2f8f5b"  # as in page.css
@@ -53,7 +53,7 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
 
 def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
     """Every joint's angles within its limits; of sliding joints where they are between them."""
-    types = Model(arm).joint_types
+    types = design_model(arm).joint_types
     for j, kind in enumerate(types):
         factor = in_files(kind)[1]
         limits = [factor * arm.lower[j], factor * arm.upper[j]]
@@ -79,7 +79,7 @@ def run_colors(m: int) -> Array:
 
 def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
     """Stick figures of the arm as it is best known, in the frame of its base; axes : in a plane or in space, as it"""
-    for line, color in zip(Model(arm).points(postures), run_colors(len(postures)), strict=True):
+    for line, color in zip(design_model(arm).points(postures), run_colors(len(postures)), strict=True):
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
     axes.plot(*np.zeros((arm.dimension, 1)), "ks", ms=6)
@@ -125,7 +125,7 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) 
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     assert arm.cell is not None
-    frames = np.concatenate([np.eye(4)[None], design_model(Model(arm)).joint_frames(posture[None])[0]])
+    frames = np.concatenate([np.eye(4)[None], design_model(arm).joint_frames(posture[None])[0]])
     elevation, azimuth = np.radians(view)
     viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     seen, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]

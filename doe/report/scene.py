@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, Model, design_model, rms_distance
+from identification import Array, design_model, rms_distance
 
 if TYPE_CHECKING:
     from identification import Arm
@@ -110,7 +110,7 @@ def error_arrows(name: str, test: Any, most: int = 500) -> list[dict[str, Any]]:
     if residuals[0].shape[1] < len("xyz") or not arm.chain.instrument.reads_positions:
         return []
     known = {**arm.chain.tools, **(arm.calibration.tools if arm.calibration is not None else {})}
-    frames = design_model(Model(arm)).joint_frames(measured.postures)[:, -1]
+    frames = design_model(arm).joint_frames(measured.postures)[:, -1]
     at = frames[:, :3, 3]
     if measured.marker is not None and len(known) > 1:
         beside = [known[marker] - next(iter(known.values())) for marker in measured.marker]

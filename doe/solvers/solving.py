@@ -38,8 +38,6 @@ from identification import (
     Progress,
     Status,
     additions,
-    nearest,
-    silent,
     spectrum,
 )
 
@@ -101,7 +99,7 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
     where it does not fit the problem."""
     if isinstance(solver, str):
         if solver not in available_solvers():
-            raise InputError(f"solver: unknown name {solver!r}, {nearest(solver, available_solvers())}")
+            raise InputError.unknown("solver: unknown name", solver, available_solvers())
         solver = available_solvers()[solver]
     if solver is None:
         listed, many = problem.choices is not None, problem.many_parameters
@@ -123,7 +121,7 @@ def solve(
     bound: Bound | None = None,
     begin: Array | None = None,
     accepted: Callable[[Array], bool] = lambda _: True,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
     throw: bool = True,
 ) -> Design:
     """The best plan of `runs` measurements that the solver finds, with its certificate.

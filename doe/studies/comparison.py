@@ -18,7 +18,7 @@ from doe.criteria import criterion
 from doe.jobs import Key, Row, RowTable, Workers, call, run_tasks, short_hash, with_columns
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
-from identification import Arm, InputError, Model, Progress, dump_arm, nearest, silent
+from identification import Arm, InputError, Progress, dump_arm
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -51,10 +51,10 @@ class Comparison:
             arm.chain.refuse_contacts()
         for solver in self.solvers:
             if isinstance(solver, str) and solver not in available_solvers():
-                raise InputError(f"solvers: unknown name {solver!r}, {nearest(solver, available_solvers())}")
+                raise InputError.unknown("solvers: unknown name", solver, available_solvers())
         for name in self.criteria:
             if name not in CRITERIA:
-                raise InputError(f"criterion: {name!r} in a comparison, {nearest(name, CRITERIA)}")
+                raise InputError.unknown("criterion: of a comparison found", name, CRITERIA)
         if not 0.0 < self.seconds < np.inf:  # it is part of every key, in JSON
             raise InputError(f"seconds: found {self.seconds}, allowed: a finite number > 0")
         names = [solver if isinstance(solver, str) else solver.name for solver in self.solvers]
@@ -68,7 +68,7 @@ def compare(
     workers: Workers = 1,
     *,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> pl.DataFrame:
     """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `bound`, `efficiency`,
     `correct`, `seconds`, `error`.
@@ -115,7 +115,7 @@ def solve_and_evaluate(arm: Arm, solver: str | Solver, key: dict[str, Any], seed
 
 def compared_problem(arm: Arm, name: str) -> DesignProblem:
     """Of an arm, with a criterion of `CRITERIA`."""
-    problem = DesignProblem.of(Model(arm))
+    problem = DesignProblem.of(arm)
     return replace(problem, criterion=criterion(name, units=problem.model.parameters.units))
 
 

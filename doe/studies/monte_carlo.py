@@ -27,14 +27,11 @@ from identification import (
     Array,
     InputError,
     JobError,
-    Model,
     Plan,
     Progress,
     Replications,
     StudyFile,
     dump_arm,
-    nearest,
-    silent,
 )
 from identification.files.io import write_together
 
@@ -66,7 +63,7 @@ class Study:
         methods = {*SOLVERS, DFT, RANDOM}
         for name, plan in plans.items():
             if plan is None and name not in methods:
-                raise InputError(f"plans: unknown {name!r}, {nearest(name, methods)}, or NAME.csv")
+                raise InputError.unknown("plans: unknown", name, [*methods, "NAME.csv"])
             if plan is None and not asked.runs:
                 raise InputError(f"runs: is missing, allowed: whole numbers >= 1, as plan {name!r} needs them")
         least = []  # runs of each fit; where one can be done, the others are rows that say why there is nothing
@@ -112,7 +109,7 @@ def run_study(
     seed: int = 0,
     resume: bool = False,
     force: bool = False,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> dict[str, pl.DataFrame]:
     """Every cell of the study: `cells` (one row per cell and parameter, see `pooled_rows`), `blocks` (one row per block
     of replications and parameter) and `plans` (one row per plan that a solver made).
@@ -143,7 +140,7 @@ def run_study(
 
 def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, arm: Arm) -> list[Row]:
     """The plan of a key as one row."""
-    problem = DesignProblem.of(Model(arm))
+    problem = DesignProblem.of(arm)
     number = int(seed.generate_state(1)[0])
     design = solve(problem, key["runs"], key["plan"], seed=number, seconds=key["limit_s"])
     return [{"postures_deg": design.plan.displayed.tolist(), "efficiency": design.efficiency}]
@@ -163,7 +160,7 @@ def _dft(arm: Arm, runs: int) -> Array | str:
         return f"plan dft: {runs} runs are too few for {arm.links} links, allowed: at least {arm.links}"
     postures = dft_postures(arm.links, runs)
     inside = np.all((postures >= arm.lower) & (postures <= arm.upper), axis=1)
-    outside = np.flatnonzero(~(inside & DesignProblem.of(Model(arm)).feasible(postures)))
+    outside = np.flatnonzero(~(inside & DesignProblem.of(arm).feasible(postures)))
     return f"plan dft: posture {outside[0] + 1} is outside the limits or a constraint" if outside.size else postures
 
 

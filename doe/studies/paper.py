@@ -23,7 +23,7 @@ import polars as pl
 
 from doe.jobs import Row, frame_of
 from doe.studies.monte_carlo import Study, run_study
-from identification import Arm, Array, InputError, Progress, load_arm, silent
+from identification import Arm, Array, InputError, Progress, load_arm
 
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text())
 LENGTHS, SIGMA = np.array(PAPER["lengths_mm"]), PAPER["sigma_mm"]
@@ -142,7 +142,7 @@ def errata(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
 
 
 def paper_study(
-    replications: int | None = None, *, seed: int = 0, progress: Progress = silent
+    replications: int | None = None, *, seed: int = 0, progress: Progress = Progress()
 ) -> dict[str, pl.DataFrame]:
     """The tables of this file by their names, `text` for `text_figures`.
 

@@ -113,5 +113,5 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
     names = {p.short for p in effect.parameters} | set(cls.settings)
     for short in spec.values:
         if short not in names:
-            raise InputError(f"effects: {spec.key} has no parameter {short!r}, {nearest(short, names)}")
+            raise InputError.unknown(f"effects: {spec.key} has no parameter", short, names)
     return effect

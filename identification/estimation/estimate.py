@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
-from identification.errors import InputError, JobError, nearest
+from identification.errors import InputError, JobError
 from identification.estimation.doubts import UNUSUAL, doubts, far_rows, flange_turns
 from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
@@ -79,7 +79,7 @@ def estimate(
     problem = Problem.of(placed, measurements, sigma)
     chosen = method or ("linear" if problem.exact_form else "gauss_newton")
     if chosen not in METHODS:
-        raise InputError(f"method: unknown name {chosen!r}, {nearest(chosen, METHODS)}")
+        raise InputError.unknown("method: unknown name", chosen, METHODS)
     useful = RANK_TOLERANCE
     while True:
         solution = METHODS[chosen](problem)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, as_frame, readonly
-from identification.conditions import directions_from_order, gaps_of
+from identification.conditions import VALUES, directions_from_order, gaps_of
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
@@ -35,16 +35,8 @@ LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
 # units that a column may have, the one to write first -> factor to [mm] or [rad]; and the largest value then
 UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
 MOST = {LENGTH: LARGEST, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST}
-# optional columns of one number: field of `Measurements`, what is allowed, and a test
-OPTIONAL = {
-    "temperature_C": ("temperature", "a number >= -273.15 [deg C]", lambda v: v >= -273.15),
-    "payload_kg": (
-        "payload",
-        f"a number >= 0 [kg], up to {LARGEST:g}",
-        lambda v: (v >= 0.0) & (v <= LARGEST),
-    ),
-    "posture": ("repeats", "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < 2.0**53)),
-}
+# columns of one number -> field of `Measurements`, of which `VALUES` say what is allowed
+NUMBERS = {"temperature_C": "temperature", "payload_kg": "payload", "posture": "repeats"}
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -59,29 +51,27 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
     instrument, in_space, poses = chain.instrument, bool(chain.frame_kinds), chain.angle_scale is not None
     postures = read_postures(table, types)
-    n = postures.shape[1]
-    names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
+    types = postures.shape[1] if types is None else types
     # each target that is touched has a place of its own, as each session has
-    places = np.array(["/".join(parts) for parts in zip(*names.values(), strict=True)]) if names else None
-    session, marker = places, table.texts("marker") if in_space and "marker" in table else None
+    names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
+    session = np.array(["/".join(parts) for parts in zip(*names.values(), strict=True)]) if names else None
+    marker = table.texts("marker") if in_space and "marker" in table else None
     if instrument.own_targets:
-        session, marker = names.get("session"), places
+        session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
-    positions = np.full((len(table), len(coordinates) or instrument.dimension), instrument.touched)
-    for k, (name, quantity, positive) in enumerate(coordinates):
-        positions[:, k] = read_column(table, name, quantity, LENGTH_RANGE if positive else None)
+    read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
+    touched = np.zeros((len(table), instrument.dimension))
     has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
-    has_commands = any(re.match(r"commanded[1-9]", column) for column in table.columns)
     fields: dict[str, Any] = {
         "postures": postures,
-        "positions": positions,
+        "positions": np.column_stack(read) if read else touched,
         **_order_fields(table, session),
-        **_conditions(table, n if types is None else types, [*OPTIONAL]),
+        **_conditions(table, types, NUMBERS),
         "sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if has_sigma else None,
         "session": session,
         "marker": marker,
         "orientations": read_orientations(table) if poses else None,
-        "commanded": read_postures(table, types or n, "commanded") if has_commands else None,
+        "commanded": read_postures(table, types, "commanded") if _joint_columns(table, types, "commanded") else None,
         "fit": table.fit,
         "provenance": MappingProxyType({"file": Path(table.path).name, "sha256": table.sha256}),
     }
@@ -90,9 +80,10 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
     elif in_space and instrument.reads_positions and not poses and orientation_columns(table):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    known = ["run", "sigma_mm", "order", "time_s", *OPTIONAL, "session", *(f"direction{j + 1}" for j in range(n))]
-    known += [each for each in (instrument.target, "marker" if in_space and not instrument.own_targets else "") if each]
-    table.warn_unused(known, hint)
+    named = [instrument.target] if instrument.target else []
+    named += ["marker"] if in_space and not instrument.own_targets else []
+    directions = (f"direction{j + 1}" for j in range(postures.shape[1]))
+    table.warn_unused(["run", "sigma_mm", "order", "time_s", *NUMBERS, "session", *directions, *named], hint)
     if instrument.contact and "run" in table and "order" not in table:
         planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
@@ -145,18 +136,15 @@ def measurement_columns(
         counted = np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0)
         columns["order" if counted else "time_s"] = order
         columns |= {"order": counts} if gaps.any() and not counted else {}
-    directions, counting = measurements.directions, counting_in(joint_types)
-    if directions is not None and counting is not None:
-        directions = counting.signs_of_columns(directions)
-    optional = {
-        "temperature_C": measurements.temperature,
-        "payload_kg": measurements.payload,
-        **{f"direction{j}": column for j, column in enumerate(() if directions is None else directions.T, start=1)},
-        "posture": measurements.repeats,
-        marker: target,
-        **({} if marker == session and target is not None else {session: measurements.session}),
-        "sigma_mm": measurements.sigma,
-    }
+    optional = {name: getattr(measurements, key) for name, key in NUMBERS.items()}
+    posture_numbers, directions = optional.pop("posture"), measurements.directions
+    if directions is not None:
+        counting = counting_in(joint_types)
+        signs = directions if counting is None else counting.signs_of_columns(directions)
+        optional |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
+    optional |= {"posture": posture_numbers, marker: target, "sigma_mm": measurements.sigma}
+    if marker != session or target is None:
+        optional[session] = measurements.session
     return columns | {name: values for name, values in optional.items() if values is not None}
 
 
@@ -244,27 +232,24 @@ def read_orientations(table: Table) -> Array | None:
     return from_quaternions(quaternions)
 
 
-def _conditions(table: Table, types: int | Sequence[str], optional: Sequence[str]) -> dict[str, Any]:
-    """Those of the `OPTIONAL` columns, (m,), and `directions` (m, n) of the joints: +1 or -1, NaN where the cell is
+def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]) -> dict[str, Any]:
+    """Those of the `NUMBERS` columns, (m,), and `directions` (m, n) of the joints: +1 or -1, NaN where the cell is
     empty or coupled joints leave it open; None where the table has none."""
     fields: dict[str, Any] = {}
-    for column in optional:
-        key, allowed, test = OPTIONAL[column]
-        fields[key] = table.floats(column, allowed, test) if column in table else None
+    for column in numbers:
+        _, allowed, test = VALUES[NUMBERS[column]]
+        fields[NUMBERS[column]] = table.floats(column, allowed, test) if column in table else None
     n, counting = types if isinstance(types, int) else len(types), counting_in(types)
-    wanted = [f"direction{j}" for j in range(1, n + 1)]
     present = [column for column in table.columns if re.fullmatch(r"direction[1-9]\d*", column)]
-    fields["directions"] = None
-    if present:
-        table.require(wanted)
-        if beyond := [column for column in present if column not in wanted]:
-            state = f"found column {beyond[0]}, but there are {n} joints"
-            raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
-        allowed = "+1 or -1, empty: unknown"
-        signs = [table.floats(column, allowed, lambda v: np.abs(v) == 1.0, empty=np.nan) for column in wanted]
-        directions = np.column_stack(signs)
-        fields["directions"] = directions if counting is None else counting.signs_of_columns(directions, back=True)
-    return fields
+    wanted = [f"direction{j}" for j in range(1, n + 1)]
+    if not present:
+        return {**fields, "directions": None}
+    table.require(wanted)
+    for column in set(present).difference(wanted):
+        state = f"found column {column}, but there are {n} joints"
+        raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
+    signs = np.column_stack([table.floats(column, *VALUES["directions"][1:], empty=np.nan) for column in wanted])
+    return {**fields, "directions": signs if counting is None else counting.signs_of_columns(signs, back=True)}
 
 
 def _order_fields(table: Table, session: NDArray[np.str_] | None) -> dict[str, Any]:
@@ -377,6 +362,41 @@ class Plan(ByValue):
         return readonly(np.column_stack([*self.columns.values()]))
 
     @classmethod
+    def load(
+        cls,
+        path: PathLike,
+        joints: JointTypes = None,
+        *,
+        carried_out: bool = False,
+        vias: bool = False,
+    ) -> Self:
+        """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.
+
+        joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
+        carried_out : the file is one of measurements, and has other columns
+        vias : read the way-points of the moves too, which nobody measures
+
+        Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns
+        (`UserWarning`) once about columns that are not used.
+        """
+        table = read_table(path, vias=vias)
+        postures, weights, via, conditions = read_postures(table, joints), None, None, dict[str, Any]()
+        if vias and "kind" in table:
+            via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
+        if not carried_out:
+            if "weight" in table:
+                weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
+                if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
+                    wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
+                    raise InputError(f"{table.path}: column weight: {wrong}")
+            n = postures.shape[1]
+            conditions = _conditions(table, n if joints is None else joints, ("payload_kg", "temperature_C"))
+            further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
+            table.warn_unused(further)
+        cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
+        return cls(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
+
+    @classmethod
     def of_displayed(cls, displayed: Array, joint_types: Sequence[str]) -> Self:
         """The plan whose `displayed` postures (m, n) are these."""
         units = [UNITS[_quantity(joint_types, j)] for j in range(1, len(joint_types) + 1)]
@@ -399,7 +419,7 @@ class Plan(ByValue):
             return str(self.to_frame()._repr_html_())
 
     def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
-        """The text of a plan file; `load_plan` reads the same from it, to rounding (1e-14 rad).
+        """The text of a plan file; `load` reads the same from it, to rounding (1e-14 rad).
 
         joint_types : None: those of the plan;  further : columns of names, one for each run
 
@@ -421,41 +441,7 @@ class Plan(ByValue):
         return csv_text(columns if self.weights is None else columns | {"weight": self.weights}, self.fit)
 
 
-def load_plan(
-    path: PathLike,
-    joints: JointTypes = None,
-    *,
-    carried_out: bool = False,
-    vias: bool = False,
-) -> Plan:
-    """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.
-
-    joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
-    carried_out : the file is one of measurements, and has other columns
-    vias : read the way-points of the moves too, which nobody measures
-
-    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
-    once about columns that are not used.
-    """
-    table = read_table(path, vias=vias)
-    postures, weights, via, conditions = read_postures(table, joints), None, None, dict[str, Any]()
-    if vias and "kind" in table:
-        via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
-    if not carried_out:
-        if "weight" in table:
-            weights = table.floats("weight", "a number >= 0", lambda v: v >= 0.0)
-            if abs((total := float(np.sum(weights))) - 1.0) > 1e-6:
-                wrong = f"found a sum of {total:.9g}, allowed: 1 (within 1e-06)"
-                raise InputError(f"{table.path}: column weight: {wrong}")
-        n = postures.shape[1]
-        conditions = _conditions(table, n if joints is None else joints, ("payload_kg", "temperature_C"))
-        further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
-        table.warn_unused(further)
-    cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
-    return Plan(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
-
-
-# -- targets and commands ----------------------------------------------------------------------------------------------
+# -- targets -----------------------------------------------------------------------------------------------------------
 class Targets(NamedTuple):
     """What the tip is to reach: positions (k, d) [mm], or the nominal tips of postures (k, n) [rad]; one is None.
 
@@ -467,50 +453,21 @@ class Targets(NamedTuple):
     orientations: Array | None = None
 
 
-def load_targets(path: PathLike, links: int | Arm) -> Targets:
-    """The targets of a CSV file with `x_mm, y_mm` (or `x_m, y_m`), or with `q1_deg..qn_deg` of nominal postures.
-
-    links : how many the planar arm has, or the arm; targets of a spatial one have `z_mm` too, and may have orientations
+def load_targets(path: PathLike, arm: Arm) -> Targets:
+    """The targets of a CSV file with `x_mm, y_mm` (or `x_m, y_m`), or with `q1_deg..qn_deg` of nominal postures; of a
+    spatial arm with `z_mm` too, and with orientations where these matter.
 
     With both, positions are the targets and postures say which of the many solutions to stay near.
     Raises `InputError` with file, row and column.
     """
-    table = read_table(path)
-    types, axes = (links.joint_types, "xyz"[: links.dimension]) if isinstance(links, Arm) else (links, "xy")
+    table, axes = read_table(path), arm.chain.axes
     has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
-    joints = _joint_columns(table, types)
-    if not has_positions and not joints:
-        count = types if isinstance(types, int) else len(types)
-        columns = " and ".join(", ".join(f"{axis}_mm" for axis in axes).rsplit(", ", 1))
-        allowed = f"{columns}, or q1_deg..q{count}_deg"
+    has_postures = bool(_joint_columns(table, arm.joint_types))
+    if not has_positions and not has_postures:
+        allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
     positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
-    postures = read_postures(table, types) if joints else None
+    postures = read_postures(table, arm.joint_types) if has_postures else None
     orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
     table.warn_unused(["run"])
     return Targets(positions, postures, orientations)
-
-
-def commands_text(
-    commands: Array,
-    targets: Array,
-    errors: Array,
-    joint_types: JointTypes = None,
-    orientations: Array | None = None,
-    angles: Array | None = None,
-    reached: NDArray[np.bool_] | None = None,
-    messages: Sequence[str] = (),
-) -> str:
-    """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm`: joint commands, the targets, and what is left between [mm].
-
-    orientations, angles : of poses (k, 3, 3) that are wanted, and (k,) what is left [rad]: `rx_deg..`, `error_deg`
-    reached : (k,) `reachable`, 1 or 0;  messages : (k,) `message`, why not, where any is not
-    commands : NaN where none may be driven to: empty cells
-    """
-    wanted = {f"{axis}_mm": column for axis, column in zip("xyz", targets.T, strict=False)}
-    wanted |= {} if orientations is None else angle_columns(orientations)
-    left: Columns = {"error_mm": errors}
-    left |= {} if angles is None else {"error_deg": np.degrees(angles)}
-    left |= {} if reached is None else {"reachable": reached.astype(int)}
-    left |= {"message": np.array(messages)} if any(messages) else {}
-    return csv_text({**posture_columns(commands, joint_types), **wanted, **left})

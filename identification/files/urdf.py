@@ -18,7 +18,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from identification.arrays import Array
-from identification.errors import InputError, nearest, printable
+from identification.errors import InputError, printable
 from identification.files.io import PathLike, decode, read_bytes
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
@@ -134,7 +134,7 @@ class Urdf:
         """The joints from a base link to a tip link. Raises `InputError` where there is no such way."""
         for link in (base, tip):
             if link not in self.links:
-                raise InputError(f"{self.path}: there is no link {link!r}, {nearest(link, self.links)}")
+                raise InputError.unknown(f"{self.path}: there is no link", link, self.links)
         joints: list[ElementTree.Element] = []
         link = tip
         while link != base:

@@ -37,7 +37,7 @@ from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical
-from identification.running import Progress, Status, silent, single_thread
+from identification.running import Progress, Status, single_thread
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 
 KINDS = {
@@ -55,7 +55,7 @@ def diagnose(
     measurements: Measurements,
     holdout: Measurements | None = None,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> Diagnosis:
     """Whether model and measurements disagree, which effect is missing, and whether adding it closes the gap.
 
@@ -106,6 +106,8 @@ def diagnose(
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
         predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
 
+    more = 1.0 if over_sigma is None else over_sigma.more
+
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
     trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
@@ -132,13 +134,13 @@ def diagnose(
     shown, fitted, named = sets[0], fits[0], candidates[0]
 
     # tests on other rows
-    tests = cross_validation(posterior, measurements, kept, generator, something)
+    tests = cross_validation(posterior, measurements, kept, generator, something, more)
     if worse_than_geometry(tests):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
     if holdout is not None:
-        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something)
+        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something, more)
     figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
 
     # what these rows show

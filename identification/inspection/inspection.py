@@ -31,9 +31,7 @@ from identification.inspection.readings import (
     data_warnings,
     gap_notes,
     joints_of_unseen_sign,
-    out_of_step,
     read_differently,
-    wrong_units,
 )
 from identification.kinematics.chain import BASE
 from identification.kinematics.counting import in_columns
@@ -110,7 +108,8 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
-    units = data_warnings(measurements, arm) if wrong_units(measurements, arm)[0] else []
+    readings = read_differently(arm, measurements)
+    units = data_warnings(measurements, arm) if readings.other_units else []
     fit = None if units else _fit(arm, measurements)
     # without a fit nothing says what small differences of the repeats' angles do
     every = np.ones(len(measurements), dtype=bool)
@@ -119,7 +118,6 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     if asked is not None and not units and not np.array_equal(asked, measurements.postures):
         by_command = _fit(arm, replace(measurements, postures=asked, commanded=None))
         commanded = None if by_command is None else rms_distance(by_command.residuals_after)
-    readings = read_differently(arm, measurements, search=not units)
     try:
         drawing = rms_distance(drawing_residuals(arm, measurements))
     except InputError:  # too few rows for least squares
@@ -219,8 +217,7 @@ def _problems(
         placed = [] if arm.chain.planar else other_frame(arm, readings.written)
         sentences = [*doubts.another_frame(arm, measurements), *placed] or zeros
     if not sentences and drawing > DRAWN * arm.reach:
-        off = f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"
-        sentences = out_of_step(arm, measurements) or [off]
+        sentences = [f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"]
     if fit is None:
         return [*sentences, "too few rows for a fit of the geometry"]
     if sentences:

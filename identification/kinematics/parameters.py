@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array, readonly
-from identification.errors import InputError, nearest
+from identification.errors import InputError
 
 MAX_LINKS = 12
 AXES = "xyz"
@@ -124,22 +124,15 @@ class ParameterSet(tuple[Parameter, ...]):
     def index(self, name: str) -> int:  # type: ignore[override]
         """Place of a parameter; raises `InputError` for a name that is not among these."""
         if name not in self._places:
-            raise InputError(f"parameter: unknown name {name!r}, {nearest(name, self.names)}")
+            raise InputError.unknown("parameter: unknown name", name, self.names)
         return self._places[name]
 
     def indices(self, kind: str) -> NDArray[np.int64]:
         """Places of all parameters of a kind, in order."""
         return np.array([k for k, p in enumerate(self) if p.kind == kind], dtype=np.int64)
 
-    @property
-    def length_errors(self) -> NDArray[np.int64]:
-        """Places of the errors of lengths, of a planar chain."""
-        return self.indices(LENGTH_ERROR)
-
-    @property
-    def joint_offsets(self) -> NDArray[np.int64]:
-        """Places of the joint offsets."""
-        return self.indices(JOINT_OFFSET)
+    length_errors = property(lambda self: self.indices(LENGTH_ERROR))  # places of the errors of lengths, in the plane
+    joint_offsets = property(lambda self: self.indices(JOINT_OFFSET))  # places of the joint offsets
 
     @property
     def by_link(self) -> bool:

@@ -14,7 +14,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
 from identification.effects import library
-from identification.errors import InputError, nearest
+from identification.errors import InputError
 from identification.instruments import TRACKER, Unplaced
 from identification.kinematics.chain import BASE, DIMENSION, TOOL, KinematicChain
 from identification.kinematics.corrected import standing_in
@@ -151,7 +151,7 @@ def with_markers(chain: KinematicChain, measurements: Measurements) -> Kinematic
         return replace(chain, tools={name: tools.get(name, np.zeros(3)) for name in names})
     for name in names:
         if name not in tools:
-            raise InputError(f"measurements.marker: unknown name {name!r}, {nearest(name, tools)}")
+            raise InputError.unknown("measurements.marker: unknown name", name, tools)
     return replace(chain, tools={name: tools[name] for name in dict.fromkeys((*names, *tools))})
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.problem.problem import DesignProblem
-from identification import Plan, load_plan
+from identification import Plan
 from identification.arm import Arm, Calibration
 from identification.estimation import estimate
 from identification.estimation.doubts import outside_limits
@@ -98,9 +98,9 @@ def test_a_plan_comes_back(tmp_path_factory: pytest.TempPathFactory, counting: C
     path = tmp_path_factory.mktemp("plans") / "plan.csv"
     for text in (Plan(q).text(kinds), Plan(q, joint_types=kinds).to_frame().write_csv()):
         path.write_text(text)
-        np.testing.assert_allclose(load_plan(path, kinds).postures, q, atol=1e-12)
+        np.testing.assert_allclose(Plan.load(path, kinds).postures, q, atol=1e-12)
         np.testing.assert_allclose(
-            np.radians(load_plan(path).postures * 180.0 / np.pi), counting.columns(q), atol=1e-12
+            np.radians(Plan.load(path).postures * 180.0 / np.pi), counting.columns(q), atol=1e-12
         )
 
 
@@ -124,7 +124,7 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     wanted = load_targets(tmp_path / "targets.csv", arm).postures
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
-    found = load_plan(tmp_path / "plan.csv", arm.joint_types).conditions["directions"]
+    found = Plan.load(tmp_path / "plan.csv", arm.joint_types).conditions["directions"]
     np.testing.assert_array_equal(found, [[1.0, -1.0, 1.0]])
 
 

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 
 from doe.cli import main
 from doe.cli.verb import LONGEST_LINE
-from identification import load_plan
+from identification import Plan
 from identification.errors import InputError
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
@@ -130,7 +130,7 @@ def readers(case: Case, name: str) -> list[Callable[[Path], object]]:
         return [_without_nan]
     found: list[Callable[[Path], object]] = [_without_nan, read_table]
     if "arm.toml" in case.words and verb in ("design", "relax"):  # compensate leaves cells empty without a command
-        found.append(lambda path: load_plan(path, load_arm(path.parent / "arm.toml").joint_types))
+        found.append(lambda path: Plan.load(path, load_arm(path.parent / "arm.toml").joint_types))
     if "arm.toml" in case.words and verb == "simulate":
         found.append(lambda path: load_measurements(path, load_arm(path.parent / "arm.toml")))
     return found

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from doe.studies.monte_carlo import load_study
-from identification import load_plan
+from identification import Plan
 from identification.errors import InputError
 from identification.files.arm import dump_arm, load_arm
 from identification.files.csv import read_table
@@ -55,7 +55,7 @@ def test_arm_files(tmp_path_factory: pytest.TempPathFactory, arm: ArmText, data:
 
 
 READERS = {
-    "plan": (plans, lambda path, types: load_plan(path, types)),
+    "plan": (plans, lambda path, types: Plan.load(path, types)),
     "measurements": (measurements, load_measurements),
     "targets": (targets, load_targets),
     "study": (studies, lambda path, _: load_study(path)),

@@ -11,7 +11,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import TOLERANCE, compensate
 from identification.documents.identification import compensation_document
-from identification.files.measurement import commands_text, load_targets
+from identification.files.measurement import load_targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose, rotation_about
 
@@ -109,6 +109,6 @@ def test_target_files(tmp_path: Path) -> None:
     wanted = load_targets(tmp_path / "targets.csv", given)
     np.testing.assert_allclose(wanted.orientations[0], from_angles(np.radians([10.0, 20.0, 30.0])), atol=1e-14)
     found = compensate(given, wanted.positions, orientations=wanted.orientations)
-    text = commands_text(found.commands, found.targets, found.errors, (), found.orientations, found.angles)
-    assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg")
+    text = found.text()
+    assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg,reachable")
     assert "orientations are those wanted to < 1e-6 deg, by the same model" in compensation_document(found).verdict[0]

@@ -59,13 +59,13 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
         ({"postures": Q[:0], "positions": X[:0]}, "measurements.postures: shape (0, 4), allowed: (m, n) with m >= 1"),
         ({"postures": np.zeros((20, 13))}, "measurements.postures: shape (20, 13), allowed: (m, n)"),
         ({"order": np.arange(19)}, "measurements.order: shape (19,) for 20 postures of 4 joints, allowed: (20,)"),
-        ({"payload": changed(np.ones(20), 0, -1.0)}, "measurements.payload: row 1 has -1.0, allowed: numbers >= 0"),
+        ({"payload": changed(np.ones(20), 0, -1.0)}, "measurements.payload: row 1 has -1.0, allowed: a number >= 0"),
         ({"temperature": 20.0}, "measurements.temperature: shape () for"),
-        ({"temperature": np.full(20, -300.0)}, "measurements.temperature: row 1 has -300.0, allowed: numbers >= -273"),
+        ({"temperature": np.full(20, -300.0)}, "measurements.temperature: row 1 has -300.0, allowed: a number >= -273"),
         ({"directions": changed(np.ones((20, 4)), 4, 0.0)}, "measurements.directions: row 5 has [0.0, 0.0, 0.0, 0.0]"),
-        ({"sigma": np.zeros(20)}, "measurements.sigma: row 1 has 0.0, allowed: numbers > 0 [mm]"),
+        ({"sigma": np.zeros(20)}, "measurements.sigma: row 1 has 0.0, allowed: a number > 0 [mm]"),
         ({"session": ["a", ""] * 10}, "measurements.session: row 2 has '', allowed: a name"),
-        ({"repeats": np.full(20, 0.5)}, "measurements.repeats: row 1 has 0.5, allowed: whole numbers"),
+        ({"repeats": np.full(20, 0.5)}, "measurements.repeats: row 1 has 0.5, allowed: a whole number"),
     ],
 )
 def test_what_no_session_can_be_is_one_line(given: dict, sentence: str) -> None:

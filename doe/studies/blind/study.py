@@ -29,15 +29,13 @@ from identification import (
     Array,
     Diagnosis,
     InputError,
-    Model,
     Progress,
+    design_model,
     diagnose,
     fitted_arm,
     library,
-    nearest,
     predicted_95,
     rms_distance,
-    silent,
 )
 from identification.files.io import write_together
 
@@ -68,7 +66,7 @@ def blind_study(
     seed: int = 0,
     resume: bool = False,
     force: bool = False,
-    progress: Progress = silent,
+    progress: Progress = Progress(),
 ) -> dict[str, pl.DataFrame]:
     """Diagnose data sets with hidden effects and compare with the truth afterwards: `sets` (what is hidden in each, and
     what the diagnosis says of it, see `examine`) and the tables of `scored`.
@@ -83,7 +81,7 @@ def blind_study(
     keys: list[Key] = []
     for cell in cells or reported_cells(space=False):
         if cell not in CELLS:
-            raise InputError(f"cell: unknown name {cell!r}, {nearest(cell, CELLS)}")
+            raise InputError.unknown("cell: unknown name", cell, CELLS)
         usual = 1000 if any(bar.startswith("alarm ") for bar in TABLE["bars"].get(cell, ())) else 400
         if cell == AMBIGUOUS or CELLS[cell].designed:
             usual = 1200  # of which a third are ambiguous; or ten of which share an arm and its plan
@@ -113,15 +111,17 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     first, planned = int(key["seed"]) * 1_000_000 + key["first"], None
     if CELLS[key["cell"]].designed:
         arm, runs = to_be_planned(key["cell"], first)
-        planned = discrimination_design(DesignProblem.of(Model(arm)), arm, runs).design.plan.postures
+        planned = discrimination_design(DesignProblem.of(arm), arm, runs).design.plan.postures
     rows = []
     for k in range(key["sets"]):
         data, number = data_set(key["cell"], first + k, planned), key["first"] + k
         diagnosis = diagnose(data.arm, data.measurements, data.holdout, seed=number)
         row = {"set": number, **hidden_in(data), **answer(diagnosis), **errors(diagnosis.extended_arm(), data)}
         for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and diagnosis.verdict == "ambiguous" else ():
-            best = discriminate(data.arm, diagnosis, data.measurements, runs, seed=number)
-            again = diagnose(data.arm, data.further(best.plan.postures, best.directions), seed=number)
+            best = discriminate(data.arm, diagnosis, runs, seed=number)
+            again = diagnose(
+                data.arm, data.further(best.plan.postures, best.plan.conditions.get("directions")), seed=number
+            )
             row |= {f"next_{runs}_verdict": again.verdict, f"next_{runs}_named": sorted(again.named.keys)}
         rows.append(row)
     return rows
@@ -184,7 +184,9 @@ def gap(arm: Arm | None, data: DataSet, positions: Array | None) -> float | None
     """RMS distance [mm] of a calibrated arm from positions at the hold-out's postures; None where there are none."""
     if arm is None or positions is None or data.holdout is None:
         return None
-    return rms_distance(positions - Model(arm).position(data.holdout.postures, conditions=data.holdout.conditions))
+    return rms_distance(
+        positions - design_model(arm).position(data.holdout.postures, conditions=data.holdout.conditions)
+    )
 
 
 def contradictions(diagnosis: Mapping[str, Any]) -> list[str]:

@@ -125,8 +125,9 @@ def test_files_are_sessions(days: Folder) -> None:
         assert checked["rms_mm"] < 0.2
         assert checked["notes"] or name == "both"  # these are the measurements of the identification
     # `discriminate` reads what `diagnose` reads, as its next step is given with the same files
-    done = days.armcal("discriminate arm.toml monday.csv friday.csv --runs 2")
+    done = days.armcal("discriminate arm.toml monday.csv friday.csv --runs 2 --out next.csv")
     assert done.code == 0, done.err
+    assert "next.csv was not written: there are no next postures" in done.flat
     assert "gear ripple, k times per turn (transmission_ripple:2[k=5])" in done.flat
     settled = days.said("discriminate arm.toml monday.csv friday.csv --runs 2")
     assert (settled["candidates"][0], settled["pairs"]) == (["transmission_ripple:2[k=5]"], [])

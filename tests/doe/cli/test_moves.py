@@ -9,7 +9,7 @@ import pytest
 
 from doe.plan.driving import room_of
 from doe.problem.constraints import constraints_of
-from identification import Model, load_arm, load_plan
+from identification import Model, Plan, load_arm
 from tests.doe.cli.conftest import ARM, Folder, table
 from tests.doe.plan.test_moves import sampled
 
@@ -65,7 +65,7 @@ def test_a_plan_among_posts(cell: Folder) -> None:
     # the same postures without way-points, in an order that was not looked at
     other = table({f"q{j}_deg": column for j, column in enumerate(np.array(sorted(measured)).T, start=1)})
     cell.write("other.csv", other)
-    way = load_plan("other.csv", 4).postures
+    way = Plan.load("other.csv", 4).postures
     collide = [k + 2 for k in range(9) if sampled(room, way[k : k + 2]) < 0.0]
     assert collide
     done = cell.armcal("program arm.toml other.csv --robot kuka --out other.src")

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from identification.files.measurement import load_plan
+from identification.files.measurement import Plan
 from identification.measurements import load_measurements
 from tests.doe.cli.conftest import Folder
 from tests.doe.program.test_program import read_fanuc
@@ -75,10 +75,10 @@ def test_way_points_change_nothing_in_a_plan_or_in_measurements(folder: Folder) 
         for carried_out in (False, True):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore" if (name, carried_out) == ("data", False) else "error")
-                files = [load_plan(f"{each}.csv", 4, carried_out=carried_out) for each in (name, f"{name}_vias")]
+                files = [Plan.load(f"{each}.csv", 4, carried_out=carried_out) for each in (name, f"{name}_vias")]
             np.testing.assert_array_equal(files[0].postures, files[1].postures)
             assert [file.via for file in files] == [None, None]
-    whole = load_plan("plan_vias.csv", 4, vias=True)
+    whole = Plan.load("plan_vias.csv", 4, vias=True)
     assert [*whole.via] == [True, False] * 12
     np.testing.assert_array_equal(whole.postures[1::2], files[0].postures)
     one, other = (load_measurements(name, 4) for name in ("data.csv", "data_vias.csv"))

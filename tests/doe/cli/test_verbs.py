@@ -35,7 +35,7 @@ from doe.cli.verb import (
 from doe.studies.monte_carlo import StudyFile
 from identification.document import Answer
 from identification.errors import InputError
-from identification.running import silent
+from identification.running import Progress
 from tests.doe.cli.conftest import Folder, without_progress
 
 FULL = Path("/dev/full")
@@ -231,7 +231,7 @@ def test_a_line_now_and_then_also_from_a_silent_job(capfd: pytest.CaptureFixture
     time.sleep(0.05)
     assert capfd.readouterr().err == ""
     with shown_progress("design", quiet=True) as report:
-        assert report is silent
+        assert report == Progress()
 
 
 @pytest.mark.parametrize("width", [60, 120])

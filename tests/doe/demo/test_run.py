@@ -24,7 +24,7 @@ from doe.demo.run import (
 )
 from doe.plan.driving import room_of
 from doe.studies.blind.simulator import position, session
-from identification import load_plan
+from identification import Plan
 from identification.files.arm import load_arm
 from identification.files.urdf import read_urdf
 from identification.model import Model
@@ -56,7 +56,7 @@ def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Pa
     with pytest.warns(UserWarning, match="the measured point is not known"):
         demo: Demo = run_demo(tmp_path, replace(spatial(), effort={"solver": "random", "starts": 1}))
     gaps, hidden, diagnosis = demo.data["fresh_gap_mm"], demo.data["hidden"], demo.diagnosed.result
-    room, way = room_of(demo.design.problem.constraints), load_plan(tmp_path / "plan.csv").postures
+    room, way = room_of(demo.design.problem.constraints), Plan.load(tmp_path / "plan.csv").postures
     assert room is not None
     assert sampled(room, way, 300) > 0.0  # of every move
     assert diagnosis.effects == ("encoder_eccentricity:2",)

@@ -29,7 +29,7 @@ ARM = Arm(
 
 
 @cache
-def ambiguous() -> tuple[Diagnosis, Measurements]:
+def ambiguous() -> Diagnosis:
     """The first of the seeds whose gear ratio error, on few postures in a narrow range, has several explanations."""
     for seed in range(3, 50):  # none of the first three
         rng = np.random.default_rng(seed)
@@ -40,7 +40,7 @@ def ambiguous() -> tuple[Diagnosis, Measurements]:
         data = Measurements(q, positions)
         found = diagnose(ARM, data)
         if found.verdict == "ambiguous":
-            return found, data
+            return found
     raise AssertionError("no seed gives an ambiguous case")
 
 
@@ -52,7 +52,7 @@ def random_pool(seed: int) -> tuple[np.ndarray, Conditions]:
 
 
 def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
-    found, _ = ambiguous()
+    found = ambiguous()
     postures, conditions = random_pool(1)
     rivals = RivalPredictions.of(found, postures, conditions.payload, conditions.directions)
     chosen = [3, 40, 41]
@@ -80,8 +80,8 @@ def test_noncentrality_is_the_misfit_of_the_refitted_rival() -> None:
 
 
 def test_chosen_postures_beat_random_ones() -> None:
-    found, data = ambiguous()
-    best = discriminate(ARM, found, data, 4, seed=1)
+    found = ambiguous()
+    best = discriminate(ARM, found, 4, seed=1)
     postures, conditions = random_pool(2)
     rivals = RivalPredictions.of(found, postures, conditions.payload, conditions.directions)
     chances = []
@@ -96,43 +96,43 @@ def test_chosen_postures_beat_random_ones() -> None:
 
 
 def test_a_choice_that_is_cut_takes_its_postures_again() -> None:
-    found, data = ambiguous()
+    found = ambiguous()
     asked = iter([False] + 100 * [True])
-    cut = discriminate(ARM, found, data, 5, seed=1, stop=lambda: next(asked))
+    cut = discriminate(ARM, found, 5, seed=1, stop=lambda: next(asked))
     assert cut.status is Status.time_limit
     assert "cut" in str(cut)
     first, second, *again = cut.plan.postures
     np.testing.assert_array_equal(again, [first, second, first])
-    whole = discriminate(ARM, found, data, 1, seed=1)
+    whole = discriminate(ARM, found, 1, seed=1)
     np.testing.assert_array_equal(whole.plan.postures[0], first)
     assert whole.status is Status.local_optimum
 
 
 def test_respects_limits_and_constraints() -> None:
-    found, data = ambiguous()
+    found = ambiguous()
     narrow = replace(
         ARM, lower=np.full(3, -1.5), upper=np.full(3, 1.5), constraints=(WorkspaceBox((0.0, 600.0), (-600.0, 200.0)),)
     )
-    proposed = discriminate(narrow, found, data, 5, seed=1).plan.postures
+    proposed = discriminate(narrow, found, 5, seed=1).plan.postures
     assert np.all(np.abs(proposed) <= 1.5)
     assert all(np.all(c.margin(proposed) >= 0.0) for c in constraints_of(Model(narrow)))
 
 
 def test_same_seed_same_postures_and_payload_is_a_choice() -> None:
-    found, data = ambiguous()
-    first, second = (discriminate(ARM, found, data, 3, seed=4, payloads=(0.0, 5.0)) for _ in range(2))
+    found = ambiguous()
+    first, second = (discriminate(ARM, found, 3, seed=4, payloads=(0.0, 5.0)) for _ in range(2))
     np.testing.assert_array_equal(first.plan.postures, second.plan.postures)
-    assert set(first.payload) <= {0.0, 5.0}
-    assert discriminate(ARM, found, data, 3, seed=4).payload is None
+    assert set(first.plan.conditions["payload"]) <= {0.0, 5.0}
+    assert "payload" not in discriminate(ARM, found, 3, seed=4).plan.conditions
 
 
 def test_bad_input() -> None:
-    found, data = ambiguous()
+    found = ambiguous()
     with pytest.raises(InputError, match="runs: 0"):
-        discriminate(ARM, found, data, 0)
+        discriminate(ARM, found, 0)
     clear = replace(found, candidates=found.candidates[:1], verdict="named")
     with pytest.raises(InputError, match="verdict is named"):
-        discriminate(ARM, clear, data, 2)
+        discriminate(ARM, clear, 2)
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
@@ -153,7 +153,7 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     data = Measurements(postures, exact + SIGMA * generator.standard_normal((16, 3)))
     found = diagnose(Arm(CHAIN, sigma=SIGMA), data)
     assert found.verdict == "ambiguous"
-    chosen = discriminate(found.arm, found, data, 4, seed=0)
+    chosen = discriminate(found.arm, found, 4, seed=0)
     rivals = [Model(found.extended_arm(candidate)) for candidate in found.candidates]
     for rival in rivals:  # each stands where the data say, and fits them as well as the noise lets it
         assert rms_distance(rival.position(postures) - data.positions) < SIGMA * np.sqrt(3.0)
@@ -162,4 +162,4 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     usual = rivals[0].position(anywhere) - rivals[1].position(anywhere)
     assert rms_distance(first - second) > rms_distance(usual)
     assert all(size > 0.0 for size in chosen.pairs.values())
-    assert list(chosen.columns) == ["run", "q1_deg", "q2_deg", "q3_deg"]
+    assert not chosen.columns

@@ -14,7 +14,7 @@ from doe.plan.moves import APPROACH, free
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from doe.problem.problem import DesignProblem
-from identification import Arm, Array, Model, Plan, load_plan
+from identification import Arm, Array, Model, Plan
 from identification.arm import EffectSpec
 from identification.bodies import Body, Cell
 from identification.errors import InputError, JobError
@@ -237,8 +237,8 @@ def test_a_plan_file_with_way_points(tmp_path: Path) -> None:
         "3,measure,12.0,-8.0,1,-1,c",
     ]
     (tmp_path / "plan.csv").write_text(text)
-    np.testing.assert_allclose(load_plan(tmp_path / "plan.csv", 2).postures, postures[[0, 1, 3]], atol=1e-14)
-    whole = load_plan(tmp_path / "plan.csv", 2, vias=True)
+    np.testing.assert_allclose(Plan.load(tmp_path / "plan.csv", 2).postures, postures[[0, 1, 3]], atol=1e-14)
+    whole = Plan.load(tmp_path / "plan.csv", 2, vias=True)
     np.testing.assert_allclose(whole.postures, postures, atol=1e-14)
     assert [*(whole.via if whole.via is not None else [])] == [False, False, True, False]
     straight = Plan(postures, via=np.zeros(4, dtype=bool)).text()

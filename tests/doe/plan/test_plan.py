@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from doe.plan.plan import check_order, shortest_path
-from identification import Plan, load_plan
+from identification import Plan
 from identification.errors import InputError
 
 
 def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:
     (tmp_path / "plan.csv").write_text(text)
-    return load_plan(tmp_path / "plan.csv", links)
+    return Plan.load(tmp_path / "plan.csv", links)
 
 
 def test_postures_in_the_units_that_are_displayed() -> None:
@@ -84,7 +84,7 @@ def plans(draw: st.DrawFn) -> Plan:
 def test_round_trip(tmp_path_factory: pytest.TempPathFactory, plan: Plan) -> None:
     path = tmp_path_factory.mktemp("plan") / "plan.csv"
     path.write_text(plan.text())
-    again = load_plan(path, plan.links)
+    again = Plan.load(path, plan.links)
     np.testing.assert_allclose(again.postures, plan.postures, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(again.shares, plan.shares)
     assert (again.weights is None) == (plan.weights is None)

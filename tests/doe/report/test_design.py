@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ import pytest
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.design import score
+from doe.discrimination.t_optimal import NextPostures
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import missing_effects, robust_problem
 from doe.report.design import (
@@ -24,11 +25,10 @@ from doe.report.design import (
     plan_steps,
     relax_document,
 )
-from identification import Plan
 from identification.arm import Arm, Gravity
 from identification.document import Pictures, as_text
-from identification.files.measurement import load_plan
-from identification.measurements import Measurements
+from identification.files.measurement import Plan
+from identification.measurements import Conditions
 from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
@@ -73,11 +73,16 @@ def test_a_plan_in_a_sentence() -> None:
 
 def test_rows_without_payload_are_completed_before_others_are_appended() -> None:
     gravity = Gravity(np.array([0.0, -9.81]), np.array([5.0, 3.0]), np.full(2, 0.5), 7.5)
-    arm, data = Arm([200.0, 100.0], gravity=gravity), Measurements(np.zeros((3, 2)), np.zeros((3, 2)))
-    weighed = Measurements(np.zeros((3, 2)), np.zeros((3, 2)), payload=np.ones(3))
-    for rows, payload, noted in ((data, np.array([5.0]), True), (data, None, False), (weighed, np.ones(1), False)):
-        result: Any = SimpleNamespace(payload=payload, columns={"q1_deg": [1.0]})
-        shown = next_document(arm, rows, cast(Any, SimpleNamespace(sentence="Two fit.")), result).parts
+    arm = Arm([200.0, 100.0], gravity=gravity)
+    for measured, payload, noted in (
+        (None, np.array([5.0]), True),
+        (None, None, False),
+        (np.ones(1), np.ones(1), False),
+    ):
+        result = NextPostures(Plan(np.zeros((1, 2)), conditions={"payload": payload}), 0.5, {})
+        residuals = SimpleNamespace(conditions=Conditions(payload=measured))
+        diagnosis: Any = SimpleNamespace(sentence="Two fit.", arm=arm, residuals=residuals)
+        shown = next_document(diagnosis, result).parts
         assert [part for part in shown if "need a column payload_kg too: 7.5" in str(part)] == shown[2:]
         assert len(shown) == 2 + noted
 
@@ -111,7 +116,7 @@ def test_the_edited_plan_keeps_the_columns_of_its_file(tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     path.write_text('run;q1_deg;q2_deg;payload_kg;note\n7;1,5;-20;2,5;a, b\n8;30;40;0;"c"\n')
     with pytest.warns(UserWarning, match="note"):
-        file = load_plan(path)
+        file = Plan.load(path)
     steps = plan_steps(problem(ARM), file, "mine")
     assert steps is not None
     assert steps["columns"] == ["q1_deg", "q2_deg", "payload_kg", "note"]

@@ -12,7 +12,7 @@ import pytest
 from doe.design import score
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps, page
-from identification import load_plan
+from identification import Plan
 from identification.document import Action, Document, Section, Sheet
 from identification.files.arm import load_arm
 from identification.model import Model
@@ -123,7 +123,7 @@ def scored(folder: Folder, arm: str, plan: str) -> dict[str, Any]:
     """What `armcal score` says; of the spatial arm without its bound, which takes seconds."""
     if arm == "arm.toml":
         return folder.armcal("score", arm, plan, "--json").data
-    return score(load_problem(folder.path / arm), load_plan(folder.path / plan)).to_json()
+    return score(load_problem(folder.path / arm), Plan.load(folder.path / plan)).to_json()
 
 
 def load_problem(arm: Path) -> DesignProblem:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from doe.report.design import plan_section
 from doe.report.page import page
 from doe.report.scene import WHOLE, error_arrows, scene, shape, simplified
-from identification import Plan, design_model, load_plan
+from identification import Plan, design_model
 from identification.arm import Arm, Calibration
 from identification.bodies import Body, Cell
 from identification.document import Document
@@ -318,7 +318,7 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
     rows = [",".join([kinds[k], *map(str, q[k]), *6 * [signs[k]]]) for k in range(5)]
     names = ",".join(["kind", *(f"q{j}_deg" for j in range(1, 7)), *(f"direction{j}" for j in range(1, 7))])
     (tmp_path / "plan.csv").write_text("\n".join([names, *rows]) + "\n")
-    plan = load_plan(tmp_path / "plan.csv", ARM.joint_types, vias=True)
+    plan = Plan.load(tmp_path / "plan.csv", ARM.joint_types, vias=True)
     (tmp_path / "page.html").write_text(page(Document("Via", [""], [plan_section(ARM, plan)])))
     seen = Watched(opened, (tmp_path / "page.html").as_uri(), viewport=SMALL, accept_downloads=True)
     assert seen.page.locator(".plan tbody tr").count() == 3
@@ -331,7 +331,7 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
         with seen.page.expect_download() as download:
             seen.page.get_by_role("button", name="Download").click()
         download.value.save_as(tmp_path / f"{len(saved)}.csv")
-        saved.append(load_plan(tmp_path / f"{len(saved)}.csv", ARM.joint_types, vias=True))
+        saved.append(Plan.load(tmp_path / f"{len(saved)}.csv", ARM.joint_types, vias=True))
         new = seen.facts().get("moves that are new, not looked at", "0")
         assert new == ("0" if len(saved) != 2 else "2")  # 2 1 3
         seen.page.get_by_role("button", name=button).click()

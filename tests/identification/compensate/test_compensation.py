@@ -19,7 +19,6 @@ from identification.arrays import Array
 from identification.compensate import TOLERANCE, Compensation, compensate
 from identification.errors import InputError
 from identification.estimation import estimate
-from identification.files.measurement import commands_text
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
@@ -178,9 +177,8 @@ def test_nobody_may_drive_to_what_misses_a_constraint() -> None:
     assert found.reached.tolist() == [False, True]
     assert np.isnan(found.safe_commands[0]).all()
     np.testing.assert_array_equal(found.safe_commands[1], found.commands[1])
-    text = commands_text(found.safe_commands, found.targets, found.errors, messages=found.messages)
-    heading, missed, kept = text.splitlines()
-    assert heading.endswith("error_mm,message")
+    heading, missed, kept = found.text().splitlines()
+    assert heading.endswith("error_mm,reachable,message")
     assert missed.startswith(",,,,300.0,-200.0,")
     assert "constraint 1 (tip_above) is missed by" in missed
     assert kept.endswith('""')

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from doe.studies.monte_carlo import StudyFile
-from identification import load_plan
+from identification import Plan
 from identification.files.arm import load_arm
 from identification.measurements import load_measurements
 
@@ -24,7 +24,7 @@ EXAMPLES = dict(
 
 READ = {  # heading of the example -> what is read of it
     "Arm file": lambda path: (load_arm(path).links, len(load_arm(path).constraints), load_arm(path).effects[1].key),
-    "Plan file": lambda path: np.degrees(load_plan(path).postures[0]).tolist(),
+    "Plan file": lambda path: np.degrees(Plan.load(path).postures[0]).tolist(),
     "Measurement file": lambda path: load_measurements(path).positions.shape,
     "Study file": lambda path: StudyFile.model_validate(tomllib.loads(path.read_text())).replications,
 }
@@ -33,7 +33,7 @@ READ = {  # heading of the example -> what is read of it
 @pytest.mark.parametrize(
     ("heading", "expected"),
     [
-        ("Arm file", (4, 3, "encoder_eccentricity:2")),
+        ("Arm file", (4, 2, "encoder_eccentricity:2")),
         ("Plan file", pytest.approx([-90.0, -120.0])),
         ("Measurement file", (3, 2)),
         ("Study file", 10_000),

@@ -15,14 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from identification import Plan, load_plan
+from identification import Plan
 from identification.arm import Arm
 from identification.effects.catalogue import entry
 from identification.errors import InputError
 from identification.files.csv import read_table, table_of_frame
 from identification.files.measurement import (
     angle_columns,
-    commands_text,
     load_targets,
     measurement_text,
     read_orientations,
@@ -297,11 +296,10 @@ def test_plans_and_targets(tmp_path: Path) -> None:
     path, plan = tmp_path / "plan.csv", Plan(np.array([[0.5, 50.0], [-0.5, 20.0]]))
     path.write_text(text := plan.text(SPATIAL.joint_types))
     assert text.startswith("run,q1_deg,q2_mm\n")
-    np.testing.assert_allclose(load_plan(path, SPATIAL.joint_types).postures, plan.postures)
+    np.testing.assert_allclose(Plan.load(path, SPATIAL.joint_types).postures, plan.postures)
     positions = np.array([[1.0, 2.0, 3.0]])
-    text = commands_text(plan.postures[:1], positions, np.zeros(1), SPATIAL.joint_types)
-    assert text.startswith("q1_deg,q2_mm,x_mm,y_mm,z_mm,error_mm\n")
-    for content, postures in ((text.replace("error_mm", "run"), True), ("x_m,y_m,z_mm\n0.001,0.002,3\n", False)):
+    with_posture = "q1_deg,q2_mm,x_mm,y_mm,z_mm,run\n28,50,1,2,3,1\n"
+    for content, postures in ((with_posture, True), ("x_m,y_m,z_mm\n0.001,0.002,3\n", False)):
         path.write_text(content)
         found = load_targets(path, SPATIAL)
         np.testing.assert_allclose(found.positions, positions)  # type: ignore[arg-type]
@@ -349,11 +347,11 @@ def test_distances(load: Load, arm: Arm) -> None:
     assert replace(load(measurement_text(data, None, arm.chain.instrument), arm), provenance=data.provenance) == data
 
 
-@pytest.mark.parametrize(("arm", "length"), [(BALL, 12.5), (FACE, 0.0)], ids=["sphere", "plane"])
-def test_contacts(load: Load, arm: Arm, length: float) -> None:
+@pytest.mark.parametrize("arm", [BALL, FACE], ids=["sphere", "plane"])
+def test_contacts(load: Load, arm: Arm) -> None:
     """Joints alone; every surface is a session of its own."""
     data = load("q1_deg,q2_deg,surface\n30,50,left\n-90,7,top\n", arm)
-    np.testing.assert_array_equal(data.positions, [[length], [length]])
+    np.testing.assert_array_equal(data.positions, [[0.0], [0.0]])
     assert data.sessions == ("left", "top")
     assert load("q1_deg,q2_deg,surface,session\n30,50,left,mon\n", arm).sessions == ("mon/left",)
     assert load("q1_deg,q2_deg\n30,50\n", arm).session is None

@@ -10,7 +10,7 @@ import pytest
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.inspection.inspection import inspect
-from identification.inspection.readings import data_warnings, wrong_units
+from identification.inspection.readings import data_warnings, read_differently
 from identification.instruments import PlanarDistance
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles, pose
@@ -54,19 +54,12 @@ def test_a_unit_is_named_where_the_measured_factor_fits_it(unit: str, factor: fl
     nothing tells. Errors of 1 mm in some 800 leave the factor within 0.5 %; 10.4 is 4 % from centimetres and 27 is 6 %
     from inches."""
     for arm, good in ((ARM, measured()), (PLANAR, simulated(3.0))):
-        axes = "x_mm, y_mm, z_mm"[: 6 * arm.dimension - 2]
         (small,) = data_warnings(replace(good, positions=good.positions / factor), arm)
         (large,) = data_warnings(replace(good, positions=(good.positions + 7e3) * factor), arm)  # the base elsewhere
-        for said in (small, large):
+        for said, whose, larger in ((small, "positions", "arm file"), (large, "arm file", "measurements")):
             assert ratio(said) == pytest.approx(max(factor, 1.0 / factor), rel=0.005)
-            assert unit or "which is the factor of no unit" in said
-            assert unit or not any(each in said for each in UNITS)
-        if unit:
-            assert small.startswith("the lengths of the arm file are ")
-            assert f" they agree if the positions are in {unit} (" in small
-            assert small.endswith(f"{axes})" if unit == "metres" else f"multiply {axes} by {factor:g})")
-            assert large.startswith("the lengths of the measurements are ")
-            assert large.endswith(f" they agree if the arm file's lengths are in {unit} (multiply them by {factor:g})")
+            assert (f"as if the {whose} had {unit} for millimetres" if unit else "the factor of no unit") in said
+            assert factor < 1.0 or f"the lengths of the {larger} are " in said
 
 
 def test_swapped_markers_and_lost_beams_are_named() -> None:
@@ -93,36 +86,30 @@ def simulated(span: float, *, angles: float = 1.0, lengths: float = 1.0) -> Meas
     return Measurements(q * angles, (tip + generator.normal(0.0, 1.0, tip.shape)) * lengths)
 
 
-def test_degrees_in_a_column_of_radians() -> None:
-    (sentence,) = data_warnings(simulated(3.0, angles=180.0 / np.pi), PLANAR)
-    assert sentence == "the joint angles look like degrees: name the columns q1_deg.. instead of q1_rad.."
-    data = measured()
-    (sentence,) = data_warnings(replace(data, postures=np.degrees(data.postures)), ARM)
-    assert sentence.startswith("the joint angles look like degrees")
+def certain(data: Measurements, arm: Arm) -> str:
+    """What is said of units that are beyond doubt."""
+    readings = read_differently(arm, data, search=False)
+    assert readings.other_units == data_warnings(data, arm)
+    return readings.sentences[0] if readings.certain else ""
+
+
+def test_angles_in_another_unit() -> None:
+    for arm, good in ((PLANAR, simulated(3.0)), (ARM, measured(20))):
+        for unit, factor in (
+            ("degrees (name the columns q1_deg..", 180.0),
+            ("radians (name the columns q1_rad..", 3.14),
+        ):
+            wrong = replace(good, postures=good.postures * (factor / np.pi if factor > 4 else np.pi / 180.0))
+            assert certain(wrong, arm).startswith(f"it looks as if the joint angles are in {unit})")
     whole_turns = simulated(3.0)  # an axis that counts on
     assert data_warnings(replace(whole_turns, postures=whole_turns.postures + 20.0 * np.pi), PLANAR) == []
 
 
 @pytest.mark.parametrize(("angles", "lengths"), [(np.pi / 180.0, 1.0), (1.0, 1e-3), (np.pi / 180.0, 1e-3), (1.0, INCH)])
 def test_there_is_no_doubt_where_the_drawing_explains_the_rows_in_other_units(angles: float, lengths: float) -> None:
-    """Errors are 1 mm in each coordinate of a reach of 440 mm: 1.41 mm RMS, 0.32 %."""
-    wrong = simulated(3.0, angles=angles, lengths=lengths)
-    said = wrong_units(wrong, PLANAR)[1]
-    assert said is not None
-    sentences, _, near = said.rpartition(" (read that way, the drawing leaves ")
-    assert sentences == "; ".join(data_warnings(wrong, PLANAR))
-    assert float(near.removesuffix(" % of the reach)")) == pytest.approx(0.32, rel=0.2)
-
-
-def test_a_few_rows_tell_the_unit_of_an_arm_in_space() -> None:
-    """60 numbers, five times those of where the arm stands and of its two points, whatever its geometry may have."""
-    data = measured(20)
-    assert data_warnings(data, ARM) == []
-    for said, wrong in (
-        ("the lengths of the arm file are ", replace(data, positions=data.positions / 1000.0)),
-        ("the joint angles look like radians: ", replace(data, postures=np.radians(data.postures))),
-    ):
-        assert (wrong_units(wrong, ARM)[1] or "").startswith(said)
+    """Errors are 1 mm in each coordinate: 1.41 mm RMS."""
+    rms = certain(simulated(3.0, angles=angles, lengths=lengths), PLANAR).partition(" the drawing then leaves ")[2]
+    assert float(rms.partition(" mm")[0]) == pytest.approx(1.41, rel=0.2)
 
 
 def test_there_is_doubt_where_another_arm_was_measured() -> None:
@@ -132,9 +119,8 @@ def test_there_is_doubt_where_another_arm_was_measured() -> None:
     z = 260.0 * np.exp(1j * q[:, 0]) + 90.0 * np.exp(1j * q.sum(axis=1))
     other = replace(metres, positions=1e-3 * np.column_stack([z.real, z.imag]))
     assert len(data_warnings(other, PLANAR)) == 1
-    assert wrong_units(other, PLANAR)[1] is None
-    assert wrong_units(simulated(3.0), PLANAR)[1] is None
-    assert wrong_units(measured(), ARM)[1] is None
+    for data, arm in ((other, PLANAR), (simulated(3.0), PLANAR), (measured(), ARM)):
+        assert certain(data, arm) == ""
 
 
 def test_another_number_of_links() -> None:
@@ -154,7 +140,6 @@ def test_rows_that_are_wild_hide_no_unit(wild: float) -> None:
         lost = np.abs(np.random.default_rng(5).uniform(-wild, wild, (3, good.dimension)))
         metres = good.positions / 1000.0
         metres[[2, 9, 16]] = lost
-        said = wrong_units(replace(good, positions=metres), arm)[0]
-        assert len(said) == 1
-        assert "they agree if the positions are in metres" in said[0]
-        assert ratio(said[0]) == pytest.approx(1000.0, rel=0.01)
+        (said,) = read_differently(arm, replace(good, positions=metres), search=False).sentences
+        assert "as if the positions had metres for millimetres" in said
+        assert ratio(said) == pytest.approx(1000.0, rel=0.01)

@@ -107,7 +107,7 @@ def test_each_fault_has_its_sentence() -> None:
     )
     assert limits.endswith("allowed -114.592 to 143.239")
     (units,) = inspect(ARM, replace(good, postures=np.radians(good.postures))).problems
-    assert "look like radians" in units
+    assert "angles are in radians" in units
     (copied,) = inspect(ARM, good.rows([*range(40), 5])).problems
     assert copied.startswith("1 row is an exact copy of another (of 41 rows): the first row 41 of row 6")
     (wrong,) = inspect(replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good).problems

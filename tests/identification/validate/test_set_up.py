@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.inspection.readings import wrong_units
+from identification.inspection.readings import read_differently
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements
@@ -125,6 +125,6 @@ def test_validation_finds_points_that_the_calibration_does_not_have() -> None:
         with pytest.raises(InputError, match=r"measurements.*marker.*; or --refit base"):
             validate(arm, rows, "none")
     assert not any("reflector" in note for note in validate(arm, second).notes)
-    said = wrong_units(replace(unnamed, positions=10.0 * unnamed.positions), arm)[1]
-    assert said is not None  # a file is looked at before it is validated
-    assert "times those of the arm file" in said
+    read = read_differently(arm, replace(unnamed, positions=10.0 * unnamed.positions), search=False)
+    assert read.certain  # a file is looked at before it is validated
+    assert "times those of the arm file" in read.sentences[0]
