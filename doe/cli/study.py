@@ -86,7 +86,7 @@ def command(
             tables = paper_study(replications, seed=seed, progress=progress)
             make_folder(folder)
             write_together({folder / f"{name}.parquet": parquet(table) for name, table in tables.items()}, force)
-            return answer(folder, tables, paper_parts(tables), passed(tables))
+            return tables_answer(folder, tables, paper_parts(tables), passed(tables))
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             from doe.report.studies import blind_parts, blind_pictures
@@ -96,7 +96,7 @@ def command(
             tables = blind_study(named, replications, folder, job.where(), **options)
             blind_pictures(folder, tables)
             shown, sets = blind_parts(tables), tables.pop("sets")
-            return answer(folder, tables, shown, "failed" not in sets["status"])
+            return tables_answer(folder, tables, shown, "failed" not in sets["status"])
         from doe.report.studies import monte_carlo_parts
         from doe.studies.monte_carlo import load_study, run_study
 
@@ -110,7 +110,7 @@ def command(
     return Answer(data, [*monte_carlo_parts(tables), written])
 
 
-def answer(folder: Path, tables: Mapping[str, Any], shown: list[Any], passed: bool) -> Answer:
+def tables_answer(folder: Path, tables: Mapping[str, Any], shown: list[Any], passed: bool) -> Answer:
     """The tables as JSON; exit code 1 if the study missed one of its targets."""
     rows = {name: table.to_dicts() for name, table in tables.items()}
     return Answer({"out": folder, "passed": passed, **rows}, shown, exit_code=0 if passed else 1)

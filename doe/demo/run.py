@@ -27,6 +27,7 @@ from identification import (
     Plan,
     Progress,
     design_model,
+    dump_arm,
     load_arm,
     rms_distance,
 )
@@ -155,10 +156,10 @@ def run_demo(
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     progress(4, 8, "diagnosis")
-    named = to_write("extended.toml")
-    test = directory / "fresh.csv"
-    diagnosed = diagnose(path, (rows,), holdout=test, named_only=True, out=named, force=True, seed=seed)
+    diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     progress(5, 8, "identification again")
+    write("extended.toml", dump_arm(arm.with_effects(*diagnosed.result.named.specs)))
+    named = Written(directory / "extended.toml")
     extended = identify(named, rows, out=named, force=True)
     progress(6, 8, "commands")
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
