@@ -130,7 +130,7 @@ class ArmModel(Model):
             targets = len(chain.instrument.targets)  # as many postures for each
             target = np.arange(batch, dtype=float) % targets if targets else None
             q = led_to_contact(self, anywhere, 0.0, units, target)
-            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
+            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (np.linalg.norm(self.position(q), axis=1) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
             if len(kept) == CHOICES:
@@ -151,10 +151,6 @@ class ArmModel(Model):
         points = of_positions(self).position(postures)
         apart = [np.linalg.norm(points - place, axis=1) for place in instrument.targets.values()]
         return {instrument.target: np.array([*instrument.targets])[np.argmin(apart, axis=0)].tolist()}
-
-    def gaps(self, postures: Array) -> Array:
-        """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
-        return np.asarray(np.linalg.norm(self.position(postures), axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the

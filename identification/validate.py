@@ -126,7 +126,7 @@ class Validation(Documented):
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
-        notes = [note for note in self.notes if BY_CHANCE not in note]
+        notes = [note for note in self.notes if BY_CHANCE not in note and note != FITTED]
         parts = validation_sections(data, ", measured points" if TOOL in self.arm.chain.frame_kinds else "")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
@@ -177,8 +177,7 @@ def _refitted(
         ("joints", measurements.links, model.joints),
         ("coordinates", measurements.dimension, model.dimension),
     ):
-        points_of_poses = what == "coordinates" and counted == min(arm.dimension, needed)
-        if counted != needed and not points_of_poses:
+        if counted != needed and (what == "joints" or counted not in model.dimensions):
             raise InputError(f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
     if "gravity" in model.needs and arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")

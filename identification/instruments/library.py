@@ -25,6 +25,7 @@ from identification.instruments.base import PLACE, Coordinate, Guide, Instrument
 from identification.instruments.search import Placement, Starts, Unplaced, placed, random_starts, searched
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
+from identification.workspace import circle_across
 
 RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
 # rounds, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
@@ -222,10 +223,8 @@ def _standing_above(points: Array, normal: Array, height: float) -> Array:
     """(4, 4) base, in the frame of a plane, of an arm above it;  points : (m, 3) in the frame of the base"""
     if height > 0.0:
         normal, height = -normal, -height
-    along = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    along = along - normal * (normal @ along)
-    along /= np.linalg.norm(along)
-    axes = np.array([along, np.cross(normal, along), normal])
+    one, other = circle_across(normal)
+    axes = np.array([-other, one, normal])
     middle = axes @ points.mean(axis=0)
     return pose([-middle[0], -middle[1], -height], axes)
 

@@ -124,6 +124,11 @@ class Model:
         """d, measured coordinates per posture: 2, 3, 6 of a pose, or 1 of a length."""
         return self.arm.chain.coordinates
 
+    @property
+    def dimensions(self) -> tuple[int, ...]:
+        """Coordinates that measurements may have: of poses also those of points alone."""
+        return tuple(sorted({min(self.arm.dimension, self.dimension), self.dimension}))
+
     joints = property(attrgetter("arm.links"))  # n, joints of a posture
     joint_types = property(attrgetter("arm.joint_types"))  # (n) `revolute` or `prismatic`
     sigma = property(attrgetter("arm.sigma"))  # standard deviation of a measured coordinate [mm], None: not known

@@ -150,7 +150,7 @@ def test_the_past_is_worked_out_only_where_an_effect_asks_for_it(monkeypatch: py
     conditions = data.rows(slice(None, None, 2)).conditions
     conditions.table(condition_columns(4), Q[::2], 1.0)
     assert not asked.called
-    wide = conditions.table(condition_columns(4, ["past"]), Q[::2], 1.0)
+    wide = conditions.table(condition_columns(4, {"past"}), Q[::2], 1.0)
     assert asked.call_count == 1
     np.testing.assert_array_equal(wide[:, 8:], past_from_order(Q)[::2].reshape(10, -1))
     assert conditions == data.rows(np.arange(0, 20, 2)).conditions
