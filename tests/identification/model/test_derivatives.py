@@ -116,10 +116,8 @@ def test_every_effect_by_its_parameters(name: str) -> None:
     in_space = BAR if "distance" in cls.needs else arms()[0]
     for arm in (arm for arm in (PLANAR, in_space) if arm.dimension in cls.dimensions):
         model = Model(arm.with_effects(EffectSpec("joint_compliance"), effect))
-        conditions = Measurements(
-            POSTURES, np.zeros((ROWS, model.dimension)), session=["a", "b"] * 4 + ["b"]
-        ).conditions
-        conditions = replace(conditions, temperature=WARM.temperature)
+        rows = Measurements(POSTURES, np.zeros((ROWS, model.dimension)), session=["a", "b"] * 4 + ["b"])
+        conditions = replace(rows.conditions, temperature=WARM.temperature)
         values = np.maximum(1e-2 * generator.standard_normal(len(model.names)) / model.scales, model.parameters.lower)
         scaled, steps = model.jacobian(POSTURES, values, conditions) / model.scales, np.diag(STEP / model.scales)
         of_effect = [k for k, p in enumerate(model.parameters) if p.name.startswith(name)]
