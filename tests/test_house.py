@@ -169,18 +169,6 @@ def test_no_two_packages_import_each_other() -> None:
     assert cycles(edges) == []
 
 
-def test_what_these_tests_see() -> None:
-    """A deferred upward import, which makes a cycle, and an import of types, which makes none."""
-    ours = {"doe.a", "doe.b", "doe.c", "doe", "doe.solvers"}
-    deferred = "def f():\n    from doe import b\n    from doe.solvers import solve\n"
-    source = ast.parse(deferred + "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from doe.c import C\n")
-    assert imports(source, ours) == {"doe.b", "doe.solvers"}
-    assert imports(source, ours, types=True) == {"doe.b", "doe.c", "doe.solvers"}
-    assert layer("doe.solvers") > layer("identification.model")
-    edges = {"doe.a": {"doe.b"}, "doe.b": {"doe.a"}, "doe.c": {"doe.a"}}
-    assert cycles(edges) == [["doe.a", "doe.b"]]
-
-
 def test_every_layer_has_a_module() -> None:
     assert {unit(name) for name in modules()} - {"doe", "identification"} == set(LAYERS)
 

@@ -128,17 +128,6 @@ def test_the_help_of_a_verb_has_an_example_and_fits_a_terminal(folder: Folder, n
     assert shown.replace("\n", "").isprintable()
 
 
-def test_the_list_of_effects_and_one_of_them(folder: Folder) -> None:
-    by_name = {found["name"]: found for found in folder.said("effects ")["effects"]}
-    assert by_name["thermal_growth"]["parameters"] == [{"key": "a_per_K", "unit": "1/K", "typical": 2e-5}]
-    assert by_name["link_bending"]["arms"] == ["planar"]
-    shown = folder.armcal("effects transmission_ripple:2").out
-    assert 'name = "transmission_ripple"' in shown
-    assert "0.25 to 2000" in shown
-    everything = folder.armcal("effects").out
-    assert [name for name in by_name if f"  {name}" not in everything] == []
-
-
 # -- files -------------------------------------------------------------------------------------------------------------
 
 
