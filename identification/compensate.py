@@ -105,7 +105,7 @@ def compensate(
     start, where, sided = nominal, replace(conditions or Conditions(), orientation=turned), tuple[str, ...]()
     if start is None:
         middle = np.tile(np.add(*familiar) / 2.0, (len(goals), 1))
-        start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes)
+        start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes, closest=False)
     if where.directions is None and len(start):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
         past = past_from_order(start) if model.remembers else None
@@ -329,6 +329,11 @@ class Task(NamedTuple):
     constraints: Constraints = ()
     enough: float = TOLERANCE
 
+    @property
+    def redundant(self) -> bool:
+        """Whether postures reach a goal in more ways than one by one."""
+        return self.conditions.orientation is None and self.near.shape[1] > self.goals.shape[1]
+
     def at(self, rows: Index) -> Task:
         """Of some of the goals."""
         return self._replace(goals=self.goals[rows], near=self.near[rows], conditions=self.conditions.rows(rows))
@@ -387,76 +392,109 @@ class Task(NamedTuple):
         return np.take_along_axis(postures, order[:, :, None], axis=1), left, rank
 
 
-def search(task: Task, boxes: Sequence[tuple[Array, Array]], *, keeps_branch: bool = False) -> Array:
-    """(k, n) postures that reach the goals within the first of some limits in which one does; where none does, the
-    closest to the goal within the first.
+def search(
+    task: Task, boxes: Sequence[tuple[Array, Array]], *, keeps_branch: bool = False, closest: bool = True
+) -> Array:
+    """(k, n) postures that reach the goals within the first of some limits in which one does, each within the next;
+    where none does, the closest to the goal within the first.
 
     keeps_branch : of the postures that reach a goal that to which `near` leads is taken, not the nearest to `near`
+    closest : False: where none does, a posture near to the goal is enough
     """
-    postures, rank = np.empty_like(task.near), np.full(len(task.near), np.inf)
-    for limits in boxes:
-        rest = np.flatnonzero(rank >= MISSED)
-        for rows in np.split(rest, range(1_000, len(rest), 1_000)):
-            ends, ranks = _within_limits(task.within(limits).at(rows), keeps_branch)
-            better = (ranks < MISSED) | np.isinf(rank[rows])
-            postures[rows[better]], rank[rows[better]] = ends[better], ranks[better]
+    if len(task.near) > 1_000:
+        parts = np.split(np.arange(len(task.near)), range(1_000, len(task.near), 1_000))
+        return np.concatenate(
+            [search(task.at(rows), boxes, keeps_branch=keeps_branch, closest=closest) for rows in parts]
+        )
+    inner, *outer = (task.within(limits) for limits in boxes)
+    postures, rank = _tried_quickly(inner, keeps_branch)
+    missed, beside = np.flatnonzero(rank >= MISSED), np.empty(0, dtype=int)
+    if outer and missed.size:  # what is out of reach there is out of reach within the first, too
+        wider = outer[0].at(missed)
+        ends, ranks = _tried_thoroughly(wider, *_tried_quickly(wider, keeps_branch), all_seeds=closest)
+        beside, missed = missed[ranks < MISSED], missed[ranks < BEYOND]
+        ends = ends[ranks < MISSED]
+    if missed.size:
+        rest = inner.at(missed), postures[missed], rank[missed]
+        postures[missed], rank[missed] = _tried_thoroughly(*rest, all_seeds=closest)
+    if beside.size:
+        only_there = rank[beside] >= MISSED
+        postures[beside[only_there]], rank[beside[only_there]] = ends[only_there], NEAR
+    if closest and (beyond := np.flatnonzero(rank >= BEYOND)).size:
+        postures[beyond] = _closest(inner.at(beyond), postures[beyond])
     return postures
 
 
-def _within_limits(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
-    """(k, n) postures and (k,) ranks within the limits of the model."""
+def _seeds(task: Task) -> Array:
+    """(256, n) postures within the limits, always the same."""
+    arm = task.model.arm
+    return np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, arm.links))
+
+
+def _better(old: tuple[Array, Array], new: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Postures (k, n) and ranks (k,), those of the better rank. A branch that is nearer to a goal that is nearly
+    reached, by less than anybody knows, is none to go to."""
+    (postures, rank), (ends, ranks) = old, new
+    better = ranks < np.where((rank >= NEAR) & (rank < MISSED), NEAR, rank)
+    return np.where(better[:, None], ends, postures), np.where(better, ranks, rank)
+
+
+def _tried_quickly(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) ranks to which `near` and 32 seeds lead, of a redundant arm six."""
     arm, (k, n) = task.model.arm, task.near.shape
     task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
-    postures, rank = task.near.copy(), np.full(k, np.inf)
-    seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, n))  # always the same, 32 of them at first
-    redundant = task.conditions.orientation is None and n > task.goals.shape[1]
-
-    def take(rows: Index, ends: Array, ranks: Array) -> None:
-        # a branch that is nearer to a goal that is nearly reached, by less than anybody knows, is none to go to
-        better = ranks < np.where((rank[rows] >= NEAR) & (rank[rows] < MISSED), NEAR, rank[rows])
-        postures[rows[better]], rank[rows[better]] = ends[better], ranks[better]
-
+    best = task.near.copy(), np.full(k, np.inf)
     if keeps_branch:
         ends, _, ranks = task.ranked(*task.descended(task.near[:, None]))
-        take(np.arange(k), ends[:, 0], ranks[:, 0])
-    for first in (True, False) if redundant else (False,):
-        if not (rest := np.flatnonzero(rank >= (NEAR if first or not redundant else BEYOND))).size:
-            break
-        part, starts = task.at(rest), np.broadcast_to(seeds[:32], (len(rest), 32, n))
-        if first:  # most seeds reach most goals: the six whose linear steps to them end nearest
-            origin = Task(task.model, np.zeros((256, task.goals.shape[1])), seeds, Conditions())
-            gaps, jacobians = origin.gaps(seeds, np.arange(256))
-            scale = task.units / task.model.reach
-            shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
-            ends = seeds + np.einsum("snd,ksd->ksn", shortest, part.goals[:, None] + gaps)
-            away = np.linalg.norm((np.clip(ends, arm.lower, arm.upper) - part.near[:, None]) * scale, axis=2)
-            starts = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
-        take(rest, *_tried(part, np.concatenate([part.near[:, None], starts], axis=1), last=not first))
-    missed = np.flatnonzero(rank >= MISSED)
+        best = _better(best, (ends[:, 0], ranks[:, 0]))
+    rest, seeds = np.flatnonzero(best[1] >= NEAR), _seeds(task)
+    if not rest.size:
+        return best
+    part, starts = task.at(rest), np.broadcast_to(seeds[:32], (len(rest), 32, n))
+    if task.redundant:  # most seeds reach most goals: those whose linear steps to them end nearest
+        origin = Task(task.model, np.zeros((256, task.goals.shape[1])), seeds, Conditions())
+        gaps, jacobians = origin.gaps(seeds, np.arange(256))
+        scale = task.units / task.model.reach
+        shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
+        ends = seeds + np.einsum("snd,ksd->ksn", shortest, part.goals[:, None] + gaps)
+        away = np.linalg.norm((np.clip(ends, arm.lower, arm.upper) - part.near[:, None]) * scale, axis=2)
+        starts = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
+    tried = _tried(part, np.concatenate([part.near[:, None], starts], axis=1))
+    for array, of_rest in zip(best, _better((best[0][rest], best[1][rest]), tried), strict=True):
+        array[rest] = of_rest
+    return best
+
+
+def _tried_thoroughly(task: Task, postures: Array, rank: Array, *, all_seeds: bool) -> tuple[Array, Array]:
+    """Better postures (k, n) and ranks (k,), of a redundant arm from the first 32 seeds, then from all."""
+    arm, seeds = task.model.arm, _seeds(task)
+    task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
+    if task.redundant and (rest := np.flatnonzero(rank >= BEYOND)).size:
+        tried = _tried(task.at(rest), np.broadcast_to(seeds[:32], (len(rest), *seeds[:32].shape)))
+        postures[rest], rank[rest] = _better((postures[rest], rank[rest]), tried)
+    missed = np.flatnonzero((rank >= MISSED) & all_seeds)
     missed = missed[np.argsort(rank[missed], kind="stable")]
-    for start in range(0, len(missed), 32):  # effort: those missed by least with the other seeds, while it helps
+    for start in range(0, len(missed), 32):  # effort: those missed by least, while it helps
         rows = missed[start : start + 32]
-        take(rows, *_tried(task.at(rows), np.broadcast_to(seeds[32:], (len(rows), 224, n))))
+        tried = _tried(task.at(rows), np.broadcast_to(seeds[32:], (len(rows), *seeds[32:].shape)))
+        postures[rows], rank[rows] = _better((postures[rows], rank[rows]), tried)
         if np.all(rank[rows] >= MISSED):
             break
     return postures, rank
 
 
-def _tried(task: Task, starts: Array, *, last: bool = True) -> tuple[Array, Array]:
+def _tried(task: Task, starts: Array) -> tuple[Array, Array]:
     """(k, n) the best postures that starts (k, s, n) lead to, and their ranks (k,): where all miss a constraint by what
-    is missed as further residuals, and where none reaches the goal, if these are the last starts, by Newton's method.
-    """
+    is missed as further residuals."""
     ends, _, rank = task.ranked(*task.descended(starts, QUICK))
     best, ranks = ends[:, 0], rank[:, 0]
-    beyond, barred = (ranks >= BEYOND) & last, (ranks >= MISSED) & (ranks < BEYOND)
-    barred &= ends.shape[2] > task.goals.shape[1]  # a redundant arm has more than the starts found
-    for which, led_on in ((beyond, _newton), (barred, _turned_away)):
-        if which.any():
-            part = task.at(np.flatnonzero(which))
-            further, _, better = part.ranked(*led_on(part, ends[which]))
-            gains = better[:, 0] < ranks[which]
-            rows = np.flatnonzero(which)[gains]
-            best[rows], ranks[rows] = further[gains, 0], better[gains, 0]
+    barred = (ranks >= MISSED) & (ranks < BEYOND)
+    if ends.shape[2] > task.goals.shape[1] and barred.any():  # a redundant arm has more than the starts found
+        part = task.at(np.flatnonzero(barred))
+        further, _, better = part.ranked(*_turned_away(part, ends[barred]))
+        gains = better[:, 0] < ranks[barred]
+        rows = np.flatnonzero(barred)[gains]
+        best[rows], ranks[rows] = further[gains, 0], better[gains, 0]
     return best, ranks
 
 
@@ -465,10 +503,12 @@ def _turned_away(task: Task, starts: Array) -> tuple[Array, Array]:
     return task.descended(task.descended(starts[:, :3], 8, clear=True)[0], QUICK)
 
 
-def _newton(task: Task, starts: Array) -> tuple[Array, Array]:
-    """The closest postures (k, 1, n) to goals out of reach, by Newton's method, and what they leave (k, 1);  starts :
-    (k, s, n), best first"""
+def _closest(task: Task, postures: Array) -> Array:
+    """(k, n) the closest postures to goals out of reach, by Newton's method from postures (k, n) and from seeds."""
     arm, units = task.model.arm, task.model.reach / task.units
+    seeds = np.broadcast_to(_seeds(task)[:32], (len(postures), 32, arm.links))
+    starts = np.concatenate([postures[:, None], seeds], axis=1)
+    starts = task.ranked(*task.descended(starts, QUICK))[0]
     # of starts that are nearly the same the first
     firsts = (np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1]) for ordered in starts)
     kinds = [ordered[first] for ordered, first in zip(starts, firsts, strict=True)]
@@ -488,4 +528,5 @@ def _newton(task: Task, starts: Array) -> tuple[Array, Array]:
 
     ends = newton_ascent(np.concatenate(kinds), height, slopes, (arm.lower, arm.upper), units)
     order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
-    return task.descended(ends[order[np.unique(goal[order], return_index=True)[1]], None])
+    best = ends[order[np.unique(goal[order], return_index=True)[1]], None]
+    return task.ranked(*task.descended(np.concatenate([best, postures[:, None]], axis=1), 1))[0][:, 0]

@@ -10,7 +10,7 @@ One CasADi function with the settings as arguments gives the slopes of one effec
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -309,6 +309,21 @@ def with_further_orders(library: Library, at: At, chosen: Sequence[Block]) -> Li
             one = Block.of(arm, EffectSpec(EFFECT, j + 1, {ORDER: float(order)}), RARE / len(ORDERS))
             added += [one] if one.label not in known else []
     return replace(library, members=(*library.members, *added)) if added else library
+
+
+def slope_by_angle(effect: Effect, joint: int, model: Model) -> Callable[[Array], Array] | None:
+    """Of an effect that adds to the angle of a joint (from 0) what depends on that angle alone, and is linear in its p
+    parameters, their factors (m, p) at angles (m,) [rad]; None of any other effect."""
+    if effect.joint != joint + 1 or not hasattr(effect, "joint_angles"):
+        return None
+    q, c, _, _ = model.expressions.symbols
+    values = ca.SX.sym("v", len(effect.parameters))
+    slope = ca.jacobian(contribution(effect, "joint_angles", model.chain_at(q, c), values)[joint], values)
+    others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c, values)
+    if ca.depends_on(slope, others) or not ca.depends_on(slope, q[joint]):
+        return None
+    function = ca.Function("slope", [q[joint]], [slope])
+    return lambda angles: np.asarray(function(angles[None])).reshape(len(angles), -1)
 
 
 # -- outside the library ----------------------------------------------------------------------------------------------

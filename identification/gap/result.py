@@ -401,7 +401,7 @@ class Diagnosis(Documented):
         # with the values that a fit of a `practical` spatial arm took as they were, and where base and points are
         chain = self.arm.chain
         kept = {} if self.arm.calibration is None else self.arm.calibration.values
-        values = {name: kept.get(name, 0.0) for name in chain.fixed} | dict(named.values)
+        values = {name: kept.get(name, 0.0) for name in sorted(chain.fixed)} | dict(named.values)
         geometry = CorrectedGeometry(chain, values)
         tools, axes = MappingProxyType(geometry.tools), MappingProxyType(geometry.tool_axes)
         return replace(named, values=values, base=geometry.base, tools=tools, tool_axes=axes)
