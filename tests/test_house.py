@@ -180,6 +180,7 @@ def test_bounds_import_no_solver() -> None:
 
 
 # -- names -------------------------------------------------------------------------------------------------------------
+@cache
 def taken(package: str) -> list[tuple[str, str, str]]:
     """Module, module and name of every import by name from `identification` in a package, also in functions."""
     trees = {name: tree for name, tree in modules().items() if f"{name}.".startswith(f"{package}.")}
