@@ -295,9 +295,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     without deviations, and of other models than an arm's.
 
     Real postures fill no box of joint angles. What the fit is uncertain by at its own postures is less than at others
-    drawn as they were by 1 - p / N, the share of the N numbers that p parameters leave over (G. H. Golub, M. Heath,
-    G. Wahba, "Generalized cross-validation", 1979), repeats counted once; and in the box of the angles measured it is
-    hardly less, whatever few rows say.
+    drawn as they were, by `inside`; and in the box of the angles measured it is hardly less, whatever few rows say.
     """
     arm, postures = getattr(fit.model, "arm", None), fit.postures
     if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
@@ -311,8 +309,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
 
     if not measured:
         return over(working_postures(arm.lower, arm.upper))
-    numbers = len(postures) * fit.residuals_after.shape[1]
-    among = over(postures[:: max(len(postures) // 1000, 1)], max(numbers - fit.determined, 1.0) / numbers)
+    among = over(postures[:: max(len(postures) // 1000, 1)], fit.inside)
     return min(among, over(working_postures(postures.min(axis=0), postures.max(axis=0))))
 
 

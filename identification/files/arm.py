@@ -40,7 +40,7 @@ from identification.files.schema import (
     validated_arm,
 )
 from identification.files.urdf import BASE_LINK, METER, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
-from identification.instruments import kinds
+from identification.instruments import KINDS
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.counting import Counting, check_kinds
@@ -291,7 +291,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
             else:  # residuals of orientations weigh as much as those of positions
                 scale = sigma.sigma_mm / math.radians(sigma.sigma_deg)
         return replace(chain, angle_scale=scale)
-    instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
+    instrument = KINDS[chain.axes][table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
     if table.center_mm is not None and not instrument.own_targets:

@@ -29,7 +29,7 @@ from pydantic_core import PydanticCustomError
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
 from identification.bodies import CLEARANCE
 from identification.errors import InputError, nearest
-from identification.instruments import KINDS, kinds
+from identification.instruments import KINDS
 
 AXES = {"planar": "xy", "spatial": "xyz"}  # kind of an arm -> of its points
 CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg")
@@ -170,7 +170,7 @@ def _has_keys_of_its_kind(table: Any, info: ValidationInfo) -> Any:
     """Refuses a kind that there is not, keys that it does not have or lacks, and those that need or exclude others."""
     arm, keys = _kind(info), dict[str, list[str]]()
     if isinstance(table, InstrumentTable):
-        keys = {kind: [f"{key}?" for key in each.keys] for kind, each in kinds(AXES[arm]).items()}
+        keys = {kind: [f"{key}?" for key in each.keys] for kind, each in KINDS[AXES[arm]].items()}
     else:
         tables, more = (BODIES, " name? joint?") if isinstance(table, BodyTable) else (CONSTRAINTS, "")
         keys = {kind: f"{of[arm]}{more}".split() for kind, of in tables.items() if arm in of}
@@ -351,7 +351,7 @@ InstrumentTable = _table(
     "InstrumentTable",
     "kind",
     _has_keys_of_its_kind,
-    kind=Annotated[str, Field(json_schema_extra={"enum": [*KINDS]})],
+    kind=Annotated[str, Field(json_schema_extra={"enum": [*KINDS["xyz"]]})],
     radius_mm=Positive,
     center_mm=Point,
     normal=Direction,

@@ -20,6 +20,7 @@ from identification.arrays import Array
 from identification.document import Document, Documented, Sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
+from identification.effects import build_all
 from identification.errors import InputError
 from identification.estimation import Identification, doubts, estimate
 from identification.estimation.uncertainty import gained_squares
@@ -104,10 +105,19 @@ class Inspection(Documented):
 def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
     """Look at measurements of an arm: nothing is changed, nothing is believed.
 
+    Effects of which the arm's calibration has values and no deviations, as those of the library that a prior held, are
+    left out: without the prior no rows determine them.
+
     masses : (n,) of the links [kg], of an arm whose file leaves gravity out, None: not known
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
+    calibration = arm.calibration
+    if calibration is not None and calibration.covariance is not None:
+        held = {*calibration.effects} - {*calibration.parameter_names}
+        built = zip(arm.effects, build_all(arm.effects, arm.chain), strict=True)
+        free = [spec for spec, effect in built if not held & {p.name for p in effect.parameters}]
+        arm = replace(arm, effects=tuple(free))
     readings = read_differently(arm, measurements)
     units = data_warnings(measurements, arm) if readings.other_units else []
     fit = None if units else _fit(arm, measurements)

@@ -187,5 +187,5 @@ def test_an_effect_is_named_by_contacts_alone() -> None:
     q = touching(truth, sphere(np.array([600.0, -200.0, 300.0]), 30.0), 90, generator)
     q[:, 2] += 8e-4 * np.cos(q[:, 2]) + 3e-4 * np.sin(q[:, 2])
     arm = Arm(replace(drawing(), instrument=Sphere(30.0)), sigma=0.01)
-    found = diagnose(arm, Measurements(q, 30.0 + 0.01 * generator.standard_normal((90, 1))))
+    found = diagnose(arm, Measurements(q, 0.01 * generator.standard_normal((90, 1))))
     assert found.named.effects == ("encoder_eccentricity:3",)

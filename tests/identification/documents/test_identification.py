@@ -39,6 +39,19 @@ def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base", "notes": []}
     said = validation_verdict(figures, "c.toml", "d.csv", seen=True)
     assert said.startswith(f"On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error {drawing} 0.100 mm")
+    assert "this says nothing about others" in said
+    assert "removed" not in said
+    left_out = identification_verdict(fit | {"cross_validated_mm": 2.0})
+    assert left_out.endswith("to 0.250 mm; of postures left out of the fit it is 2.00 mm (noise included).")
+
+
+def test_a_value_that_no_controller_tells_from_the_drawing_is_left_out() -> None:
+    """The product of two small turns, say: 0.00000 +- 0.00001 deg."""
+    figures = {"pitch": (1e-6, 1e-5), "yaw": (0.002, 1e-5), "roll": (0.0, 0.001)}
+    rows = [CorrectedValue(n, None, 0.0, x, s, x - 2 * s, x + 2 * s, "deg", "") for n, (x, s) in figures.items()]
+    table, *_ = corrected_section("Corrected values", rows).parts
+    assert isinstance(table, Sheet)
+    assert [row[0] for row in table.rows] == ["yaw", "roll"]
 
 
 def test_what_follows_from_a_validation_and_from_a_fit() -> None:
