@@ -71,6 +71,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         size: Size,
         in_all: float | None = None,
         seed: int = 0,
+        progress: Progress,
     ) -> Answer:
         """Paint a wall.
 
@@ -83,6 +84,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         in_all : Sum.
         """
         got.update(arm=arm, data=data, runs=runs, color=color, only=only, check=check, size=size, in_all=in_all)
+        progress(1.0, 2.0, "")
         got["seed"] = seed
         return Answer({"here": arm}, ["transmission_ripple:1[k=20] and [red]"])
 

@@ -353,7 +353,7 @@ def test_a_bent_instrument_is_unknown_in_the_workspace(name: str) -> None:
 def test_effects_of_an_arm_that_sags_with_three_reflectors_at_each_posture() -> None:
     """Compliance, two encoders and play beside 0.02 mm of noise of each row and 0.03 mm of each posture."""
     rng = np.random.default_rng(5)
-    data = measured_three(small_arm(rng, *OTHERS), random_postures(60, rng), rng)
+    data = measured_three(small_arm(rng, *OTHERS), random_postures(100, rng), rng)
     found = diagnose(drawn_arm(), data)
     hidden = {"joint_compliance", *(f"{name}:{joint}" for name, joint, _ in OTHERS)}
     assert set(found.named.keys) == hidden
