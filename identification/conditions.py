@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import LARGEST
-from identification.arrays import Array, ByValue
+from identification.arrays import Array, ByValue, slices
 
 # what follows from the order of measurement: all, and what only rows that follow each other show
 BY_ORDER = frozenset({"time", "directions", "past"})
@@ -114,22 +114,20 @@ class Conditions(ByValue):
         past = past_from_order(postures) if remembers else None
         return cls(time=time, directions=directions_from_order(postures), past=past)
 
-    def table(self, m: int | tuple[int, ...], n: int, payload: float, postures: Array | None = None) -> Array:
-        """(m, 4 + n) columns payload [kg], temperature [K], time, session, directions, with the neutral values filled
-        in; (K, m, 4 + n) for m = (K, m).
-
-        postures : (m, n) for 12 n columns more with the past, where there is none the posture itself; None: without
-        """
-        shape = np.atleast_1d(m)
-        table = np.empty((*shape, 4 + n + (0 if postures is None else n * REMEMBERED)))
-        plain = (self.payload, payload), (self.temperature, 0.0), (self.time, 0.0), (self.session, 0.0)
-        for column, (values, neutral) in enumerate(plain):
-            table[..., column] = neutral if values is None else values
-        table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
-        if postures is not None:
-            past = postures[..., None] if self.past is None else np.asarray(self.past)
-            whole = np.broadcast_to(past, (*postures.shape, REMEMBERED))
-            table[..., 4 + n :] = whole.reshape(*postures.shape[:-1], n * REMEMBERED)
+    def table(self, columns: Mapping[str, slice], postures: Array, payload: float) -> Array:
+        """(..., m, C) in these columns (`condition_columns`), of postures (..., m, n). Of which nothing is said is
+        neutral: the arm's payload [kg], approach +1, the first of several markers, of joints that remember the posture
+        itself, and zero."""
+        neutral: dict[str, Any] = {"payload": payload, "directions": 1.0, "marker": -1.0}
+        table = np.zeros((*postures.shape[:-1], max(place.stop for place in columns.values())))
+        for name, place in columns.items():
+            if (value := getattr(self, name, None)) is None:
+                value = np.repeat(postures, REMEMBERED, axis=-1) if name == "past" else neutral.get(name, 0.0)
+            elif name in ("past", "orientation"):
+                value = np.reshape(value, (*np.shape(value)[:-2], -1))
+            elif name != "directions":
+                value = value[..., None]
+            table[..., place] = value
         return table
 
     @property
@@ -141,6 +139,18 @@ class Conditions(ByValue):
         """The conditions of some rows (any numpy index)."""
         pick = {name: value[index] for name, value in vars(self).items() if value is not None}
         return replace(self, **pick)
+
+
+def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]:
+    """Where each condition of a model of n joints stands among its columns, in this order.
+
+    further : which of those that not every model has: `past` of the joints, if an effect has a memory; `marker`, where
+        there are several; measured `orientation`, row by row; `errors` of the joints by their curves, with `off`, the
+        share of the curves' geometry that does not hold
+    """
+    sizes = {"payload": 1, "temperature": 1, "time": 1, "session": 1, "directions": n}
+    others = {"past": n * REMEMBERED, "marker": 1, "orientation": 9, "errors": n, "off": 1}
+    return slices(sizes | {name: size for name, size in others.items() if name in further})
 
 
 def session_time(order: Array) -> Array:

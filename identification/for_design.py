@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import BY_ORDER, Conditions
+from identification.conditions import BY_ORDER, REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
@@ -56,13 +56,16 @@ class ArmModel(Model):
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
-        conditions, each = self.condition_table(np.zeros((1, self.joints)), Conditions())[0], []
-        for name in {"reference", "missing", "errors", "off"} & set(self._columns):  # none is measured or looked up
-            conditions[self._columns[name]] = float(name == "missing")
+        at, chain, each = self._columns, self.arm.chain, []
+        conditions = ca.SX(ca.DM(Conditions().table(at, np.zeros((1, self.joints)), self.arm.payload)[0]))
+        if "past" in at:
+            conditions[at["past"]] = ca.vec(ca.repmat(q.T, REMEMBERED, 1))
         for point in range(self.points_read):
             if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
-                conditions[self._columns["marker"]] = point
-            each.append(self.expressions.position_function(q, ca.DM(conditions), p))
+                conditions[at["marker"]] = point
+            if "orientation" in at:
+                conditions[at["orientation"]] = ca.vec(chain.orientation(q, self.geometry, ca.SX(point)).T)
+            each.append(self.expressions.position_function(q, conditions, p))
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------
@@ -115,16 +118,17 @@ class ArmModel(Model):
         lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
         """
         chain = self.arm.chain
-        if key := chain.instrument.unknown(self.best_known):
-            reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
-            raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
+        for p in chain.instrument.parameters:
+            if p.start is None and self.best_known[p.name] == p.neutral:
+                reason = f"{p.toml_key} is not known: where the {chain.instrument.kind} is touched depends on it"
+                raise InputError(f"instrument: {reason}, allowed for plans: with {p.toml_key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often
         for _ in range(batches):
             anywhere = generator.uniform(lower, upper, (batch, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
             target = np.arange(batch, dtype=float) % targets if targets else None
-            q = led_to_contact(self, anywhere, chain.instrument.touched, units, target)
+            q = led_to_contact(self, anywhere, 0.0, units, target)
             q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
@@ -149,7 +153,7 @@ class ArmModel(Model):
 
     def gaps(self, postures: Array) -> Array:
         """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
-        return np.asarray(np.linalg.norm(self.position(postures) - self.arm.chain.instrument.touched, axis=1))
+        return np.asarray(np.linalg.norm(self.position(postures), axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the

@@ -126,7 +126,7 @@ class Validation(Documented):
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
-        notes = [note for note in self.notes if BY_CHANCE not in note]
+        notes = [note for note in self.notes if BY_CHANCE not in note and note != FITTED]
         parts = validation_sections(data, ", measured points" if TOOL in self.arm.chain.frame_kinds else "")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 

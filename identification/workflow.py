@@ -117,8 +117,8 @@ def init_files(
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
     if instrument is not None and robot is None and dh is None:
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
-    if instrument is not None and instrument not in KINDS:
-        raise InputError.unknown("--instrument: found", instrument, KINDS)
+    if instrument is not None and instrument not in (kinds := KINDS["xyz"]):
+        raise InputError.unknown("--instrument: found", instrument, kinds)
     if robot is not None:
         files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:

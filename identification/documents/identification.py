@@ -144,14 +144,9 @@ def identification_document(result: Identification, data: Data, hidden: frozense
     dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
     rows = [row for row in result.corrected_values if row.parameter not in hidden]
     sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows)]
-    left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
-    others = f"{reading_unit(result.arm)} RMS: each posture predicted by a fit to the others, noise included"
-    figures: list[tuple[str, str | None]] = [
-        *fit_facts(result),
-        ("cross-validated", None if left is None else f"{number(left)} {others}"),
-        ("drawing", None if drawn is None else f"{number(drawn)} mm RMS, {DRAWN['base']}"),
-    ]
-    parts: list[Part] = [Sheet.facts(figures), *sections]
+    drawn = data.get("rms_nominal_mm")
+    by_drawing = None if drawn is None else f"{number(drawn)} mm RMS, {DRAWN['base']}"
+    parts: list[Part] = [Sheet.facts([*fit_facts(result), ("drawing", by_drawing)]), *sections]
     if result.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         parts += [f"  {combination}" for combination in result.not_identifiable]
@@ -175,12 +170,17 @@ def identification_document(result: Identification, data: Data, hidden: frozense
 
 
 def identification_verdict(data: Data, before: str = "") -> str:
-    """What a fit does to the error on its own data;  before : whose the error before is, where not the drawing's"""
+    """What a fit does to the error on its own data, and what it leaves of postures left out of it;  before : whose the
+    error before is, where not the drawing's"""
     drawn, unit = None if "only" in data else data.get("rms_drawing_mm"), data.get("reading_unit", "mm")
     was = f"{in_a_sentence(data['rms_before_mm'])}{before and f' {unit} ({before})'}"
     was = was if drawn is None else drawing_in_words(drawn, unit=unit)
     after = f"{in_a_sentence(data['rms_after_mm'])} {unit}"
-    return f"On its own data the calibration takes the RMS error from {was} to {after}."
+    # many parameters, held by a prior or not, come as near to the rows they are fitted to as one likes
+    left, others = data.get("cross_validated_mm"), ""
+    if left is not None:
+        others = f"; of postures left out of the fit it is {in_a_sentence(left)} {unit} (noise included)"
+    return f"On its own data the calibration takes the RMS error from {was} to {after}{others}."
 
 
 def hardly_better(offered: Data) -> str:
@@ -227,11 +227,11 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str,
 
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
-    """Nominal and corrected values with intervals, without those that are the drawing's to the last digit shown."""
+    """Nominal and corrected values with intervals, without those that are the drawing's to 0.0001 mm or deg."""
     keys, cells = ("nominal", "corrected", "std", "low_95", "high_95"), []
     for row in rows:
         name, std, unit = f"{row.name} *" if row.weak else row.name, row.std, row.unit
-        same = {number(getattr(row, key), 5) for key in keys if key != "std"}
+        same = {number(getattr(row, key), 4) for key in keys if key != "std"}
         if unit not in ("mm", "deg") or len(same) > 1 or row.nominal is None:
             cells.append([name, *(estimate_text(getattr(row, key), std, unit) for key in keys), unit_or_dash(unit)])
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
@@ -315,8 +315,9 @@ def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyon
 def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
     """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
     better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
-    which = ", which it was fitted to" if seen else ""
+    seen = seen or FITTED in data.get("notes", ())
+    which = ", which it was fitted to" if seen and rows else ""
+    rows = rows or ("the model's own measurements" if seen else "other measurements")
     unit = data.get("reading_unit", "mm")
     drawing = drawing_in_words(data["rms_nominal_mm"], data["refit"], unit)
     figures = f"from {drawing} to {in_a_sentence(data['rms_mm'])} {unit}"
@@ -324,6 +325,7 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, 
     gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
     worth = "no better than the drawing" if gain <= 0.0 else f"{100.0 * gain:.0f} % of the error is removed"
     worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
+    worth = "this says nothing about others" if seen else worth
     return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
 
 

@@ -8,7 +8,7 @@ For a given measured point t the sphere about c is linear in c and |c|^2 (algebr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -22,7 +22,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement, Starts, Unplaced, followed, placed, random_starts, searched
+from identification.instruments.search import Placement, Starts, Unplaced, placed, random_starts, searched
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
 
@@ -102,7 +102,7 @@ def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
 class Sphere(Distance):
     """A touch probe on a ball, wherever that stands. Its frame has the origin at the center of the ball.
 
-    radius : [mm] of ball and stylus tip together; None: a parameter, and read are heights above the surface
+    radius : [mm] of ball and stylus tip together; None: a parameter
     """
 
     kind = "sphere"
@@ -124,11 +124,8 @@ class Sphere(Distance):
     radius: float | None = None
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        return distance_to_center(point) - (values[0] if self.radius is None else 0.0)
-
-    @property
-    def touched(self) -> float:
-        return self.radius or 0.0
+        """The height above the surface."""
+        return distance_to_center(point) - (values[0] if self.radius is None else self.radius)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -139,36 +136,20 @@ class Sphere(Distance):
             text = "of ball and stylus tip together; known as well as the size of the arm"
             yield value._replace(name="sphere radius", convention=text)
 
-    def unknown(self, values: Mapping[str, float]) -> str:
-        return "radius_mm" if self.radius is None and values.get(RADIUS, 0.0) <= 0.0 else ""
-
     @property
     def size_is_open(self) -> tuple[str, str]:
         return ("contacts with spheres of unknown radius", "give radius_mm") if self.radius is None else ("", "")
 
     def place(self, rows: Unplaced) -> Placement:
         """From far away an unknown radius would grow without end, with a tool as long: its starts are what fits of some
-        known radii end at. Readings may then be any constant: they are heights above the ball."""
-        if self.radius is not None:
-            return super().place(rows)
-        rows = rows._replace(readings=np.zeros((len(rows.frames), 1)))
+        known radii end at."""
         one = _about_centers(rows, np.zeros(len(rows.frames)))  # the algebraic fits are those of any radius
+        if self.radius is not None:
+            return searched(self, rows, one, slice(0, 3), PATIENCE)
         radii = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
         turns, shifts, tools = (np.concatenate([part] * len(radii)) for part in one[:3])
         starts = Starts(turns, shifts, tools, np.repeat(radii * rows.reach, len(one.tools))[:, None])
-        # effort: the radius is not right
-        starts, squares = followed(self, rows, starts, slice(0, 3), PATIENCE, rounds=10, hold=True)
-        best = np.argmin(squares.reshape(len(radii), -1), axis=1) + len(one.tools) * np.arange(len(radii))
-        return searched(self, rows, Starts(*(part[best] for part in starts)), slice(0, 3), PATIENCE)
-
-    def settled(
-        self, starts: Array, residuals: Callable[[Array], Array], numbers: list[int]
-    ) -> tuple[Array, list[int]]:
-        """An unknown radius is the mean distance from the center. An arm that shrinks with its sphere would explain any
-        residual to first order, since heights above the sphere are homogeneous in all lengths, so the radius is held
-        first; where nothing but noise is left, the arm explains no more than that."""
-        starts[:, numbers] -= residuals(starts).mean(axis=(1, 2))[:, None]
-        return starts, numbers
+        return searched(self, rows, starts, slice(0, 3), PATIENCE)
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
@@ -359,7 +340,6 @@ class Socket(AtTargets):
     keys = frozenset({"cups", "distances_mm"})
     target = "cup"
     own_targets = "cup"
-    unsaid = -1.0
     hides = frozenset(error_names(PLACE))
     guide = Guide(
         about="a ball at the tool, seated in cups that stand anywhere",

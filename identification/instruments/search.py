@@ -115,28 +115,21 @@ def searched(
 
 
 def followed(
-    instrument: Instrument,
-    rows: Unplaced,
-    starts: Starts,
-    of_base: slice,
-    patience: int,
-    rounds: int = 60,
-    hold: bool = False,
+    instrument: Instrument, rows: Unplaced, starts: Starts, of_base: slice, patience: int
 ) -> tuple[Starts, Array]:
     """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,).
 
     of_base : which of shift and rotation of the base are looked for, where it is not known
-    patience : steps after which what is `Unplaced.hopeless` is given up;  rounds : steps of each start at most
-    hold : whether own values of the instrument stay as they are
+    patience : steps after which what is `Unplaced.hopeless` is given up
     """
     k, m = starts.values.shape[1], len(rows.frames)
     scales = np.r_[np.full(3, rows.reach), np.ones(3), np.full(3, 0.1 * rows.reach), np.ones(k)]
-    free = np.r_[np.zeros(6, dtype=bool), np.full(3, rows.tool is None), np.full(k, not hold)]
+    free = np.r_[np.zeros(6, dtype=bool), np.full(3, rows.tool is None), np.ones(k, dtype=bool)]
     free[of_base] = rows.base is None
     columns = np.diag(scales)[free]  # of the free unknowns, each divided by its scale
     squares, gradient, matrix = _linear(instrument, starts, rows, columns)
     damping = np.full(len(squares), 1e-3)  # what is added to a normal matrix, of its diagonal
-    for done in range(rounds):
+    for done in range(60):  # effort
         diagonal = np.einsum("sii->si", matrix)
         floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True, initial=0.0) + np.finfo(float).tiny
         added = np.eye(matrix.shape[-1]) * (damping[:, None] * np.maximum(diagonal, floor))[:, None]

@@ -115,6 +115,9 @@ class KinematicChain(ByValue):
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
     # kinds of the parameters that say where it stands and what is measured on it, each a frame
     frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
+    # how effects bend it: place (identification/effects/chain.py) -> its elements for each joint. In space the joint's
+    # frame after it moved; in the plane each link's end to its left
+    bends: ClassVar[Mapping[str, int]] = MappingProxyType({"joint_turns": 3, "joint_shifts": 3})
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
     planar: ClassVar[bool] = False  # a `PlanarChain`
 
@@ -140,12 +143,6 @@ class KinematicChain(ByValue):
     def dimension(self) -> int:
         """d, coordinates of a position: 3 in space, 2 in the plane."""
         return len(self.axes)
-
-    @property
-    def bends(self) -> dict[str, int]:
-        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In space each joint's
-        frame after it moved, by three turns and three shifts; in the plane each link's end to its left."""
-        return {"joint_turns": 3 * len(self.joints), "joint_shifts": 3 * len(self.joints)}
 
     @property
     def redundant(self) -> bool:
@@ -338,20 +335,19 @@ class KinematicChain(ByValue):
         how far the measured frame is turned against its reference [mm], (0,) where only points are measured.
 
         values : those of `parameters`;  marker : number of the measured point from 0, None: the first
-        reference : (9,) orientation to compare with, by columns
+        reference : (9,) orientation to compare with, by rows
         """
         named = {name: values[k] for k, name in enumerate(self.parameters().names)}
         measured = self.measured(self.frames(q, named, added)[-1], named, in_space(added["tool"]))
         point = _of_marker([frame.point(ca.SX(3, 1)) for frame in measured], marker)[: self.dimension]
         if self.angle_scale is None or reference is None:
             return point, ca.SX(0, 1)
-        axes = ca.reshape(_of_marker([ca.vec(frame.axes) for frame in measured], marker), 3, 3)
-        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3).T))
+        axes = _of_marker([frame.axes for frame in measured], marker)
+        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3)))
 
     def orientation(self, q: ca.SX, values: Values, marker: ca.SX | None = None) -> ca.SX:
-        """(9,) axes of the measured frame, by columns, for the instrument; arguments as of `frames` and `tip`."""
-        measured = self.measured(self.frames(q, values)[-1], values)
-        return _of_marker([ca.vec(frame.axes) for frame in measured], marker)
+        """(3, 3) axes of the measured frame for the instrument, as columns; arguments as of `frames` and `tip`."""
+        return _of_marker([frame.axes for frame in self.measured(self.frames(q, values)[-1], values)], marker)
 
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
@@ -426,12 +422,9 @@ class PlanarChain(KinematicChain):
     turn_names = ("w",)
     base_shift = ("base_offset.x0", "base_offset.y0")
     frame_kinds = ()
+    bends = MappingProxyType({"deflections": 1, "slopes": 1})
     projection = None
     planar = True
-
-    @property
-    def bends(self) -> dict[str, int]:
-        return {"deflections": len(self.joints), "slopes": len(self.joints)}
 
     @property
     def held(self) -> frozenset[str]:
