@@ -22,14 +22,12 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement, Starts, Unplaced, placed, random_starts, searched
+from identification.instruments.search import Placement, Starts, Unplaced, placed, searched
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
 from identification.workspace import circle_across
 
 RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
-# rounds, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
-PATIENCE = 3
 TOUCHES = 1e-6  # [mm] by which these are kept
 DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
 
@@ -83,7 +81,7 @@ class Distance(Instrument):
 
     def place(self, rows: Unplaced) -> Placement:
         """What the lengths leave open of the base is along the arm's own axes."""
-        return searched(self, rows, _about_centers(rows, rows.readings[:, 0]), slice(0, 3), PATIENCE)
+        return searched(self, rows, _about_centers(rows, rows.readings[:, 0]))
 
 
 def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
@@ -148,11 +146,11 @@ class Sphere(Distance):
         known radii end at."""
         one = _about_centers(rows, np.zeros(len(rows.frames)))  # the algebraic fits are those of any radius
         if self.radius is not None:
-            return searched(self, rows, one, slice(0, 3), PATIENCE)
+            return searched(self, rows, one)
         radii = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
         turns, shifts, tools = (np.concatenate([part] * len(radii)) for part in one[:3])
         starts = Starts(turns, shifts, tools, np.repeat(radii * rows.reach, len(one.tools))[:, None])
-        return searched(self, rows, starts, slice(0, 3), PATIENCE)
+        return searched(self, rows, starts)
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
@@ -208,14 +206,14 @@ class Plane(Instrument):
     def place(self, rows: Unplaced) -> Placement:
         """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
         if rows.base is not None:
-            return searched(self, rows, random_starts(self, rows), patience=PATIENCE)
+            return super().place(rows)
         bases = []
         for points in rows.points(rows.tools):
             about = points - points.mean(axis=0)
             normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
             bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
         turns, shifts = np.array(bases)[:, :3, :3], np.array(bases)[:, :3, 3]
-        best = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)), slice(2, 5), PATIENCE)
+        best = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)))
         return best._replace(base=_standing_above(rows.points(best.tool[None])[0], best.base[2, :3], -best.base[2, 3]))
 
 
