@@ -24,7 +24,7 @@ from identification.effects.base import Effect
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame
-from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.parameters import LENGTH_ERROR, REVOLUTE
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
 BY_JOINT = ("joint_angles", "extensions", "deflections", "slopes", "joint_turns", "joint_shifts")
@@ -166,11 +166,13 @@ def position_and_state(
     add(OF_LOAD, chain)
     additions["payload"] += chain.payload
     loads: dict[str, Any] = {place: additions[place] for place in OF_LOAD}
-    lengths = drawn.link_lengths(geometry)
+    named = dict(zip(drawn.parameters().names, ca.vertsplit(geometry), strict=True))
+    errors = (named.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(drawn) + 1))
+    lengths = ca.DM(drawn.lengths) + ca.vertcat(*errors)
     add([place for place in sizes if place not in (*OF_LOAD, "instrument")], replace(chain, **loads), lengths)
-    tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.orientation)
+    tip, turned = drawn.tip(chain.q + additions["joint_angles"], named, additions, chain.marker, chain.orientation)
     add(["instrument"], chain, tip=tip)
-    settings = geometry[geometry.numel() - len(drawn.instrument.parameters) :]
+    settings = ca.vertcat(ca.SX(0, 1), *(named[p.name] for p in drawn.instrument.parameters))
     target = ca.SX(0) if chain.marker is None else chain.marker
     reading = drawn.instrument.reading(tip + additions["instrument"], settings, target)
     return ca.vertcat(reading, turned), ca.vertcat(*loads.values(), lengths, tip)
