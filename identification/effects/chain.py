@@ -37,6 +37,8 @@ class Chain:
     geometry: KinematicChain
     gravity: Gravity | None
     q: ca.SX  # (n,) commanded joint angles [rad]
+    gravity_turn: ca.SX  # [rad] about the axes of the base that a frame may turn about
+    payload_shift: ca.SX  # (d,) of the payload from where the file says [mm], in the tip's frame
     payload: ca.SX  # [kg]
     temperature: ca.SX  # [K] above the mean
     time: ca.SX  # -0.5..0.5 over the session
@@ -47,8 +49,6 @@ class Chain:
     orientation: ca.SX | None = None  # (9,) to compare with, by rows, None: none is measured
     errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
     off: ca.SX | None = None  # the share of their geometry that does not hold
-    gravity_turn: ca.SX | None = None  # [rad] about the axes of the base that a frame may turn about
-    payload_shift: ca.SX | None = None  # of the payload from where the file says [mm], in the tip's frame; in space
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX, columns: Mapping[str, slice]) -> Chain:
@@ -56,7 +56,8 @@ class Chain:
         at = {name: c[place] for name, place in columns.items()}
         if "past" in at:
             at["past"] = ca.reshape(at["past"], REMEMBERED, arm.links).T
-        return cls(arm.chain, arm.gravity, q, **at)
+        turned, shifted = ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension)
+        return cls(arm.chain, arm.gravity, q, turned, shifted, **at)
 
     @property
     def previous(self) -> ca.SX:
@@ -90,9 +91,9 @@ class Chain:
     def acceleration(self) -> ca.SX:
         """(3,) acceleration of gravity [m/s^2] in the frame of the base, rotated by `gravity_turn`."""
         gravity = in_space(ca.SX(ca.DM(self.required_gravity.acceleration)))
-        if (turn := self.gravity_turn) is None or turn.is_zero():
+        if self.gravity_turn.is_zero():
             return gravity
-        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, turn).axes, gravity)
+        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, self.gravity_turn).axes, gravity)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:
@@ -100,8 +101,7 @@ class Chain:
         as far along as the file says; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.geometry
         at = ca.SX(ca.DM(next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at))
-        hangs = at if self.payload_shift is None else at + in_space(self.payload_shift)
-        masses = [(self.payload, self.links - 1, self.frames[-1].point(hangs))]
+        masses = [(self.payload, self.links - 1, self.frames[-1].point(at + in_space(self.payload_shift)))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
             masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
         return masses
