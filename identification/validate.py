@@ -169,8 +169,8 @@ def _refitted(
     """The refitted parameters (`Validation.refitted`), (m, d) residuals [mm], and how many combinations the data leave
     open;  calibrated : the arm whose conditions hold, None: this one
 
-    The temperature is counted from the mean of the data of the identification, where it is known. Where the arm was set
-    up again, what happened once in the session of the identification is over: a drift or a step has come to its end.
+    The temperature is counted from the mean of the data of the identification, where it is known. In other rows than
+    those what happened once in that session is over: a drift or a step has come to its end.
     """
     model, origin = Model(arm), calibrated or arm
     for what, counted, needed in (
@@ -182,7 +182,8 @@ def _refitted(
     if "gravity" in model.needs and arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
     conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
-    if refit != "none" and any(effect.once for effect in Model(origin).effects):
+    own = comes_from(identified(origin), measurements)
+    if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
         conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
     if measurements.temperature is not None and mean is not None:
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))
@@ -234,12 +235,12 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
         elif fresh and not len(tools) == 1 == len(names):
             its = "its position was" if len(fresh) == 1 else "their positions were"
             yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-    if comes_from(identified(arm), measurements):
+    if own := comes_from(identified(arm), measurements):
         yield FITTED
     if far := extrapolation(arm, measurements.postures):
         yield far
     model = Model(arm)
-    if once := [effect.key for effect in model.effects if effect.once and refit != "none"]:
+    if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
         yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
     for effect in model.effects:
         for need, column, missing, instead in (

@@ -376,8 +376,6 @@ def identify_files(
             doubts += [] if better else [hardly_better(keys["offered"])]
 
     result = fit_in_json(fitted, rows, loaded, arm) | keys
-    if loaded.calibration is not None and words and set(words) <= {"base", "tool"}:
-        result["rms_nominal_mm"] = result["rms_drawing_mm"]
     hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
     kept = loaded.calibration if words else None, None if old is None else old.calibration

@@ -117,56 +117,46 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     ]
 
 
-def parameters_document(fit: Identification) -> Document:
-    """All of it: the parameters, rounded by their standard deviations, and what else was found."""
-    # an effect always has its settings: `transmission_ripple:2[k=17].a`
-    full = {p.name: f"{effect.label}.{p.short}" for effect in fit.model.effects for p in effect.parameters}
-    rows = [
-        [
-            full.get(row["name"], row["name"]),
-            *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS),
-            row["unit"],
-        ]
-        for row in fit.rows()
-    ]
-    table = Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), rows)
-    open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
-    return Document("Identification", [], [table, Sheet.facts([*open_ones, *fit_facts(fit)])], (), fit.warnings)
-
-
-def identification_document(result: Identification, data: Data, hidden: frozenset[str] = frozenset()) -> Document:
+def identification_document(
+    fit: Identification, data: Data | None = None, hidden: frozenset[str] = frozenset()
+) -> Document:
     """Everything about a fit: warnings, verdict, figures, the Denavit-Hartenberg table where the arm file has one, else
-    the corrected values but for those `hidden`.
+    the corrected values but for those `hidden`; the parameters of a model that is no arm's.
 
-    data : what `armcal identify --json` says of it
+    data : what `armcal identify --json` says of it, None: what it says itself
     """
+    data = fit.to_json() if data is None else data
     # of the class of the others: estimation, where it is defined, imports this module
-    dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
-    rows = [row for row in result.corrected_values if row.parameter not in hidden]
-    sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows)]
-    drawn = data.get("rms_nominal_mm")
-    by_drawing = None if drawn is None else f"{number(drawn)} mm RMS, {DRAWN['base']}"
-    parts: list[Part] = [Sheet.facts([*fit_facts(result), ("drawing", by_drawing)]), *sections]
-    if result.not_identifiable:
+    dh = [type(fit.corrected_values[0])(**row) for row in data.get("dh_table", ())]
+    values = [row for row in fit.corrected_values if row.parameter not in hidden]
+    tables: list[Part] = [*dh_sections(dh, data.get("dh_places", ()))]
+    if values and not tables:
+        tables = [corrected_section("Corrected values", values)]
+    if fit.arm is None:
+        rows = (
+            [row["name"], *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS), row["unit"]]
+            for row in fit.rows()
+        )
+        tables = [Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), [*rows])]
+    drawn = data.get("rms_drawing_mm") if "only" in data else None
+    by_drawing = None if drawn is None else f"{number(drawn)} {reading_unit(fit.arm)} RMS, {DRAWN['base']}"
+    parts: list[Part] = [Sheet.facts([*fit_facts(fit), ("drawing", by_drawing)]), *tables]
+    if fit.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
-        parts += [f"  {combination}" for combination in result.not_identifiable]
+        parts += [f"  {combination}" for combination in fit.not_identifiable]
     if servo := data.get("servo_error", ()):
         keys = ("offset", "reversal", "rms", "largest", "rest")
         cells = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in servo]
         meaning = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
         parts += [Sheet(("joint", *keys, "unit"), cells, "Servo error"), meaning]
-    # what the errors before the fit are those of; without a place in the file, one has been fitted before
-    if drawn is not None and result.rms_before > (1.0 + 1e-3) * result.rms_after:
-        before = "where the arm file has it"
-    else:
-        arm, places = getattr(result.model, "arm", None), placing(result.model.parameters)
-        fitted = bool(places) and len(places) < len(result.names)
-        file = "arm file" if arm is None or arm.calibration is not None else "drawing"
-        before = f"{file}, {DRAWN['base' if fitted else 'none']}"
-    verdict = [identification_verdict(data, before)]
+    # whose the errors before the fit are; without a place in the file, one has been fitted before
+    places = placing(fit.model.parameters)
+    placed = 0 < len(places) < len(fit.names) or fit.rms_before <= (1.0 + 1e-3) * fit.rms_after
+    file = "arm file" if fit.arm is None or fit.arm.calibration is not None else "drawing"
+    verdict = [identification_verdict(data, f"{file}, {DRAWN['base' if places and placed else 'none']}")]
     if not data.get("offered", {"better": True})["better"]:
         verdict.insert(0, hardly_better(data["offered"]))
-    return Document("Identification", verdict, parts, warnings=result.warnings)
+    return Document("Identification", verdict, parts, warnings=fit.warnings)
 
 
 def identification_verdict(data: Data, before: str = "") -> str:

@@ -289,8 +289,8 @@ class Identification(Documented):
         return as_frame([row.to_json() for row in self.corrected_values])
 
     def document(self) -> Document:
-        """The parameters with their intervals, and how well the model fits."""
-        return shown.parameters_document(self)
+        """What `armcal identify` says of it."""
+        return shown.identification_document(self)
 
 
 # -- corrected values --------------------------------------------------------------------------------------------------
