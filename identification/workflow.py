@@ -372,7 +372,7 @@ def identify_files(
         if not words and old is None:
             alone = prior_judged(lambda: estimation.estimate(Model(with_sessions(loaded, rows)), rows), fitted, rows)
         if alone is not None:
-            keys["offered"], better = alone.to_json(), alone.better
+            keys["offered"], better = alone, alone["better"]
             doubts += [] if better else [hardly_better(keys["offered"])]
 
     result = fit_in_json(fitted, rows, loaded, arm) | keys
