@@ -22,7 +22,6 @@ from identification.document import (
     unit_or_dash,
 )
 from identification.effects.catalogue import Entry
-from identification.kinematics.parameters import REVOLUTE
 from identification.running import Status
 from identification.sessions import placing
 
@@ -65,17 +64,6 @@ KINDS_OF_EFFECTS = {
 def p_value_in_words(p: float) -> str:
     """`p = 0.012`; a p-value that underflows is not shown as zero."""
     return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
-
-
-def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
-    """That chi2 rejects the model or the sigma given, and what follows; times : residuals in units of that sigma."""
-    figures = f"chi2 {fit.chi2:.4g}, {fit.dof} degrees of freedom, {p_value_in_words(p_value)}"
-    prior = "the prior does not hold (above), " if fit.contradictions else ""
-    cause = f"{prior}the model is incomplete or sigma_mm too small"
-    follows = "rely on sigma_mm and are too narrow" if fit.uncertainty.kind == "given" else "do not rely on sigma_mm"
-    do = "settle the prior first" if fit.contradictions else "armcal diagnose looks for what is missing"
-    scatter = f"{MISFIT} {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {fit.sigma:.4g} ({figures})"
-    return f"{scatter}: {cause}. The intervals {follows}; {do}"
 
 
 def reading_unit(arm: Any) -> str:
@@ -347,35 +335,7 @@ def validation_sections(data: Data, points: str = "") -> list[Section]:
     return shown + ([Section(f"Validation, block by block, in {unit}", [Sheet(headings, blocks)])] if blocks else [])
 
 
-# -- armcal compensate -------------------------------------------------------------------------------------------------
-def compensation_document(result: Any) -> Document:
-    """How many targets are reached and which are not, and commands for the first ones;  result : `Compensation`"""
-    verdict = f"{np.count_nonzero(result.reached)} of {len(result.targets)} targets reached by the calibrated model"
-    if result.model_rms is not None:
-        verdict += f" (RMS {result.model_rms:.4g} mm on its own measurements)"
-    if result.angles is not None and result.reached.any():
-        miss = miss_text(result.to_json()["max_error_deg"])
-        verdict += f"; orientations are those wanted to {miss} deg, by the same model"
-    verdict += "."
-    if missed := (np.flatnonzero(~result.reached) + 1).tolist():
-        counts = {"out of reach": ~result.near, "barred by a constraint": result.near & ~result.reached}
-        why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
-        counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
-        have = "have" if len(missed) > 1 else "has"
-        verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
-    reasons = [f"target {k} ! {message}" for k, message in enumerate(result.messages, start=1) if message]
-    rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
-    types = result.joint_types or (REVOLUTE,) * result.commands.shape[1]
-    digits = 3 if len(types) + result.targets.shape[1] <= 6 else 2  # of more joints and axes than 80 columns have room
-    joints = [f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1)]
-    commands = np.where(np.isnan(result.safe_commands), np.nan, result.commands_in_file_units)
-    rows = command_rows(result.targets, commands, result.left, digits)
-    headings = ["row", *"xyz"[: result.targets.shape[1]], *joints, "miss"]
-    table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
-    rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
-    return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=result.warnings)
-
-
+# -- commands, in a terminal and on a page -----------------------------------------------------------------------------
 def rows_listed(rows: Sequence[int]) -> str:
     """`row 3`, `rows 1, 5`; of many the first eight."""
     return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"

@@ -12,7 +12,6 @@ from identification.compensate import Compensation
 from identification.document import Sheet, as_text
 from identification.documents.identification import (
     BY_CHANCE,
-    compensation_document,
     corrected_section,
     identification_actions,
     identification_verdict,
@@ -128,7 +127,7 @@ def test_counts_of_targets_without_a_command() -> None:
     """Row 2 is out of reach, row 3 barred; both lack angles, and a sentence says how many and why."""
     found = commands([0.0, 3.0, 0.0], [-1.0, -1.0, 2.0])
     assert np.isnan(found.safe_commands).tolist() == [[False], [True], [True]]
-    document = compensation_document(found)
+    document = found.document()
     why = "2 have no command (angles left empty): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
     assert document.verdict == [f"1 of 3 targets reached by the calibrated model. {why}"]
     table, *reasons = document.parts
