@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
+REMOUNTED = "reflectors are mounted elsewhere than in the session before"  # the beginning of that sentence
 MOST_HELD = 24  # parameters of effects that are listed without intervals; --library-prior has hundreds of them
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
@@ -236,31 +237,20 @@ def identify_command(arm: str, rows: str, fit: str = "", out: str = "calibrated.
     return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out {out}"
 
 
-def identification_actions(
-    arm: str,
-    rows: str,
-    written: Path | None,
-    *,
-    diagnosed: bool,
-    allowed_for: bool = False,
-    better: bool = True,
-    mounted_anew: bool = False,
-) -> list[Action]:
-    """What follows from an identification.
+def identification_actions(data: Data, arm: str, rows: str, written: Path | None, *, diagnosed: bool) -> list[Action]:
+    """What follows from an identification, by its JSON.
 
-    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for;  allowed_for : the
-    library's effects are in the model, held by a prior;  better : than the geometry alone
-    mounted_anew : reflectors are elsewhere in some session, which the fit takes for the same
+    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
     """
     calibrated = str(written or "calibrated.toml")
-    if mounted_anew:
+    if any(warning.startswith(REMOUNTED) for warning in data["warnings"]):
         why = "Give these reflectors another name in those sessions, in the column marker, and fit again:"
         return [Action(why, identify_command(arm, rows, out=calibrated))]
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(arm, rows, calibrated)
-    if not allowed_for:
+    if "prior" not in data:
         return [*keep, *([] if diagnosed else [look]), *use]
-    if not better:
+    if not data.get("offered", {"better": True})["better"]:
         alone = "Leave --library-prior away, since the geometry alone predicts as well:"
         keep, use = [Action(alone, identify_command(arm, rows))], [correct("calibrated.toml")]
     why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
@@ -276,17 +266,17 @@ def calibrated_actions(arm: str, rows: str, calibrated: str) -> list[Action]:
     ]
 
 
-def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
-    """What to do with a model that predicts other measurements, or does not;  beyond : most of them at angles that it
-    has not seen"""
+def validation_actions(data: Data, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
+    """What to do with a model that predicts other measurements, or does not, by the JSON of `validate`;  beyond : most
+    of them at angles that it has not seen"""
     why = "Most rows are at angles that the calibration has not seen. A fit that reaches farther from its data:"
     far = [Action(why, identify_command("arm.toml", "data.csv", "library-prior"))] if beyond else []
-    if better:
+    if is_better(data):
         return [*far, correct(model)]
     asked = f"armcal validate {model} {rows} --refit offsets"
     moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
     zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")
-    return [*far, *([] if refit == "offsets" else [moved]), zeros]
+    return [*far, *([] if data["refit"] == "offsets" else [moved]), zeros]
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
