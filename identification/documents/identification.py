@@ -78,7 +78,7 @@ def unit_key(arm: Any) -> dict[str, str]:
 
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
-    """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
+    """What, and what is said of it: how the fit ended, the largest error left, what it promises, sigma, intervals."""
     closed = fit.method == "linear" and fit.status is Status.converged
     outcome = "Closed form, the exact global minimum." if closed else fit.status.value
     unit, tip = reading_unit(fit.arm), None
@@ -96,8 +96,7 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return [
         ("method", f"{fit.method}: {outcome}"),
-        ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} {unit}"),
-        ("largest", "{:.4g} -> {:.4g} ".format(*fit.largest) + unit),
+        ("left at most", f"{fit.largest[1]:.4g} {unit}"),
         ("orientations, RMS", angles),
         ("expected error", tip),
         ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),
