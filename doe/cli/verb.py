@@ -134,13 +134,15 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
         signature = inspect.signature(function).parameters
         for each in signature.values():
             hint, option = hints[each.name], each.kind is inspect.Parameter.KEYWORD_ONLY
+            if each.name in PROVIDED:
+                continue
             if is_dataclass(hint):
                 groups[each.name] = hint
                 inner, of_group = get_type_hints(hint, include_extras=True), documented(hint)[1]
                 for one in fields(hint):
                     default = inspect.Parameter.empty if one.default is MISSING else one.default
                     parameters.append(declared(one.name, inner[one.name], default, of_group[one.name]))
-            elif each.name not in PROVIDED:
+            else:
                 parameters.append(declared(each.name, hint, each.default, helps[each.name] if option else None))
         parameters += [
             click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),

@@ -255,7 +255,7 @@ def _identification(
         doubts=(*sentences, *far_rows(after, outlier, structure)),
         flange_turns=None if arm is None or stands else flange_turns(arm.chain, data),
         postures=data.postures[first],
-        determined=float(m * d - round(rows.freedom)),
+        inside=rows.inside(decomposed.root),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
         unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
     )

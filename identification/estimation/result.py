@@ -70,8 +70,7 @@ class Identification(Documented):
     dof : d m equations minus the number of estimable combinations
     residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
-    postures : (k, n) measured [rad, mm], each once for every marker and session;  determined : how many combinations
-        the data determine, the effective number of parameters
+    postures : (k, n) measured [rad, mm], each once for every marker and session;  inside : `WhiteRows.inside`
     outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
@@ -95,7 +94,7 @@ class Identification(Documented):
     uncertainty: Uncertainty
     scatter: float | None
     postures: Array
-    determined: float
+    inside: float
     doubts: tuple[str, ...] = ()
     outlier_rows: tuple[int, ...] = ()
     unexplained_rows: tuple[int, ...] = ()

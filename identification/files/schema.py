@@ -207,13 +207,10 @@ def _covariance(table: Any) -> Any:
     matrix, rounded = np.array(table.covariance).reshape(len(names), len(names)), 1e-5  # written with six digits
     deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     largest = np.outer(deviations, deviations)  # at a correlation of one
-    wrong = (np.abs(matrix) > (1.0 + rounded) * largest) | (np.abs(matrix - matrix.T) > rounded * largest)
-    if wrong.any():
-        i, j = np.argwhere(wrong)[0].tolist()
-        pair = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
-        _refuse("covariance", f"found {pair}, allowed: a symmetric matrix, correlations of -1 to 1")
-    least = np.linalg.eigvalsh(matrix / np.where(largest > 0.0, largest, 1.0)).min(initial=0.0)
-    if least < -rounded * len(matrix):
+    correlations = matrix / np.where(largest > 0.0, largest, 1.0)
+    if not np.allclose(correlations, correlations.T, rtol=0.0, atol=rounded):
+        _refuse("covariance", "found values that differ from those across the diagonal, allowed: a symmetric matrix")
+    if (least := np.linalg.eigvalsh(correlations).min(initial=0.0)) < -rounded * len(matrix):
         _refuse("covariance", f"found correlations with eigenvalue {least:.3g}, allowed: positive semidefinite")
     return table
 

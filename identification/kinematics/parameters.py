@@ -95,6 +95,11 @@ class Parameter:
         return FILE_UNITS[self.unit][1]
 
     @property
+    def file_name(self) -> str:
+        """`name` as files have it: `base_offset.x0_mm`."""
+        return self.name.removesuffix(self.short) + self.toml_key if self.of_effect else self.name
+
+    @property
     def toml_key(self) -> str:
         """Key in an arm file: `a_deg`."""
         return self.short + FILE_UNITS[self.unit][2]

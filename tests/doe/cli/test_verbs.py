@@ -71,6 +71,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         size: Size,
         in_all: float | None = None,
         seed: int = 0,
+        progress: Progress,
     ) -> Answer:
         """Paint a wall.
 
@@ -83,6 +84,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         in_all : Sum.
         """
         got.update(arm=arm, data=data, runs=runs, color=color, only=only, check=check, size=size, in_all=in_all)
+        progress(1.0, 2.0, "")
         got["seed"] = seed
         return Answer({"here": arm}, ["transmission_ripple:1[k=20] and [red]"])
 
@@ -126,17 +128,6 @@ def test_the_help_of_a_verb_has_an_example_and_fits_a_terminal(folder: Folder, n
     shown = folder.armcal(name, "--help").out
     assert max(map(len, shown.splitlines())) <= 80
     assert shown.replace("\n", "").isprintable()
-
-
-def test_the_list_of_effects_and_one_of_them(folder: Folder) -> None:
-    by_name = {found["name"]: found for found in folder.said("effects ")["effects"]}
-    assert by_name["thermal_growth"]["parameters"] == [{"key": "a_per_K", "unit": "1/K", "typical": 2e-5}]
-    assert by_name["link_bending"]["arms"] == ["planar"]
-    shown = folder.armcal("effects transmission_ripple:2").out
-    assert 'name = "transmission_ripple"' in shown
-    assert "0.25 to 2000" in shown
-    everything = folder.armcal("effects").out
-    assert [name for name in by_name if f"  {name}" not in everything] == []
 
 
 # -- files -------------------------------------------------------------------------------------------------------------

@@ -18,11 +18,9 @@ from doe.design import score
 from doe.jobs import Outcome, RowTable, frame_of
 from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure
-from doe.solvers import Random
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
 from identification import Plan
 from identification.arm import Arm
-from identification.errors import InputError
 from identification.model import Model
 
 LIMITS = np.radians([180.0, 120.0, 100.0])
@@ -124,17 +122,6 @@ def test_solvers_run_in_their_own_processes_and_failures_are_rows(
     assert "InputError" in few["error"][0]
     again = compare(comparison)  # the same seeds: the same plans, wherever they are found
     assert again["value"].to_list() == rows["value"].to_list()
-
-
-def test_bad_comparisons() -> None:
-    with pytest.raises(InputError, match="did you mean 'exchange'"):
-        Comparison([ARM], [4], ["exchnge"])
-    with pytest.raises(InputError, match="seconds: found inf, allowed: a finite number > 0"):
-        Comparison([ARM], [4], ["random"], seconds=np.inf)
-    with pytest.raises(InputError, match="did you mean 'Dstar'"):
-        Comparison([ARM], [4], ["exchange"], criteria=["Dstr"])
-    with pytest.raises(InputError, match="allowed: each name once"):
-        Comparison([ARM], [4], ["random", Random()])
 
 
 @pytest.mark.usefixtures("in_this_process")
