@@ -254,7 +254,7 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------
-def offered(
+def offer(
     by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p_value: float
 ) -> dict[str, Any]:
     """Key `offered` (identification/files/README.md, "JSON keys"): RMS and largest distance [mm] that the model offered
@@ -268,11 +268,11 @@ def offered(
 
 
 def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements) -> dict[str, Any]:
-    """`offered` from residuals (m, d) [mm] of the same rows."""
+    """`offer` from residuals (m, d) [mm] of the same rows."""
     before, after = distances(geometry), distances(model)
     p_value = gained_squares(before, after, measurements).p_above()
     alone, whole = ((rms_distance(left), float(np.max(distances(left)))) for left in (geometry, model))
-    return offered(by, len(model), whole, alone, p_value)
+    return offer(by, len(model), whole, alone, p_value)
 
 
 def predicted_95(arm: Arm, measurements: Measurements) -> tuple[Array, Array | None]:
@@ -306,7 +306,7 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         test, *_ = tests
         after, before = (test.after, test.largest_after), (test.before, test.largest_before)
         p_value = 1.0 if test.p_shrinks is None else test.p_shrinks
-        return replace(diagnosis, offered=offered(test.by, test.rows, after, before, p_value))
+        return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
     # as `identify` calibrates it, where it stands in the first session
     fit = estimate(Model(with_sessions(arm, kept)), kept)
