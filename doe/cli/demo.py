@@ -45,6 +45,7 @@ def command(
         document, picture = demo_document(demo), overview_figure(demo)
         text = page(document, [out / name for name in demo.data["files"]])
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
-    look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.data['files'])}"
-    answer = Answer(demo.data, [document.plus(look)])
-    return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
+        files = ", ".join(demo.data["files"])
+        look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
+        answer = Answer(demo.data, [document.plus(look)])
+        return with_collisions(answer, demo.design.problem, demo.design.plan.postures)

@@ -468,21 +468,22 @@ def compare_files(
     asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
     path = None if job.out is None else job.out / "rows.parquet"
     kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
-    with interruptible(kept), RowTable(path, resume=job.resume, force=job.force) as table:
-        asked |= {"table": table, "workers": job.where(1), "seed": seed, "progress": progress}
-        rows = compare(loaded, runs, names, **asked)
-    shown, summed = comparison_parts(rows), summary(rows)
-    if job.out is not None:
-        from doe.report.page import svg
-        from doe.report.studies import profile_figure
+    with interruptible(kept):
+        with RowTable(path, resume=job.resume, force=job.force) as table:
+            asked |= {"table": table, "workers": job.where(1), "seed": seed, "progress": progress}
+            rows = compare(loaded, runs, names, **asked)
+        shown, summed = comparison_parts(rows), summary(rows)
+        if job.out is not None:
+            from doe.report.page import svg
+            from doe.report.studies import profile_figure
 
-        files: dict[Path, str | bytes] = {
-            job.out / "summary.parquet": parquet(summed),
-            job.out / "profile.svg": svg(profile_figure(rows)),
-        }
-        write_together(files, force=True)
-        shown.append(f"rows, summary and picture written to {job.out}")
-    return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
+            files: dict[Path, str | bytes] = {
+                job.out / "summary.parquet": parquet(summed),
+                job.out / "profile.svg": svg(profile_figure(rows)),
+            }
+            write_together(files, force=True)
+            shown.append(f"rows, summary and picture written to {job.out}")
+        return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
 @verb("armcal program arm.toml plan.csv --robot ur --out plan.script")
