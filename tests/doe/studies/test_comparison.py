@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
@@ -141,6 +142,17 @@ def test_verb(tmp_path: Path) -> None:
     assert CliRunner().invoke(main.commands["compare"], [*options, "--resume"]).exit_code == 0
     nowhere = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "4", "--resume"])
     assert (nowhere.exit_code, "needs --out" in nowhere.output) == (2, True)
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_ctrl_c_after_the_last_row_says_that_rows_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("doe.report.studies.comparison_parts", Mock(side_effect=KeyboardInterrupt))
+    arm, out = tmp_path / "arm.toml", tmp_path / "out"
+    arm.write_text("links_mm = [260.0, 180.0]\n")
+    options = [str(arm), "--runs", "3", "--solvers", "analytic", "--repeats", "1", "--out", str(out)]
+    done = CliRunner().invoke(main.commands["compare"], options)
+    assert (done.exit_code, f"finished rows are kept in {out}" in done.stderr) == (1, True)
+    assert [file.name for file in out.iterdir()] == ["rows.parquet"]
 
 
 @pytest.mark.usefixtures("in_this_process")
