@@ -108,7 +108,7 @@ def compensate(
         start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes, closest=False)
     if where.directions is None and len(start):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
-        past = past_from_order(start) if model.remembers else None
+        past = past_from_order(start) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(start), past=past)
     commands = search(Task(model, goals, start, where, constraints, enough), boxes, keeps_branch=True)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
