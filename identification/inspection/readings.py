@@ -191,11 +191,16 @@ class Reading:
         if self.scaled != 1.0:
             times, larger = max(self.scaled, 1.0 / self.scaled), self.scaled > 1.0
             small, large = ("measurements", "arm file") if larger else ("arm file", "measurements")
-            # to 2 %
-            unit = next((unit for factor, unit in UNITS.items() if abs(times / factor - 1.0) <= 0.02), "")
-            how = f"as if the {'positions' if larger else 'arm file'} had {unit} for millimetres"
-            how = how if unit else "which is the factor of no unit: another arm, or a length that is mistyped?"
-            sentences.append(f"the lengths of the {large} are {times:.4g} times those of the {small}, {how}")
+            lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
+            unit = next((unit for factor, unit in UNITS.items() if abs(times / factor - 1.0) <= 0.02), None)  # to 2 %
+            if unit is None:
+                lengths += ", which is the factor of no unit (another arm, or a length that is mistyped)"
+            else:
+                columns = ", whose columns end in _m" if larger and unit == "metres" else ""
+                lengths = (
+                    f"the {'positions' if larger else 'lengths of the arm file'} are in {unit}{columns} ({lengths})"
+                )
+            sentences.append(lengths)
         if self.late:
             when = "late" if self.late > 0 else "early"
             sentences.append(f"each position stands one row too {when}, beside another posture")
