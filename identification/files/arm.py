@@ -264,8 +264,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(str(file.base_link), str(file.tip_link), limited)
     else:
-        rows = [replace(_row(row), limits=(-np.pi, np.pi)) for row in file.dh]
-        chain = chain_of(rows, _convention(file))
+        chain = chain_of(*_dh_table(file))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -290,12 +289,13 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     return replace(chain, instrument=instrument)
 
 
-def _row(table: Any) -> DHRow:
-    return DHRow(table.a_mm, math.radians(table.alpha_deg), table.d_mm, math.radians(table.offset_deg), table.joint)
-
-
-def _convention(file: Any) -> str:
-    return next((row.convention for row in file.dh if row.convention), STANDARD)
+def _dh_table(file: Any) -> tuple[list[DHRow], str]:
+    """Rows and convention of `[[dh]]`."""
+    rows = [
+        DHRow(row.a_mm, math.radians(row.alpha_deg), row.d_mm, math.radians(row.offset_deg), row.joint, (-np.pi, np.pi))
+        for row in file.dh
+    ]
+    return rows, next((row.convention for row in file.dh if row.convention), STANDARD)
 
 
 def _pose(table: Any) -> Array:
@@ -444,7 +444,7 @@ def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
 def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
     """Rows and convention of the `[[dh]]` table of an arm file; None where it has none."""
     file = validated_arm(read_toml(path))
-    return None if file.dh is None else (list(map(_row, file.dh)), _convention(file))
+    return None if file.dh is None else _dh_table(file)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
