@@ -43,10 +43,10 @@ def command(
     try:
         demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
         document, picture = demo_document(demo), overview_figure(demo)
-        text = page(document, [out / name for name in demo.files])
+        text = page(document, [out / name for name in demo.data["files"]])
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
     except KeyboardInterrupt as error:
         raise JobError(f"{stopped_by(error)}; the files in {out} are whole, but not all there") from None
-    look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
-    answer = Answer(demo.to_json(out), [document.plus(look)])
+    look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.data['files'])}"
+    answer = Answer(demo.data, [document.plus(look)])
     return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
