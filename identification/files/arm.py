@@ -581,21 +581,19 @@ def _effect_tables(effects: Effects, chain: KinematicChain, every: Effects) -> l
     """Entries of `[[effects]]`;  every : effect of the arm"""
     tables = []
     for spec, effect in effects:
-        table: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
+        table: Plain = {"name": spec.name, "joint": spec.joint}
         parameters = {p.short: p for p in effect.parameters}
         for short, value in spec.values.items():
             if (parameter := parameters.get(short)) is not None:
                 table[parameter.toml_key] = _in_file(value, parameter.to_file)
             else:  # a setting
-                table[short] = int(value) if value == int(value) else float(value)
+                table[short] = int(value) if value == int(value) else value
         if (curve := spec.curve) is not None:
-            degree = math.degrees(1.0)
-            angles = (_in_file(angle, degree) for angle in (curve.start, curve.stop, curve.values))
-            table |= zip(CURVE_KEYS, angles, strict=True)
+            angles = (_in_file(angle, math.degrees(1.0)) for angle in (curve.start, curve.stop, curve.values))
             fitted = _curve_parameters(chain, every, curve.geometry, spec.key, in_file=False)
             geometry = {p.file_name: _in_file(curve.geometry[p.name], p.to_file) for p in fitted}
-            table |= {"geometry": geometry} if geometry else {}
-        tables.append(table)
+            table |= dict(zip(CURVE_KEYS, angles, strict=True)) | {"geometry": geometry or None}
+        tables.append(_plain(table))
     return tables
 
 
@@ -606,27 +604,25 @@ def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> 
     order = _named(parameters, calibration.parameter_names, "calibration", in_file=False)
     named = _named(parameters, values, "calibration", in_file=False)
     in_file = {p.file_name: _in_file(values[p.name], p.to_file) for p in named}
+    geometry = {name: in_file.pop(name) for name in [*in_file] if GEOMETRY.fullmatch(name)}
+    table: Plain = {"values": geometry}
     if chain.planar:
         held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         offsets = _in_file(held.joint_offsets, math.degrees(1.0))
-        table: Plain = {"length_errors_mm": _in_file(held.length_errors), "joint_offsets_deg": offsets}
-    else:
-        table = {"values": {name: value for name, value in in_file.items() if GEOMETRY.fullmatch(name)}}
-    if calibration.base is not None:
-        table["base"] = pose_table(calibration.base)
-    if calibration.tools:
-        table["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
-    if order:
-        table["parameters"] = [p.file_name for p in order]
+        table = {"length_errors_mm": held.length_errors, "joint_offsets_deg": offsets}
+    factors, covariance = [p.to_file for p in order], None
     if calibration.covariance is not None:
-        factors = [p.to_file for p in order]
         rows = zip(factors, calibration.covariance, strict=True)
-        table["covariance"] = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
-    if calibration.effects:
-        table["effects"] = {name: value for name, value in in_file.items() if not GEOMETRY.fullmatch(name)}
-    if calibration.provenance:
-        table["provenance"] = _plain(calibration.provenance)
-    return table
+        covariance = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
+    table |= {
+        "base": None if calibration.base is None else pose_table(calibration.base),
+        "tools": tool_tables(calibration.tools, calibration.tool_axes) or None,
+        "parameters": [p.file_name for p in order] or None,
+        "covariance": covariance,
+        "effects": in_file or None,
+        "provenance": calibration.provenance or None,
+    }
+    return dict(_plain(table))
 
 
 def _plain(value: Any) -> Any:
