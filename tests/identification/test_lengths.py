@@ -15,7 +15,6 @@ import pytest
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.gap.diagnose import diagnose
 from identification.information import spectrum
@@ -27,7 +26,6 @@ from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal, minimal_of
 from identification.running import Status
 from identification.sessions import with_sessions
-from identification.simulate import simulate
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.exponentials import Exponentials, drawing
@@ -169,17 +167,6 @@ def test_contacts_with_planes() -> None:
     fixed = exact.model.jacobian(qs[0], exact.parameters)
     # the postures touch to 1e-8 mm of 1e3 mm, and so does the fit: the size shows by no more than that
     assert spectrum(fixed, exact.model.scales, 1e-7).rank == 23
-
-
-def test_no_plan_says_where_a_surface_is_touched() -> None:
-    arm = Arm(replace(CHAIN, instrument=Plane()), sigma=0.01)
-    with pytest.raises(InputError, match="kind plane: at which postures"):
-        simulate(arm, np.zeros((3, 6)), np.random.default_rng(0))
-
-
-def test_too_few_rows() -> None:
-    with pytest.raises(InputError, match=r"fewer equations than unknowns: 1 m = 5 < p = 6, allowed: m >= 6"):
-        fit(bar(), np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6)), np.full(5, 300.0))
 
 
 def test_a_minimal_set_of_contacts_is_what_the_largest_surface_shows() -> None:

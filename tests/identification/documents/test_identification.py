@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from identification.arm import Arm, Calibration
 from identification.compensate import Compensation
-from identification.document import Sheet, as_text
+from identification.document import Sheet
 from identification.documents.identification import (
-    BY_CHANCE,
     compensation_document,
     corrected_section,
     identification_actions,
     identification_verdict,
-    is_better,
     validation_actions,
     validation_verdict,
 )
 from identification.estimation.result import CorrectedValue
-from identification.measurements import Measurements
-from identification.validate import validate
-
-ARM = Arm([300.0, 200.0], calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
-
-
-def test_corrected_values_have_three_significant_digits_of_the_standard_deviation() -> None:
-    row = CorrectedValue("length of link 1", None, 500.0, 501.079512, 0.0123, 501.05, 501.11, "mm", "")
-    table = corrected_section("Corrected values", [row]).parts[0]
-    assert isinstance(table, Sheet)
-    assert list(table.headings) == ["", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"]
-    assert table.rows == [["length of link 1", "500.0000", "501.0795", "0.0123", "501.0500", "501.1100", "mm"]]
 
 
 def test_hundreds_of_effects_without_intervals_are_counted_and_not_listed() -> None:
@@ -68,32 +52,6 @@ def test_a_value_that_no_controller_tells_from_the_drawing_is_left_out() -> None
     table, *_ = corrected_section("Corrected values", rows).parts
     assert isinstance(table, Sheet)
     assert [row[0] for row in table.rows] == ["yaw", "roll"]
-
-
-def test_tables_and_picture() -> None:
-    q = np.random.default_rng(0).uniform(-2.0, 2.0, (16, 2))
-    z = (np.array([301.0, 198.0]) * np.exp(1j * np.cumsum(q + np.array([0.01, -0.02]), axis=1))).sum(axis=1)
-    measured = np.column_stack([z.real, z.imag]) + np.random.default_rng(1).normal(0.0, 0.1, (16, 2))
-    found = validate(ARM, Measurements(q, measured, session=np.repeat(["monday", "friday"], 8)))
-    text = as_text(found.document(), 120)
-    kept, flat = found.model.rms / found.nominal.rms, " ".join(text.split())
-    removed = f"{100.0 * (1.0 - kept):.0f} % of the error is removed"
-    where = "refitted in each of 2 sessions: position and rotation of the base; everything else as in the file"
-    assert text.startswith(
-        f"On 16 rows of other measurements, the model takes the RMS error from {found.nominal.rms:.2f}"
-    )
-    for words in (
-        *(f"{figure:.4f}" for figure in (*found.model, *found.nominal)),
-        *(f"16 rows, {where}", "monday", "mm (drawing, after fitting where the arm stands) to "),
-        f" to {found.model.rms:.3f} mm: {removed}; ",
-    ):
-        assert words in flat
-    assert is_better(found.to_json())
-    swapped = replace(found, residuals=found.nominal_residuals, nominal_residuals=found.residuals)
-    doubtful = replace(found, notes=(f"{BY_CHANCE} ...",))
-    for worse, words in ((swapped, "no better than the drawing"), (doubtful, f"{removed}, which {BY_CHANCE}")):
-        assert f" mm: {words}; " in " ".join(str(worse).split())
-        assert not is_better(worse.to_json())
 
 
 def test_what_follows_from_a_validation_and_from_a_fit() -> None:

@@ -260,12 +260,6 @@ def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, dat
         load_measurements(path)
 
 
-def test_pandas_where_it_is_installed() -> None:
-    pandas, data = pytest.importorskip("pandas"), Measurements([[0.1, 0.2]], [[1.0, 2.0]], order=[3.0])
-    frame = pandas.DataFrame(data.to_frame().to_dict(as_series=False))
-    assert_same(Measurements.from_frame(frame), data)
-
-
 def test_frames_that_are_none() -> None:
     frame = Measurements(np.zeros((3, 2)), np.ones((3, 2))).to_frame()
     for value, said in ((None, "found an empty cell"), (float("inf"), "found 'inf'")):

@@ -210,12 +210,6 @@ def test_known_parameters_are_left_out_and_used() -> None:
     np.testing.assert_allclose(model.position(q)[0], expected, rtol=0, atol=1e-12)
 
 
-def test_values_come_from_the_calibration() -> None:
-    calibration = Calibration.of(np.array([1.0, 2.0]), np.array([0.1, 0.2]), {"base_offset.x0": 3.0})
-    model = Model(Arm([200.0, 100.0], effects=(EffectSpec("base_offset"),), calibration=calibration))
-    np.testing.assert_array_equal(model.values, [1.0, 2.0, 0.1, 0.2, 3.0, 0.0])
-
-
 def test_wrong_shapes_and_names_are_input_errors() -> None:
     model = Model(Arm([200.0, 100.0]))
     with pytest.raises(InputError, match=r"postures: shape \(3, 3\), allowed: \(m, 2\)"):

@@ -23,7 +23,7 @@ from scipy.stats import binom
 
 from doe.cli.study import command
 from doe.jobs import frame_of
-from doe.report.studies import blind_parts, blind_pictures, confusion_matrix
+from doe.report.studies import blind_parts, confusion_matrix
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.cells import TABLE
@@ -392,14 +392,6 @@ def test_the_confusion_matrix_counts_every_set_once() -> None:
     hidden, named, shares, totals = confusion_matrix(frame)
     assert (hidden, totals) == (["backlash", "nothing"], [10, 5])
     assert dict(zip(named, shares[0], strict=True)) == {"backlash": 0.7, "nothing": 0.0, "several": 0.2, "unknown": 0.1}
-
-
-@pytest.mark.parametrize(("hidden", "files"), [("gravity", ["confusion.png"]), ("backlash + gravity", [])])
-def test_sets_with_several_effects_hidden_are_not_in_its_picture(tmp_path: Path, hidden: str, files: list[str]) -> None:
-    confusion = frame_of([{"hidden": hidden, "named": "gravity", "count": 9}])
-    tables = {"confusion": confusion, "reliability": confusion.clear()}
-    blind_pictures(tmp_path, tables)
-    assert [path.name for path in tmp_path.iterdir()] == files
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
