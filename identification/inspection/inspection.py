@@ -280,8 +280,8 @@ def other_frame(arm: Arm, written: Reading) -> list[str]:
     written : the columns as they are
     """
     chain, base = arm.chain, written.base
-    stands = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
-    if base is None or not stands or written.rms > DRAWN * arm.reach:
+    placed = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
+    if base is None or not placed or written.rms > DRAWN * arm.reach:
         return []
     relative = chain.base[:3, :3].T @ base[:3, :3]
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))

@@ -192,14 +192,13 @@ class Reading:
             times, larger = max(self.scaled, 1.0 / self.scaled), self.scaled > 1.0
             small, large = ("measurements", "arm file") if larger else ("arm file", "measurements")
             lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
-            unit = next((unit for factor, unit in UNITS.items() if abs(times / factor - 1.0) <= 0.02), None)  # to 2 %
-            if unit is None:
-                lengths += ", which is the factor of no unit (another arm, or a length that is mistyped)"
+            names = [name for factor, name in UNITS.items() if abs(times / factor - 1.0) <= 0.02]
+            if names:
+                whose = "positions" if larger else "lengths of the arm file"
+                columns = ", whose columns end in _m" if larger and names == ["metres"] else ""
+                lengths = f"the {whose} are in {names[0]}{columns} ({lengths})"
             else:
-                columns = ", whose columns end in _m" if larger and unit == "metres" else ""
-                lengths = (
-                    f"the {'positions' if larger else 'lengths of the arm file'} are in {unit}{columns} ({lengths})"
-                )
+                lengths += ", which is the factor of no unit (another arm, or a length that is mistyped)"
             sentences.append(lengths)
         if self.late:
             when = "late" if self.late > 0 else "early"
