@@ -141,10 +141,14 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.b
     ]
 
 
+def rounding(measurements: Measurements) -> float:
+    """RMS distance [mm] that the sums of a fit to data without noise are rounded by, at most."""
+    return 1e-13 * float(np.max(np.abs(measurements.positions)))
+
+
 def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
     """Residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
-    left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
-    if left > 1e-13 * largest:  # the sums of a fit to data without noise are rounded by less
+    if (left := rms_distance(residual)) > rounding(measurements):
         return []
     return [f"the fit leaves {left:.2g} mm RMS, which is rounding: data without noise, deviations mean nothing"]
 
@@ -184,9 +188,9 @@ def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
         form = PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True)
         solve = form.solver(measurements.postures, np.ones(len(measurements)), RANK_TOLERANCE)
         left.append(float(solve(measurements.positions[None])[1][0]))
-    if not worth_freeing(left[0], left[1], 2, spare, FALL**2):
-        return []
     before, after = (np.sqrt(squares / len(measurements)) for squares in left)
+    if before <= rounding(measurements) or not worth_freeing(left[0], left[1], 2, spare, FALL**2):
+        return []
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
 

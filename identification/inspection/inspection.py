@@ -152,13 +152,17 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     if untested:
         notes.append(f"effects of {' and '.join(untested)} are not tested without {' and '.join(untested.values())}")
     enough, words, few = ({}, [], False) if fit is None else sufficiency(fit, measurements, floor)
+    # what a row touches is a session or a measured point of its own here; its column has a name of its own
+    instrument, touched = arm.chain.instrument, "marker" if arm.chain.instrument.own_targets else "session"
+    column = instrument.target or ("session" if instrument.own_targets else touched)
+    given = tuple(sorted(column if name == touched else name for name in measurements.optional_columns))
     fitted = None if fit is None else rms_distance(fit.residuals_after)
     data = {
         "rows": len(measurements),
         "postures": len(np.unique(measurements.posture_numbers)),
         "sessions": measurements.sessions,
         "markers": measurements.marker_names,
-        "given": tuple(sorted(measurements.optional_columns)),
+        "given": given,
         "joints": joints,
         "repeats_mm": floor.repeats,
         "close_repeats_mm": floor.close_repeats,
@@ -175,9 +179,9 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     }
     facts = [
         ("rows", f"{data['rows']} rows, {data['postures']} postures"),
-        ("columns besides", ", ".join(measurements.optional_columns and data["given"]) or "none"),
-        ("sessions", ", ".join(measurements.sessions)),
-        ("measured points", ", ".join(measurements.marker_names)),
+        ("columns besides", ", ".join(given) or "none"),
+        ("sessions" if touched == "marker" else f"{column}s", ", ".join(measurements.sessions)),
+        (f"{column}s" if touched == "marker" else "measured points", ", ".join(measurements.marker_names)),
         ("repeats scatter by", None if floor.value is None else f"{floor.value:.4g} mm"),
     ]
     if not units:

@@ -129,7 +129,9 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
     cups = [line.split(",")[-1] for line in rows]
     assert [line.split(",")[-1] for line in planned] == ["cup", *cups]  # the cup of each
     assert (header.split(",")[-1], {*cups} <= {*"ABCD"}, "mm" in header) == ("cup", True, False)
-    assert sorted(folder.said("check blank.toml seatsd.csv")["markers"]) == [*"ABCD"]
+    checked = folder.said("check blank.toml seatsd.csv")
+    assert (sorted(checked["markers"]), "cup" in checked["given"]) == ([*"ABCD"], True)
+    assert not {"marker", "session"} & {*checked["given"]}  # columns of the file, by their names
     fit = folder.said("identify blank.toml seatsd.csv")
     assert not [entry for entry in fit["parameters"] if entry["name"].startswith("base")]
     assert fit["expected_tip_mm"] < 1.0  # no tens of millimetres of a turn that nothing shows
