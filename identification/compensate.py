@@ -108,7 +108,7 @@ def compensate(
         start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes, closest=False)
     if where.directions is None and len(start):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
-        past = past_from_order(start) if model.remembers else None
+        past = past_from_order(start) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(start), past=past)
     commands = search(Task(model, goals, start, where, constraints, enough), boxes, keeps_branch=True)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
@@ -124,7 +124,7 @@ def compensate(
         arm.joint_types,
         turned,
         None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
-        tuple(each.kind for each in constraints),
+        names_at(constraints, commands),
         missed,
         beyond,
         rms,
@@ -149,6 +149,16 @@ def violations(constraints: Constraints, postures: Array) -> Array:
     return np.where(missed > TOLERANCE, missed, 0.0)
 
 
+def names_at(constraints: Constraints, postures: Array) -> tuple[tuple[str, ...], ...]:
+    """(m, c) kinds of the constraints, where bodies keep apart with the two that come nearest to what they keep."""
+    names = []
+    for each in constraints if len(postures) else ():
+        pairs = getattr(each, "pairs", ())
+        worst = np.argmin(each.margin(postures), axis=1)
+        names.append([f"{each.kind} of {' and '.join(pairs[k])}" if pairs else each.kind for k in worst.tolist()])
+    return tuple(zip(*names, strict=True))
+
+
 @dataclass(frozen=True, eq=False)
 class Compensation(Documented):
     """Joint commands for k targets.
@@ -160,7 +170,7 @@ class Compensation(Documented):
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
     angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
     joint_types : (n) of the arm, empty: all revolute
-    constraints : kinds of those given;  violations : (k, c) by how much each command misses them [mm]
+    constraints : (k, c) names of those given;  violations : (k, c) by how much each command misses them [mm]
     outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
     model_rms : [mm] that the calibrated model left of its own measurements, None: not known
     sided : effects of the model for which the order of the targets was taken as that of the approach
@@ -174,7 +184,7 @@ class Compensation(Documented):
     joint_types: tuple[str, ...] = ()
     orientations: Array | None = None
     angles: Array | None = None
-    constraints: tuple[str, ...] = ()
+    constraints: tuple[tuple[str, ...], ...] = ()
     violations: Array | None = None
     outside: NDArray[np.bool_] | None = None
     model_rms: float | None = None
@@ -207,8 +217,9 @@ class Compensation(Documented):
             by = f"{error:.4g} mm{'' if self.angles is None else f' and {np.degrees(self.angles[k]):.4g} deg'}"
             clauses = [] if near else [f"out of reach within the joint limits: {nearest} {by}"]
             missed = () if self.violations is None else self.violations[k]
-            for number, (kind, size) in enumerate(zip(self.constraints, missed, strict=True), start=1):
-                clauses += [f"constraint {number} ({kind}) is missed by {size:.4g} mm"] if size > 0.0 else []
+            names = self.constraints[k] if self.constraints else ()
+            for number, (name, size) in enumerate(zip(names, missed, strict=True), start=1):
+                clauses += [f"constraint {number} ({name}) is missed by {size:.4g} mm"] if size > 0.0 else []
             messages.append("; ".join(clauses))
         return messages
 

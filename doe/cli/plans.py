@@ -262,7 +262,7 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
-    from doe.plan.driving import in_sentences, unproven
+    from doe.plan.driving import in_sentences, not_free, unproven
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
@@ -298,7 +298,7 @@ def score_files(
     driven = Plan.load(plan, loaded.joint_types, vias=True).postures
     moves = None if judged.weights is not None else unproven(problem.constraints, driven)
     if moves is not None:
-        data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
+        data["moves"] = {"not_free": not_free(moves)}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
@@ -511,6 +511,7 @@ def program_files(
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
     out : Write the program, which takes the name of the file.
     """
+    from doe.plan.driving import in_sentences, not_free
     from doe.program.program import program
     from identification import Plan, load_arm
 
@@ -527,12 +528,14 @@ def program_files(
     vias = sum(move["kind"] == "via" for move in made.moves)
     runs = len(file) - vias
     data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
+    data["not_free"] = not_free(made.not_free)
     counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
     sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
-    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *lines]
-    return Answer(data, shown)
+    doubts = in_sentences(made.not_free)
+    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts, *lines]
+    return Answer(data, shown, warnings=[line.strip() for line in doubts])
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------

@@ -263,7 +263,7 @@ class Residuals(NamedTuple):
         against: dict[str, Array] = {f"joint {j + 1} [rad]": q for j, q in enumerate(measurements.postures.T)}
         against["time"] = np.zeros(m) if conditions.time is None else conditions.time
         if arm.gravity is not None:
-            torques = Model(arm).on_chain(lambda chain: chain.torques)(measurements.postures, conditions)
+            torques = Model(arm).torques(measurements.postures, conditions)
             against |= {f"torque {j + 1} [N m]": torque for j, torque in enumerate(torques.T)}
         if measurements.temperature is not None:
             against["temperature [C]"] = measurements.temperature

@@ -79,7 +79,9 @@ def commands(errors: list[float], missed: list[float]) -> Compensation:
     """One joint turned by 0.5 rad for every target."""
     k = len(errors)
     angles, targets = np.full((k, 1), 0.5), np.zeros((k, 2))
-    return Compensation(targets, angles, angles, np.array(errors), (), None, None, ("box",), np.array(missed)[:, None])
+    return Compensation(
+        targets, angles, angles, np.array(errors), (), None, None, (("box",),) * len(targets), np.array(missed)[:, None]
+    )
 
 
 def test_counts_of_targets_without_a_command() -> None:
