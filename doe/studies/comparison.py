@@ -101,9 +101,8 @@ def compare(
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Arm, str | Solver]) -> list[Row]:
     """The row of one run, in a new process, killed some time after its limit; `seconds` is the search alone."""
     number = int(seed.generate_state(1)[0])
-    outcome = call(solve_and_evaluate, *task, key, number, seconds=1.5 * key["limit_s"] + 10.0)
-    ended = {"status": outcome.status, "error": outcome.error, "seconds": outcome.seconds}
-    return [ended | (outcome.value or {})]
+    evaluated_plan, ending = call(solve_and_evaluate, *task, key, number, seconds=1.5 * key["limit_s"] + 10.0)
+    return [ending | (evaluated_plan or {})]
 
 
 def solve_and_evaluate(arm: Arm, solver: str | Solver, key: dict[str, Any], seed: int) -> Row:

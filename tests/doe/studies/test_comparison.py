@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from doe.cli import main
 from doe.design import score
-from doe.jobs import Outcome, RowTable, frame_of
+from doe.jobs import RowTable, frame_of
 from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure
 from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
@@ -98,8 +98,8 @@ def test_judged_by_the_problem() -> None:
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares the start of a process per run where the test is not about that."""
 
-    def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outcome:
-        return Outcome(function(*arguments), "done", None, 0.1)
+    def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> tuple[Any, dict[str, Any]]:
+        return function(*arguments), {"status": "done", "error": None, "seconds": 0.1}
 
     monkeypatch.setattr("doe.studies.comparison.call", call)
 
