@@ -18,8 +18,8 @@ from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, as_frame, readonly
-from identification.document import Document, Documented
-from identification.documents.identification import compensation_document
+from identification.document import Document, Documented, Sheet
+from identification.documents.identification import command_rows, miss_text, rows_listed
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.files.csv import csv_text
@@ -276,8 +276,12 @@ class Compensation(Documented):
     def commands_in_file_units(self) -> Array:
         """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
         commands = in_columns(self.commands, self.joint_types)
-        turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
-        return np.where(turning, np.degrees(commands), commands)
+        return np.where(self.turning, np.degrees(commands), commands)
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """(n,) True for revolute joints."""
+        return np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
 
     def to_json(self) -> dict[str, Any]:
         """Counts, the largest error over targets reached, the others, and a row for each target
@@ -320,7 +324,31 @@ class Compensation(Documented):
 
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""
-        return compensation_document(self)
+        reached, near = self.reached, self.near
+        verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
+        if self.model_rms is not None:
+            verdict += f" (RMS {self.model_rms:.4g} mm on its own measurements)"
+        if self.angles is not None and reached.any():
+            most = float(np.degrees(np.max(self.angles[reached])))
+            verdict += f"; orientations are those wanted to {miss_text(most)} deg, by the same model"
+        verdict += "."
+        if missed := (np.flatnonzero(~reached) + 1).tolist():
+            counts = {"out of reach": ~near, "barred by a constraint": near & ~reached}
+            why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
+            counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
+            have = "have" if len(missed) > 1 else "has"
+            verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
+        reasons = [f"target {k} ! {message}" for k, message in enumerate(self.messages, start=1) if message]
+        rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
+        (_, joints), dimension = self.commands.shape, self.targets.shape[1]
+        digits = 3 if joints + dimension <= 6 else 2  # of more joints and axes than 80 columns have room
+        units = ["" if turns else " [mm]" for turns in self.turning]
+        commands = np.where(reached[:, None], self.commands_in_file_units, np.nan)
+        rows = command_rows(self.targets, commands, self.left, digits)
+        headings = ["row", *"xyz"[:dimension], *(f"q{j}{unit}" for j, unit in enumerate(units, start=1)), "miss"]
+        table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
+        rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
+        return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=self.warnings)
 
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
