@@ -23,7 +23,7 @@ def test_three_answers_agree() -> None:
     methods = [
         "relaxation, clarabel",
         "column generation, column_generation",
-        "exact plan, exchange_ipopt",
+        "exact plan, exchange",
         "closed form",
     ]
     assert [row["method"] for row in found] == methods
@@ -36,4 +36,4 @@ def test_a_long_search_is_cut_and_says_so() -> None:
     lower, upper = np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90])
     problem = DesignProblem.of(Model(Arm([260.0, 180.0, 120.0, 100.0], lower=lower, upper=upper)))
     found = cross_check(problem, relax(problem, 5, "clarabel"), 7, seconds=0.01)
-    assert found[2]["method"] == "exact plan, exchange_ipopt, cut at 0 s"
+    assert found[2]["method"] == "exact plan, exchange, cut at 0 s"

@@ -140,7 +140,6 @@ CASES: list[Case] = [
             ("8 --test-poses plan.csv", "--test-poses; criterion D; criterion I"),
             ("8 --subset length_error:1", "--subset; criterion D; criterion Ds"),
             ("8 --criterion Ds", "subset; none; at least one"),
-            ("8 --solver fedorov", "fedorov; list of postures; --candidates"),
             ("8 --solver ipotp", "ipotp; ipopt"),
             ("8 --candidates far.csv", "far.csv; 0 of 1"),
             ("5 --missing backlash", "--missing; --robust"),
@@ -171,7 +170,7 @@ CASES: list[Case] = [
     *(
         case("study study.toml --workers 1 --out folder", named, study=STUDY + text)
         for text, named in (
-            ('plans = ["exchange_ipopt"]\nruns = [3]\n', "runs: found 3; at least 4"),
+            ('plans = ["exchange"]\nruns = [3]\n', "runs: found 3; at least 4"),
             ('plans = ["randm"]\nruns = [8]\n', "'random'; allowed: NAME.csv, analytic"),
             (
                 'plans = ["random"]\nruns = [8]\n[[truths]]\nname = "t"\nlength_errors_mm = [1.0]\n',

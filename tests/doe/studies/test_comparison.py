@@ -155,13 +155,3 @@ def test_verb(tmp_path: Path) -> None:
     assert CliRunner().invoke(main.commands["compare"], [*options, "--resume"]).exit_code == 0
     nowhere = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "4", "--resume"])
     assert (nowhere.exit_code, "needs --out" in nowhere.output) == (2, True)
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_all_solvers_are_those_that_need_no_list_of_postures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("doe.solvers.available_solvers", lambda: ["fedorov", "random", "analytic"])
-    arm = tmp_path / "arm.toml"
-    arm.write_text("links_mm = [260.0, 180.0]\n")
-    done = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "3", "--repeats", "1", "--json"])
-    assert done.exit_code == 0, done.output
-    assert {row["solver"] for row in json.loads(done.stdout)["rows"]} == {"random", "analytic"}
