@@ -47,7 +47,8 @@ def simulated(arms: Sequence[Arm], plans: Any, runs: Sequence[int], replications
         errors = {key: PAPER[key][: arm.links] for key in ("length_errors_mm", "joint_offsets_deg")}
         truths = [{"name": "paper", **errors}]
         study = Study.of([arm], plans, runs=[*runs], truths=truths, replications=replications)
-        rows += [{"links": arm.links, **row} for row in run_study(study, seed=seed).cells.iter_rows(named=True)]
+        cells = run_study(study, seed=seed)["cells"]
+        rows += [{"links": arm.links, **row} for row in cells.iter_rows(named=True)]
     return rows
 
 

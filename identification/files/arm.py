@@ -24,7 +24,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
 from identification.bodies import Cell
 from identification.error_curve import ErrorCurve
-from identification.errors import InputError, JobError, nearest
+from identification.errors import InputError, nearest
 from identification.files.bodies import GivenBody, Shape, ShapedBodies, pairs_apart, segment
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import (
@@ -40,7 +40,7 @@ from identification.files.schema import (
     validated_arm,
 )
 from identification.files.urdf import BASE_LINK, METER, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
-from identification.instruments import kinds
+from identification.instruments import KINDS
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.counting import Counting, check_kinds
@@ -62,7 +62,6 @@ if TYPE_CHECKING:
 
 Plain = dict[str, Any]
 Effects = list[tuple[EffectSpec, "Effect"]]
-Names = Mapping[str, tuple[str, float]]  # name in files -> API name, factor from file unit to API; or API name -> ...
 COUNTED = (  # keys with a value for each joint
     *("gravity.link_masses_kg", "gravity.center_of_mass", "calibration.length_errors_mm"),
     *("calibration.joint_offsets_deg", "joints.sign", "joints.coupled_to", "joints.zero_deg", "gear_ratio"),
@@ -107,29 +106,19 @@ def _in_file(values: Any, factor: float = 1.0) -> Any:
     return values if isinstance(values, int) else float(values)
 
 
-def _names(geometry: Iterable[Parameter], effects: Effects, *, of_api: bool = False) -> Names:
-    """All parameters of a calibration by their names in files, or in the API: of the geometry, then of effects."""
-    names = [(p.name, p) for p in geometry]
-    names += [(f"{effect.key}.{p.toml_key}", p) for _, effect in effects for p in effect.parameters]
-    if of_api:
-        return {p.name: (name, p.to_file) for name, p in names}
-    return {name: (p.name, 1.0 / p.to_file) for name, p in names}
+def _named(
+    parameters: Iterable[Parameter], keys: Iterable[str], place: str, *, in_file: bool = True
+) -> list[Parameter]:
+    """The parameters of these names, in files or in the API. Raises `InputError` for another."""
+    names = {p.file_name if in_file else p.name: p for p in parameters}
+    for key in (key for key in keys if key not in names):
+        raise InputError.unknown(f"{place}: unknown parameter", key, names)
+    return [names[key] for key in keys]
 
 
-def _named(names: Names, keys: Iterable[str], place: str, points: float | None = None) -> Names:
-    """The parameters of these names. Raises `InputError` for another.
-
-    points : factor of the angles of measured points, of which any name is allowed
-    """
-    named: dict[str, tuple[str, float]] = {}
-    for key in keys:
-        if key in names:
-            named[key] = names[key]
-        elif points is not None and (point := MARKER.fullmatch(key)):
-            named[key] = key, points if point[1] else 1.0
-        else:
-            raise InputError.unknown(f"{place}: unknown parameter", key, names)
-    return named
+def _every(geometry: Iterable[Parameter], effects: Effects) -> list[Parameter]:
+    """All parameters of a calibration: of the geometry, then of effects."""
+    return [*geometry, *(p for _, effect in effects for p in effect.parameters)]
 
 
 def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
@@ -291,7 +280,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
             else:  # residuals of orientations weigh as much as those of positions
                 scale = sigma.sigma_mm / math.radians(sigma.sigma_deg)
         return replace(chain, angle_scale=scale)
-    instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
+    instrument = KINDS[chain.axes][table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
     if table.center_mm is not None and not instrument.own_targets:
@@ -378,7 +367,7 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
             values[parameter.short] = value / parameter.to_file
         specs.append(EffectSpec(table.name, table.joint, MappingProxyType(values), curve))
     effects = _built(specs, chain)
-    names, offers = _names(chain.every_parameter, effects), chain.instrument.offers
+    offers = chain.instrument.offers
     state = f"an [instrument] of kind {chain.instrument.kind}" if file.instrument else "no [instrument] table"
     for k, ((spec, effect), table) in enumerate(zip(effects, file.effects, strict=True), start=1):
         for wrong, sentence in (
@@ -389,8 +378,8 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
             if wrong:
                 raise InputError(f"effects: {spec.key} {sentence}")
         if spec.curve is not None and table.geometry:  # that was fitted with it
-            fitted = _named(names, table.geometry, f"effects[{k}].geometry", points=math.radians(1.0))
-            values = {api: table.geometry[key] * factor for key, (api, factor) in fitted.items()}
+            fitted = _curve_parameters(chain, effects, table.geometry, f"effects[{k}].geometry")
+            values = {p.name: table.geometry[p.file_name] / p.to_file for p in fitted}
             effects[k - 1] = replace(spec, curve=replace(spec.curve, geometry=values)), effect
     return effects
 
@@ -407,19 +396,19 @@ def _calibration(
             raise InputError(f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
     if table.tools:  # which the file has where they are not known
         chain = _with_tools(chain, table.tools)
-    names = _names(chain.parameters(), effects)
+    parameters = _every(chain.parameters(), effects)
     lists = ((LENGTH_ERROR, table.length_errors_mm), (JOINT_OFFSET, table.joint_offsets_deg))
     given = {f"{kind}:{j}": value for kind, list_ in lists for j, value in enumerate(list_ or (), start=1)}
     given |= (table.values or {}) | table.effects
-    values = {api: given[key] * factor for key, (api, factor) in _named(names, given, "calibration").items()}
-    order = _named(names, table.parameters or (), "calibration.parameters").values()
-    covariance, factors = None, np.array([factor for _, factor in order])
+    values = {p.name: given[p.file_name] / p.to_file for p in _named(parameters, given, "calibration")}
+    order = _named(parameters, table.parameters or (), "calibration.parameters")
+    covariance, factors = None, np.array([1.0 / p.to_file for p in order])
     if table.covariance is not None:
         covariance = np.array(table.covariance).reshape(len(order), len(order)) * np.outer(factors, factors)
     base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
     axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
-    parameters = tuple(api for api, _ in order)
-    calibration = Calibration(values, parameters, covariance, MappingProxyType(dict(provenance)), base, tools, axes)
+    names = tuple(p.name for p in order)
+    calibration = Calibration(values, names, covariance, MappingProxyType(dict(provenance)), base, tools, axes)
     return calibration, before_errors(chain, values, base, tools, axes)
 
 
@@ -534,7 +523,7 @@ def dump_arm(arm: Arm) -> str:
             calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes)
     effects = _built(arm.effects, chain)
     if effects:
-        tables["effects"] = _effect_tables(effects, _names(chain.every_parameter, effects, of_api=True))
+        tables["effects"] = _effect_tables(effects, chain, effects)
     if calibration is not None:
         tables["calibration"] = _calibration_table(arm, effects, calibration)
     return _toml(tables)
@@ -552,7 +541,7 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
     labels = {effect.label for _, effect in before}
     wanted = _built(specs, arm.chain)
     new = [(spec, effect) for spec, effect in wanted if effect.label not in labels]
-    tables = _effect_tables(new, _names(arm.chain.every_parameter, [*before, *wanted], of_api=True))
+    tables = _effect_tables(new, arm.chain, [*before, *wanted])
     return _with_tables(text, "effects", tables) if tables else text
 
 
@@ -578,8 +567,18 @@ def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm, Effects]:
     return text, tables, arm, _built(arm.effects, arm.chain)
 
 
-def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
-    """Entries of `[[effects]]`;  names : of all parameters, by the API's"""
+def _curve_parameters(
+    chain: KinematicChain, effects: Effects, names: Iterable[str], place: str, *, in_file: bool = True
+) -> list[Parameter]:
+    """Parameters of these names that were fitted with an error curve, those of measured points of any name."""
+    points = [
+        Parameter(key, "rad" if point[1] else "mm", kind=TOOL) for key in names if (point := MARKER.fullmatch(key))
+    ]
+    return _named([*_every(chain.every_parameter, effects), *points], names, place, in_file=in_file)
+
+
+def _effect_tables(effects: Effects, chain: KinematicChain, every: Effects) -> list[Plain]:
+    """Entries of `[[effects]]`;  every : effect of the arm"""
     tables = []
     for spec, effect in effects:
         table: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
@@ -593,8 +592,8 @@ def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
             degree = math.degrees(1.0)
             angles = (_in_file(angle, degree) for angle in (curve.start, curve.stop, curve.values))
             table |= zip(CURVE_KEYS, angles, strict=True)
-            fitted = _named(names, curve.geometry, spec.key, points=degree)
-            geometry = {name: _in_file(curve.geometry[api], factor) for api, (name, factor) in fitted.items()}
+            fitted = _curve_parameters(chain, every, curve.geometry, spec.key, in_file=False)
+            geometry = {p.file_name: _in_file(curve.geometry[p.name], p.to_file) for p in fitted}
             table |= {"geometry": geometry} if geometry else {}
         tables.append(table)
     return tables
@@ -602,11 +601,11 @@ def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
 
 def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> Plain:
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
-    names = _names(chain.parameters(), effects, of_api=True)
+    parameters = _every(chain.parameters(), effects)
     values = calibration.values if chain.frame_kinds else calibration.effects
-    order = [*_named(names, calibration.parameter_names, "calibration").values()]
-    named = _named(names, values, "calibration")
-    in_file = {name: _in_file(values[api], factor) for api, (name, factor) in named.items()}
+    order = _named(parameters, calibration.parameter_names, "calibration", in_file=False)
+    named = _named(parameters, values, "calibration", in_file=False)
+    in_file = {p.file_name: _in_file(values[p.name], p.to_file) for p in named}
     if chain.planar:
         held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         offsets = _in_file(held.joint_offsets, math.degrees(1.0))
@@ -618,9 +617,9 @@ def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> 
     if calibration.tools:
         table["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
     if order:
-        table["parameters"] = [name for name, _ in order]
+        table["parameters"] = [p.file_name for p in order]
     if calibration.covariance is not None:
-        factors = [factor for _, factor in order]
+        factors = [p.to_file for p in order]
         rows = zip(factors, calibration.covariance, strict=True)
         table["covariance"] = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
     if calibration.effects:
@@ -653,7 +652,8 @@ def _with_tables(text: str, key: str, entry: Plain | list[Plain]) -> str:
     """`text` with its table `[key]` replaced where it stands, or with entries added behind its others `[[key]]`; at the
     end where it has none. Blank lines and comments before the header that follows stay there.
 
-    A second parser has then read exactly the intended tables: a user's file is never damaged.
+    A parser has then read exactly the intended tables: a user's file is never damaged. A file whose layout does not
+    allow that is written anew, without its comments.
     """
     tables, new = tomllib.loads(text), _toml({key: entry})
     wanted = tables | {key: entry if isinstance(entry, dict) else [*tables.get(key, ()), *entry]}
@@ -668,17 +668,7 @@ def _with_tables(text: str, key: str, entry: Plain | list[Plain]) -> str:
         start, new = end, f"\n{new}"
     spliced = "".join([*lines[:start], new, *lines[end:]])
     try:
-        if tomllib.loads(spliced) == wanted:
-            return spliced
+        kept = tomllib.loads(spliced) == wanted
     except tomllib.TOMLDecodeError:  # it stands in one line, or in several places
-        pass
-    document = tomlkit.parse(text)
-    if isinstance(entry, list):
-        document[key].extend(entry)
-    else:
-        document.remove(key)
-        document[key] = entry
-    if tomllib.loads(rewritten := tomlkit.dumps(document)) != wanted:
-        message = "write its tables as [table] and [[table]], each in one place"
-        raise JobError(f"the TOML file's layout is too unusual to be extended: {message}")
-    return rewritten
+        kept = False
+    return spliced if kept else _toml(wanted)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import WAVES, curve_waves
+from identification.gap.blocks import WAVES, curve_waves, slope_by_angle
 from identification.gap.fit import At, Fit
 from identification.gap.likelihood import Index, mixed
 from identification.gap.search import Posterior
@@ -22,6 +22,7 @@ from identification.information import VISIBLE
 from identification.model import Model
 from identification.sessions import SESSIONS
 
+FAITHFUL = 0.01  # numerical: of an error curve, by which its table may miss it in the root mean square
 COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 
@@ -94,7 +95,16 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     )
     freedom = max(rows - round(float(used)) - g, 1)
 
-    members = [b for b in kept if b.spec is not None]
+    # an error curve takes up all else that depends on its joint's angle alone: within the angles measured they may
+    # cancel, and beyond them, where a curve does not hold, their sum is worth no more
+    of_curves = list[tuple[tuple[int, float, float], dict[str, Callable[[Array], Array]]]]()
+    for curve in (b for b in kept if b.span is not None):
+        joint, start, stop = span = curve.span or (0, 0.0, 0.0)
+        slopes = {b.label: slope_by_angle(b.effect, joint, library.base) for b in kept if b.effect is not None}
+        functions = {label: slope for label, slope in slopes.items() if slope is not None}
+        of_curves.append((span, {curve.label: partial(curve_waves, start=start, stop=stop), **functions}))
+    absorbed = [label for _, functions in of_curves for label in functions]
+    members = [b for b in kept if b.spec is not None and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
     place = {name: k for k, name in enumerate(library.base_names(plain))}
@@ -104,20 +114,28 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
     curves = []
-    of_curves = [b for b in kept if b.span is not None]
-    for block in of_curves:
-        # beside all else that goes with it: what they exchange makes no difference to any point
-        at, (joint, start, stop) = places[block.label], block.span or (0, 0.0, 0.0)
-        functions = curve_waves(np.linspace(start, stop, 2 * WAVES + 1), start, stop)
+    for (joint, start, stop), functions in of_curves:
+        at = np.concatenate([places[label] for label in functions])
         beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
-        std = np.sqrt(np.maximum(np.sum((functions @ beside) * functions, axis=1), 0.0))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
-        parts = zip(library.base.names, geometry_of[block.label].tolist(), strict=True)
+        parts = zip(
+            library.base.names, np.sum([geometry_of[label] for label in functions], axis=0).tolist(), strict=True
+        )
         shifted = {name: value for name, value in parts if not name.startswith(f"{SESSIONS}.")}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
-        nodes = np.radians(np.round(np.degrees((functions @ mean[at])[::2]), 7))
-        curves.append(Curve(joint + 1, ErrorCurve(start, stop, nodes, shifted), std))
+        count, wrong = WAVES, np.inf
+        while wrong > FAITHFUL:
+            angles = np.linspace(start, stop, 2 * count + 1)
+            values_at = np.column_stack([function(angles) for function in functions.values()])
+            error = values_at @ mean[at]
+            table = ErrorCurve(start, stop, np.radians(np.round(np.degrees(error[::2]), 7)), shifted)
+            missed, size = (float(np.sqrt(np.mean(np.square(x)))) for x in (table.at(angles) - error, error))
+            wrong = missed / max(size, 1e-6)  # a microradian is none
+            count *= 2
+        # beside all else that goes with it: what they exchange makes no difference to any point
+        std = np.sqrt(np.maximum(np.sum((values_at @ beside) * values_at, axis=1), 0.0))
+        curves.append(Curve(joint + 1, table, std))
     entries = (*specs, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
 
@@ -127,8 +145,8 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     normal = held.problems[held.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
     jacobian = At(model, values, held.at.rows).linearized[1]
-    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[b.label] for b in of_curves)])
-    tables = [whole.columns[whole.numbers[b.label]] for b in of_curves]
+    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[name] for name in absorbed)])
+    tables = [whole.columns[whole.numbers[name]] for name in absorbed]
     every, tall = [*index, *known], np.concatenate([jacobian, *tables], axis=2).reshape(held.at.left.size, -1)
     gram = tall.T @ tall / len(jacobian)  # of a covariance C the mean square distance is the sum of gram * C
     inside, beside = gram[: len(index), : len(index)], beside_known(covariance, index, known)

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
-from identification.arrays import Array
+from identification.arrays import Array, slices
 from identification.effects.chain import widths
 from identification.errors import InputError
 from identification.estimation.doubts import FALL
@@ -266,10 +266,8 @@ def placed_residuals(
     for one in (base, model):
         left, chain, axes = one.residuals(holdout, conditions)[:, POINT], one.model.arm.chain, None
         if chain.frame_kinds and chain.instrument.reads_positions:
-            sizes = widths(chain)
-            first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = one.model.place_levers(holdout.postures, one.values, conditions)[0]
-            axes = levers[:, POINT, first : first + left.shape[1]]
+            axes = levers[:, POINT, slices(widths(chain))["tool"]]
         names = np.full(len(holdout), "") if holdout.marker is None else np.asarray(holdout.marker)
         measured = holdout.positions[:, POINT]
         both.append(Placed(measured - left, axes, measured, names))
@@ -286,10 +284,12 @@ def confirmed_on(
     measurements: Measurements,
     kept: NDArray[np.bool_],
     named: bool,
+    more: float = 1.0,
 ) -> Confirmation:
     """Test a model on rows held out.
 
     base, model : fitted to the kept rows (m,) of the measurements;  named : False if nothing was named
+    more : noise to expect, in units of the variance that the residuals have
 
     Expected is the mean square that the model leaves in its own rows, larger by as much as its parameters were fitted
     to them, and what the errors of the parameters add in the new rows.
@@ -298,7 +298,7 @@ def confirmed_on(
     own = np.square(model.residuals(measurements)[kept, POINT]).sum(axis=1)
     white = 2.0 * float(np.mean(own)) ** 2 / max(model.freedom, 1)  # the variance that white Gaussian noise gives
     left = mean_of(own, groups_of(measurements, kept), white)
-    scale = len(own) * model.model.dimension / max(model.freedom, 1)
+    scale = more * len(own) * model.model.dimension / max(model.freedom, 1)
     added = parameter_part(model, holdout, held_out_conditions(measurements, holdout))
     predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
     sigma, transfer = float(np.sqrt(scale * left.value / after.shape[1])), transfer_of(measurements, holdout)
@@ -338,11 +338,12 @@ def cross_validation(
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
     named: bool,
+    more: float = 1.0,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time; as the sets were found with
     all rows, this can refute a model but not confirm it.
 
-    kept : (m,) rows that are no outliers;  named : False if nothing was named
+    kept : (m,) rows that are no outliers;  named : False if nothing was named;  more : as in `confirmed_on`
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
@@ -352,7 +353,7 @@ def cross_validation(
         "another stretch of time": by_groups[0],
     }
     tests = []
-    predicted_rows = predicted_from_others(posterior, kept, [*parts.values()])
+    predicted_rows = predicted_from_others(posterior, kept, [*parts.values()], more)
     for transfer, (before, after, expected) in zip(parts, predicted_rows, strict=True):
         predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
         level = LEVEL / len(parts)  # Bonferroni
@@ -361,7 +362,7 @@ def cross_validation(
 
 
 def predicted_from_others(
-    posterior: Posterior, kept: NDArray[np.bool_], partitions: Sequence[Groups]
+    posterior: Posterior, kept: NDArray[np.bool_], partitions: Sequence[Groups], more: float = 1.0
 ) -> Iterator[tuple[Array, Array, float]]:
     """Each part of the kept rows predicted from the others, for partitions that have the number of each row's part.
 
@@ -405,6 +406,7 @@ def predicted_from_others(
             states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
             shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
             mean, covariance, variance = mixed(states, shares)
+            variance *= more
             turned = table[test, :rank] @ turn
             moved = table[test, rank:] - turned @ inside
             before[test] = moved[:, -1]

@@ -106,6 +106,8 @@ def diagnose(
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
         predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
 
+    more = 1.0 if over_sigma is None else over_sigma.more
+
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
     trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
@@ -132,13 +134,13 @@ def diagnose(
     shown, fitted, named = sets[0], fits[0], candidates[0]
 
     # tests on other rows
-    tests = cross_validation(posterior, measurements, kept, generator, something)
+    tests = cross_validation(posterior, measurements, kept, generator, something, more)
     if worse_than_geometry(tests):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
     if holdout is not None:
-        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something)
+        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something, more)
     figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
 
     # what these rows show

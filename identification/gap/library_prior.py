@@ -13,17 +13,15 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
-from identification.effects import Effect, library, unknown_effect
-from identification.effects.chain import contribution
+from identification.effects import Effect, effect_named
 from identification.errors import InputError
 from identification.estimation.problem import Prior
-from identification.gap.blocks import EFFECT, ORDER, hypotheses
+from identification.gap.blocks import EFFECT, ORDER, hypotheses, slope_by_angle
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -78,8 +76,7 @@ def library_prior(
     Raises `InputError` for names that are not in the library, or if no effect remains.
     """
     for name in names or ():
-        if name not in library():
-            raise unknown_effect(name)
+        effect_named(name)  # raises for an unknown one
     every = hypotheses(arm, given)
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
@@ -94,7 +91,7 @@ def library_prior(
             left_out[key] = f"needs {', '.join(missing)}"
         elif any(p.typical is None for p in effect.parameters):
             left_out[key] = "no typical size"
-        elif effect.joint in with_curve and is_function_of(effect, (effect.joint or 0) - 1, every.base):
+        elif effect.joint in with_curve and slope_by_angle(effect, (effect.joint or 0) - 1, every.base):
             left_out[key] = "its joint has an error curve"
         else:
             chosen.append((key, effect, spec))
@@ -130,14 +127,3 @@ def given_by(measurements: Measurements) -> frozenset[str]:
     """Conditions that the rows have: time, directions and past follow from their order if that has no gaps."""
     given = BY_ORDER if measurements.conditions.follow else BY_ORDER - FOLLOWING
     return given | ({"temperature"} if measurements.temperature is not None else set())
-
-
-def is_function_of(effect: Effect, joint: int, model: Model) -> bool:
-    """Whether an effect adds to the angle of a joint (from 0) a function of that angle alone."""
-    if effect.joint != joint + 1 or not hasattr(effect, "joint_angles"):
-        return False
-    q, c, _, _ = model.expressions.symbols
-    values = ca.SX.sym("v", len(effect.parameters))
-    angle = contribution(effect, "joint_angles", model.chain_at(q, c), values)[joint]
-    others = ca.vertcat(*(q[k] for k in range(model.joints) if k != joint), c)
-    return bool(ca.depends_on(angle, q[joint])) and not bool(ca.depends_on(angle, others))

@@ -1,6 +1,6 @@
 """The noise: its components, each with a marginal likelihood, and what is known of it without a model.
 
-A sigma from a data sheet may be too small (identification/README.md, "Lessons"), so that only a sigma of the rows and
+A sigma from a data sheet may be too small, so that only a sigma of the rows and
 repeats have a say in the verdict.
 """
 
@@ -160,6 +160,12 @@ class Misfit(NamedTuple):
     def significant(self) -> bool:
         """True if the residuals are larger than noise of the given sigma explains, at `LEVEL`."""
         return self.p_value <= LEVEL
+
+    @property
+    def more(self) -> float:
+        """By what the variance of the residuals is multiplied in predictions: those that scatter less than the given
+        sigma by chance (p <= 0.99, as in `estimation.uncertainty`) promise no less noise than it."""
+        return max(1.0, self.ratio**-2) if self.p_value <= 0.99 else 1.0
 
 
 def misfit(residual: Array, rank: int, measurements: Measurements, sigma: float | None, kept: Kept) -> Misfit | None:

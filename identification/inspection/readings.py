@@ -550,28 +550,6 @@ def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
 
 
 # -- what else the drawing tells ---------------------------------------------------------------------------------------
-def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
-    """Turning joints (from 1) whose sign and zero no measured point shows: reversed and a quarter or half turn away the
-    drawing leaves no more; none with orientations, few rows, or where the drawing leaves much as it is."""
-    if measurements.orientations is not None:
-        return ()
-    arm, plain = anywhere(arm), Reading.as_written(arm.links)
-    place, numbers = _place(arm), measurements.marker_numbers
-    points = [np.ones(len(measurements), dtype=bool)] if numbers is None else (numbers == k for k in np.unique(numbers))
-    unseen = {j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC}
-    for point in points:
-        rows = SomeRows.of(measurements.rows(np.flatnonzero(point)))
-        written = plain.placed(rows, place).rms
-        if rows.few(arm) or written > DRAWN * arm.reach:
-            return ()
-        most = ALIKE * max(written, float(np.sqrt(np.finfo(float).eps)) * arm.reach)  # rounded, of data without noise
-        for j in tuple(unseen):
-            others = [plain.flipped([j]), *(plain.with_quarters(j, k) for k in (1, 2, 3))]
-            if any(other.placed(rows, place).rms > most for other in others):
-                unseen.remove(j)
-    return tuple(j + 1 for j in sorted(unseen))
-
-
 def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, dict[str, float]]:
     """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
     the drawing: far from them a fit may end with frames turned over."""
