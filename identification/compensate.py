@@ -18,8 +18,8 @@ from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array, as_frame, readonly
-from identification.document import Document, Documented
-from identification.documents.identification import compensation_document
+from identification.document import Document, Documented, Sheet
+from identification.documents.identification import command_rows, miss_text, rows_listed
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.files.csv import csv_text
@@ -108,7 +108,7 @@ def compensate(
         start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes, closest=False)
     if where.directions is None and len(start):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
-        past = past_from_order(start) if model.remembers else None
+        past = past_from_order(start) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(start), past=past)
     commands = search(Task(model, goals, start, where, constraints, enough), boxes, keeps_branch=True)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
@@ -124,7 +124,7 @@ def compensate(
         arm.joint_types,
         turned,
         None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
-        tuple(each.kind for each in constraints),
+        names_at(constraints, commands),
         missed,
         beyond,
         rms,
@@ -149,6 +149,16 @@ def violations(constraints: Constraints, postures: Array) -> Array:
     return np.where(missed > TOLERANCE, missed, 0.0)
 
 
+def names_at(constraints: Constraints, postures: Array) -> tuple[tuple[str, ...], ...]:
+    """(m, c) kinds of the constraints, where bodies keep apart with the two that come nearest to what they keep."""
+    names = []
+    for each in constraints if len(postures) else ():
+        pairs = getattr(each, "pairs", ())
+        worst = np.argmin(each.margin(postures), axis=1)
+        names.append([f"{each.kind} of {' and '.join(pairs[k])}" if pairs else each.kind for k in worst.tolist()])
+    return tuple(zip(*names, strict=True))
+
+
 @dataclass(frozen=True, eq=False)
 class Compensation(Documented):
     """Joint commands for k targets.
@@ -160,7 +170,7 @@ class Compensation(Documented):
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
     angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
     joint_types : (n) of the arm, empty: all revolute
-    constraints : kinds of those given;  violations : (k, c) by how much each command misses them [mm]
+    constraints : (k, c) names of those given;  violations : (k, c) by how much each command misses them [mm]
     outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
     model_rms : [mm] that the calibrated model left of its own measurements, None: not known
     sided : effects of the model for which the order of the targets was taken as that of the approach
@@ -174,7 +184,7 @@ class Compensation(Documented):
     joint_types: tuple[str, ...] = ()
     orientations: Array | None = None
     angles: Array | None = None
-    constraints: tuple[str, ...] = ()
+    constraints: tuple[tuple[str, ...], ...] = ()
     violations: Array | None = None
     outside: NDArray[np.bool_] | None = None
     model_rms: float | None = None
@@ -207,8 +217,9 @@ class Compensation(Documented):
             by = f"{error:.4g} mm{'' if self.angles is None else f' and {np.degrees(self.angles[k]):.4g} deg'}"
             clauses = [] if near else [f"out of reach within the joint limits: {nearest} {by}"]
             missed = () if self.violations is None else self.violations[k]
-            for number, (kind, size) in enumerate(zip(self.constraints, missed, strict=True), start=1):
-                clauses += [f"constraint {number} ({kind}) is missed by {size:.4g} mm"] if size > 0.0 else []
+            names = self.constraints[k] if self.constraints else ()
+            for number, (name, size) in enumerate(zip(names, missed, strict=True), start=1):
+                clauses += [f"constraint {number} ({name}) is missed by {size:.4g} mm"] if size > 0.0 else []
             messages.append("; ".join(clauses))
         return messages
 
@@ -265,8 +276,12 @@ class Compensation(Documented):
     def commands_in_file_units(self) -> Array:
         """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
         commands = in_columns(self.commands, self.joint_types)
-        turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
-        return np.where(turning, np.degrees(commands), commands)
+        return np.where(self.turning, np.degrees(commands), commands)
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """(n,) True for revolute joints."""
+        return np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
 
     def to_json(self) -> dict[str, Any]:
         """Counts, the largest error over targets reached, the others, and a row for each target
@@ -309,7 +324,31 @@ class Compensation(Documented):
 
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""
-        return compensation_document(self)
+        reached, near = self.reached, self.near
+        verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
+        if self.model_rms is not None:
+            verdict += f" (RMS {self.model_rms:.4g} mm on its own measurements)"
+        if self.angles is not None and reached.any():
+            most = float(np.degrees(np.max(self.angles[reached])))
+            verdict += f"; orientations are those wanted to {miss_text(most)} deg, by the same model"
+        verdict += "."
+        if missed := (np.flatnonzero(~reached) + 1).tolist():
+            counts = {"out of reach": ~near, "barred by a constraint": near & ~reached}
+            why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
+            counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
+            have = "have" if len(missed) > 1 else "has"
+            verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
+        reasons = [f"target {k} ! {message}" for k, message in enumerate(self.messages, start=1) if message]
+        rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
+        (_, joints), dimension = self.commands.shape, self.targets.shape[1]
+        digits = 3 if joints + dimension <= 6 else 2  # of more joints and axes than 80 columns have room
+        units = ["" if turns else " [mm]" for turns in self.turning]
+        commands = np.where(reached[:, None], self.commands_in_file_units, np.nan)
+        rows = command_rows(self.targets, commands, self.left, digits)
+        headings = ["row", *"xyz"[:dimension], *(f"q{j}{unit}" for j, unit in enumerate(units, start=1)), "miss"]
+        table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
+        rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
+        return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=self.warnings)
 
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"

@@ -362,22 +362,19 @@ def identify_files(
     if words:
         fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), words, rows)
         lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
-    doubted = reuse.with_mounting_doubt(fitted, rows, fit)
-    mounted_anew, fitted = doubted is not fitted, doubted
-    doubts, better = [*fitted.warnings], True
+    fitted = reuse.with_mounting_doubt(fitted, rows, fit)
+    doubts = [*fitted.warnings]
     if (effects := library(rows)) is not None:
         keys["prior"] = effects.to_json()
         lines.append(effects.sentence)
-        alone = None
-        if not words and old is None:
-            alone = prior_judged(lambda: estimation.estimate(Model(with_sessions(loaded, rows)), rows), fitted, rows)
-        if alone is not None:
-            keys["offered"], better = alone.to_json(), alone.better
-            doubts += [] if better else [hardly_better(keys["offered"])]
+        geometry = Model(with_sessions(loaded, rows))
+        alone_too = not words and old is None
+        judged = prior_judged(lambda: estimation.estimate(geometry, rows), fitted, rows) if alone_too else None
+        if judged is not None:
+            keys["offered"] = judged
+            doubts += [] if judged["better"] else [hardly_better(judged)]
 
     result = fit_in_json(fitted, rows, loaded, arm) | keys
-    if loaded.calibration is not None and words and set(words) <= {"base", "tool"}:
-        result["rms_nominal_mm"] = result["rms_drawing_mm"]
     hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
     kept = loaded.calibration if words else None, None if old is None else old.calibration
@@ -385,15 +382,7 @@ def identify_files(
     document = identification_document(fitted, result, hidden).plus(*lines, *written)
     if failed := bool(fitted.not_identifiable) or refused_files:
         return Answer(result, [document], fitted, int(failed), doubts)
-    actions = identification_actions(
-        str(arm),
-        str(data),
-        out,
-        diagnosed=diagnosed(loaded),
-        allowed_for=effects is not None,
-        better=better,
-        mounted_anew=mounted_anew,
-    )
+    actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(loaded))
     return Answer(result, [replace(document, actions=actions)], fitted, warnings=doubts)
 
 
@@ -599,7 +588,7 @@ def validate_files(
 
     refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
     """
-    from identification.documents.identification import is_better, validation_actions
+    from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
     from identification.origin import check_calibrated, mostly_outside
     from identification.validate import validate
@@ -609,7 +598,7 @@ def validate_files(
     validation = validate(arm, load_sessions([data], arm), refit)
     beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     result = validation.to_json()
-    actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
+    actions = validation_actions(result, str(model), str(data), beyond=beyond)
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 

@@ -348,12 +348,11 @@ def stopped_by(error: BaseException) -> str:
 
 
 @contextmanager
-def interruptible(out: Path | None) -> Iterator[None]:
-    """Report Ctrl-C or SIGTERM in one sentence: what was kept, and how to resume."""
+def interruptible(kept: str) -> Iterator[None]:
+    """Ctrl-C or SIGTERM in one sentence, which says what is kept."""
     try:
         yield
     except KeyboardInterrupt as error:
-        kept = f"finished rows are kept in {out}, go on with --resume" if out else "without --out nothing is kept"
         raise JobError(f"{stopped_by(error)}; {kept}") from None
 
 

@@ -400,7 +400,7 @@ def sag(
     kilograms, down = np.ones(arm.links) if masses is None else np.asarray(masses, dtype=float), np.zeros(arm.dimension)
     down[-1] = -9.81  # [m/s^2]
     heavy = replace(arm, gravity=Gravity(down, kilograms, np.full(arm.links, 0.5)))
-    torques = Model(heavy).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)
+    torques = Model(heavy).torques(measurements.postures, measurements.conditions)
     sizes = np.sqrt(np.mean(torques**2, axis=0))
     modelled = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
     # an upright first axis has no torque but rounding

@@ -46,14 +46,13 @@ from identification.kinematics.parameters import (
     chain_parameters,
     error_names,
 )
-from identification.vectorized import Evaluate, vectorize
+from identification.vectorized import vectorize
 
 DIMENSION = 3  # of space
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 Values = Mapping[str, ca.SX | float]  # parameter name -> value [mm, rad]; what is not there is zero
 Numbers = Mapping[str, float]
 NOTHING: Mapping[str, Any] = MappingProxyType({})
-Complex = NDArray[np.complex128]
 Solver = Callable[[Array], tuple[Array, Array]]
 
 
@@ -76,17 +75,8 @@ class Joint(ByValue):
         object.__setattr__(self, "origin", readonly(self.origin))
         object.__setattr__(self, "axis", readonly(np.asarray(self.axis, dtype=float) / length))
 
-    @property
-    def along(self) -> int | None:
-        """Number of the axis of its frame that is the joint's, None: it lies between."""
-        k = int(np.argmax(np.abs(self.axis)))
-        return k if abs(self.axis[k]) >= 1.0 - 1e-12 else None  # but for rounding
-
     def moved(self, frame: Frame, q: ca.SX) -> Frame:
         """The joint's frame after it moved by q [rad, mm]."""
-        if (k := self.along) is not None:
-            signed = q if self.axis[k] > 0.0 else -q
-            return frame.turned(k, signed) if self.type == REVOLUTE else frame.moved(k, signed)
         # turned so that its own z axis is the joint's: one symbolic rotation instead of Rodrigues' formula
         to_z = rotation_to_z(self.axis)
         turned = frame.placed(pose(rotation=to_z))
@@ -221,9 +211,9 @@ class KinematicChain(ByValue):
         """
         stands = BASE in self.settled
         hidden = {
-            error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
+            error_names(j)[k + DIMENSION * (joint.type == REVOLUTE)]
             for j, joint in enumerate(self.joints, start=1)
-            if joint.along is not None
+            for k in np.flatnonzero(np.abs(joint.axis) >= 1.0 - 1e-12).tolist()  # but for rounding
         }
         hidden |= frozenset() if stands else self.instrument.hidden(self.base)
         hidden |= {self._turning_with_targets} if self.instrument.own_targets else frozenset()
@@ -362,8 +352,8 @@ class KinematicChain(ByValue):
 
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
-        """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
-        return np.swapaxes(_points(self, tuple(values.items()))(postures)[0], -1, -2)
+        """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
+        return np.delete(self.frames_at(values)(postures)[..., :3, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
@@ -372,30 +362,22 @@ class KinematicChain(ByValue):
     def frames_at(self, values: Numbers) -> Callable[[Array], Array]:
         """What gives the frames (..., n + 3, 4, 4) [mm] at postures (..., n), in that of the base: base, each joint
         after it moved, tip, and the first measured point or frame."""
-        compiled = _frames(self, tuple(values.items()))
-
-        def at(postures: Array) -> Array:
-            placed = compiled(postures)[0]
-            frames = np.zeros((*placed.shape[:-2], len(self) + 3, 4, 4))
-            frames[..., 3, 3] = 1.0
-            frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], len(self) + 3, 4), -3, -2)
-            return frames
-
-        return at
+        return _frames_at(self, tuple(values.items()))
 
 
-@lru_cache(maxsize=32)  # compiled once, used in every search; without axes a fifth of the time of `_frames`
-def _points(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
-    q = ca.SX.sym("q", len(chain))
-    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, dict(values))))
-    return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
-
-
-@lru_cache(maxsize=32)
-def _frames(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
+@lru_cache(maxsize=32)  # compiled once, used in every search
+def _frames_at(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Callable[[Array], Array]:
     q = ca.SX.sym("q", len(chain))
     placed = [ca.horzcat(frame.axes, frame.origin) for frame in chain._in_base(q, dict(values))]
-    return vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.horzcat(*placed)))]))
+    evaluate = vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.vertcat(*placed)))]))
+
+    def at(postures: Array) -> Array:
+        frames = np.zeros((*postures.shape[:-1], len(placed), 4, 4))
+        frames[..., 3, 3] = 1.0
+        frames[..., :3, :] = evaluate(postures)[0].reshape(*frames.shape[:-2], 3, 4)
+        return frames
+
+    return at
 
 
 def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
@@ -464,6 +446,9 @@ class PlanarChain(KinematicChain):
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 1 points (2,), since joint 1 is the base."""
         return [point[:2] for point in super().symbolic_points(q, values)[1:]]
+
+    def points(self, postures: Array, values: Numbers) -> Array:
+        return super().points(postures, values)[..., 1:, :2]
 
 
 def planar_chain(lengths: ArrayLike) -> KinematicChain:
@@ -538,23 +523,23 @@ class PlanarClosedForm:
     def solver(self, postures: Array, weights: Array, tolerance: float) -> Solver:
         """Function of positions (K, m, 2) [mm] -> (K, q) parameters and (K,) weighted sums of squares.
 
-        postures : (m, n) [rad] for all data sets, or (K, m, n) for each its own;  weights : (m,) of the rows
+        postures : (m, n) [rad] for all data sets;  weights : (m,) of the rows
         tolerance : singular values below this share of the largest are zero; the columns have equal lengths
         """
-        columns, root = np.exp(1j * np.cumsum(postures, axis=-1)), np.sqrt(weights)  # exp(i theta_j)
+        columns, root = np.exp(1j * np.cumsum(postures, axis=1)), np.sqrt(weights)  # exp(i theta_j)
         n, nominal = len(self.lengths), np.r_[self.lengths, np.zeros(int(self.offset))].astype(complex)
         if self.offset:
-            columns = np.concatenate([columns, np.ones((*columns.shape[:-1], 1))], axis=-1)
-        back = _pseudo_inverse(root[:, None] * columns, tolerance) * root
-        back, forth = (np.ascontiguousarray(np.swapaxes(a, -1, -2)) for a in (back, columns))
+            columns = np.column_stack([columns, np.ones(len(columns))])
+        back = np.asarray(np.linalg.pinv(root[:, None] * columns, rcond=tolerance)) * root
+        back, forth = (np.ascontiguousarray(a.T) for a in (back, columns))
 
         def solve(positions: Array) -> tuple[Array, Array]:
             # x + iy, without a copy where memory allows
             measured = np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0]
             # differences to the nominal arm: the sum of squares then loses no digits
             rest = measured - columns @ nominal
-            change = _times(rest, back)
-            residuals = (rest - _times(change, forth)) * root
+            change = rest @ back
+            residuals = (rest - change @ forth) * root
             squares = residuals.view(np.float64)
             unknowns = nominal + change
             u, shift = unknowns[..., :n], unknowns[..., n:]
@@ -564,28 +549,3 @@ class PlanarClosedForm:
             return np.concatenate(parts, axis=-1), np.einsum("ki,ki->k", squares, squares)
 
         return solve
-
-
-def _times(rows: Complex, matrix: Complex) -> Complex:
-    """(K, b) rows (K, a) times one matrix (a, b), or each times its own (K, a, b)."""
-    return rows @ matrix if matrix.ndim == 2 else (rows[:, None, :] @ matrix)[:, 0, :]
-
-
-def _pseudo_inverse(columns: Complex, tolerance: float) -> Complex:
-    """(..., u, m) of columns (m, u) or (K, m, u).
-
-    Of many, by the inverse of the normal matrix, which squares the condition, where that costs no digits that matter.
-    """
-    if columns.ndim == 2:
-        return np.asarray(np.linalg.pinv(columns, rcond=tolerance))
-    across = np.swapaxes(columns.conj(), -1, -2)
-    normal = across @ columns
-    inverse = np.asarray(
-        np.linalg.inv(normal + np.finfo(float).eps * normal[:, :1, :1].real * np.eye(normal.shape[-1])), dtype=complex
-    )
-    pseudo_inverses = inverse @ across
-    condition = np.linalg.norm(normal, 1, axis=(-2, -1)) * np.linalg.norm(inverse, 1, axis=(-2, -1))
-    # from a condition (1-norm) of 1e6 on the inverse is not used
-    ill = np.flatnonzero(~(condition < min(1e6, tolerance**-2)))
-    pseudo_inverses[ill] = np.linalg.pinv(columns[ill], rcond=tolerance)
-    return pseudo_inverses

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -78,8 +79,14 @@ def test_a_plan_among_posts(cell: Folder) -> None:
     assert collide
     done = cell.armcal("program arm.toml other.csv --robot kuka --out other.src")
     assert done.code == 0
-    assert "Moves: " in done.err
-    assert f"to row {collide[0]}: " in done.err
+    assert f"to row {collide[0]}: " in done.out
+    said = cell.said("program arm.toml other.csv --robot kuka --out other.src --force")["not_free"]
+    assert {*collide} <= {move["row"] for move in said}
+    assert said == cell.said("score arm.toml other.csv --seconds 0.1")["moves"]["not_free"]
+    comments = [line for line in cell.read("other.src").splitlines() if re.match("; (run|via)", line)]
+    for move in said:
+        assert comments[move["row"] - 1] == f"; run {move['row']}, may collide: {' and '.join(move['bodies'])}"
+        assert move["distance_mm"] < 10.0
 
 
 def test_every_joint_from_one_side(folder: Folder) -> None:
