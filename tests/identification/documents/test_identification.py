@@ -34,7 +34,7 @@ def test_intervals_of_a_fit_that_holds_what_it_does_not_list_say_so() -> None:
     for prior_std in (None, 0.5):
         row = CorrectedValue("joint 3 x", None, 0.0, 1.0, 0.1, 0.8, 1.2, "mm", "", prior_std)
         _, *lines = corrected_section("Corrected values", [row]).parts
-        assert any("not listed stay as drawn" in str(line) for line in lines) is (prior_std is None)
+        assert any("Numbers not listed stay as drawn" in str(line) for line in lines) is (prior_std is None)
 
 
 def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
