@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, as_frame, readonly
+from identification.arrays import Array, readonly
 from identification.document import Document, Documented, Sheet
 from identification.documents.identification import command_rows, miss_text, rows_listed
 from identification.errors import InputError
@@ -315,13 +315,6 @@ class Compensation(Documented):
             "commands": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
         }
 
-    def to_frame(self) -> Any:
-        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`."""
-        columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
-        columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
-        left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
-        return as_frame(columns | left)
-
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""
         reached, near = self.reached, self.near
@@ -530,16 +523,12 @@ def _tried(task: Task, starts: Array) -> tuple[Array, Array]:
     barred = (ranks >= MISSED) & (ranks < BEYOND)
     if ends.shape[2] > task.goals.shape[1] and barred.any():  # a redundant arm has more than the starts found
         part = task.at(np.flatnonzero(barred))
-        further, _, better = part.ranked(*_turned_away(part, ends[barred]))
+        clear = part.descended(ends[barred][:, :3], 8, clear=True)[0]  # of a few, more is effort
+        further, _, better = part.ranked(*part.descended(clear, QUICK))
         gains = better[:, 0] < ranks[barred]
         rows = np.flatnonzero(barred)[gains]
         best[rows], ranks[rows] = further[gains, 0], better[gains, 0]
     return best, ranks
-
-
-def _turned_away(task: Task, starts: Array) -> tuple[Array, Array]:
-    """What postures that miss constraints, starts (k, s, n), best first, are led to: a few of them, more is effort."""
-    return task.descended(task.descended(starts[:, :3], 8, clear=True)[0], QUICK)
 
 
 def _closest(task: Task, postures: Array) -> Array:

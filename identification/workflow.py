@@ -277,16 +277,23 @@ def identify_files(
     """
     import identification.estimation as estimation
     from identification import reuse
-    from identification.documents.identification import hardly_better, identification_actions, identification_document
+    from identification.documents.identification import (
+        hardly_better,
+        identification_actions,
+        identification_document,
+        unit_key,
+    )
+    from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
     from identification.files.arm import load_arm
     from identification.gap.library_prior import given_by, library_prior
     from identification.gap.noise import with_repeats_doubted
+    from identification.measurements import rms_distance
     from identification.model import Model
     from identification.origin import diagnosed, identified
     from identification.sessions import with_sessions
     from identification.simulate import following_errors, with_servo_errors
-    from identification.validate import prior_judged
+    from identification.validate import drawing_residuals, prior_judged
 
     # the arm, its rows, and how they are to be fitted
     loaded, words, minimal = load_arm(arm), [each for text in only for each in words_in(text)], parameters == "minimal"
@@ -374,7 +381,13 @@ def identify_files(
             keys["offered"] = judged
             doubts += [] if judged["better"] else [hardly_better(judged)]
 
-    result = fit_in_json(fitted, rows, loaded, arm) | keys
+    result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
+    with suppress(InputError):  # too few rows
+        result["rms_drawing_mm"] = rms_distance(drawing_residuals(loaded, rows))
+    if fitted.geometry is not None and not fitted.not_identifiable:
+        table, places = dh_lines(fitted.calibrated_arm(), fitted.corrected_values, arm)
+        result |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
+    result |= unit_key(fitted.arm) | keys
     hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
     kept = loaded.calibration if words else None, None if old is None else old.calibration
@@ -384,22 +397,6 @@ def identify_files(
         return Answer(result, [document], fitted, int(failed), doubts)
     actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(loaded))
     return Answer(result, [replace(document, actions=actions)], fitted, warnings=doubts)
-
-
-def fit_in_json(fit: Identification, rows: Measurements, arm: Arm, path: Path) -> dict[str, Any]:
-    """What JSON says of a fit of rows by an arm (of the file `path`), what the drawing leaves of them included."""
-    from identification.documents.identification import unit_key
-    from identification.estimation.doubts import left_out_rms
-    from identification.measurements import rms_distance
-    from identification.validate import drawing_residuals
-
-    keys: dict[str, Any] = {"cross_validated_mm": left_out_rms(fit, rows), "rms_drawing_mm": None}
-    with suppress(InputError):  # too few rows
-        keys["rms_drawing_mm"] = rms_distance(drawing_residuals(arm, rows))
-    if fit.geometry is not None and not fit.not_identifiable:
-        table, places = dh_lines(fit.calibrated_arm(), fit.corrected_values, path)
-        keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    return fit.to_json() | keys | unit_key(fit.arm)
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:

@@ -296,7 +296,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
         for part in _chunks(len(measured), m):
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
-        return solution.finished()
+        return solution
     # from the closed form, by the chord method with one matrix for all, then their own, last by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
@@ -316,7 +316,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
                 x[sets], rss[sets], stationary = chord_steps(problems, jacobians, x[sets])
                 status[sets[stationary]] = Status.converged
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
-    return solution.finished()
+    return solution
 
 
 def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, as_frame, readonly
+from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
@@ -291,10 +291,6 @@ class Identification(Documented):
             | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(shown.COLUMNS, figures, strict=True)}
             for p, *figures in rows
         ]
-
-    def to_frame(self) -> Any:
-        """`corrected_values` as a frame."""
-        return as_frame([row.to_json() for row in self.corrected_values])
 
     def document(self) -> Document:
         """What `armcal identify` says of it."""
