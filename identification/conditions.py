@@ -115,7 +115,7 @@ class Conditions(ByValue):
             elif name in ("past", "orientation"):
                 value = np.reshape(value, (*np.shape(value)[:-2], -1))
             elif name != "directions":
-                value = value[..., None]
+                value = np.asarray(value)[..., None]
             table[..., place] = value
         return table
 

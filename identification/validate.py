@@ -30,7 +30,7 @@ from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_s
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.corrected import standing_in
-from identification.kinematics.frames import displaced_by, pose
+from identification.kinematics.frames import pose, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -205,7 +205,8 @@ def _refitted(
         stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
         points = {f"{TOOL}[{point}]": pose(at, stands.tool_axes.get(point)) for point, at in stands.tools.items()}
         for place, frame in {BASE: stands.base, **points}.items():
-            placed |= displaced_by(np.eye(4), frame, error_names(place))
+            six = [*frame[:3, 3].tolist(), *to_angles(frame[:3, :3]).tolist()]
+            placed |= dict(zip(error_names(place), six, strict=True))
         refitted += [
             {"session": name, "name": p.name, "unit": p.file_unit, "value": placed.get(p.name, value) * p.to_file}
             for p, value in zip(model.parameters, values.tolist(), strict=True)

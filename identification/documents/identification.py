@@ -141,7 +141,8 @@ def identification_document(
     places = placing(fit.model.parameters)
     placed = 0 < len(places) < len(fit.names) or fit.rms_before <= (1.0 + 1e-3) * fit.rms_after
     file = "arm file" if fit.arm is None or fit.arm.calibration is not None else "drawing"
-    verdict = [identification_verdict(data, f"{file}, {DRAWN['base' if places and placed else 'none']}")]
+    before = f"{file}, {DRAWN['base' if places and placed else 'none']}"
+    verdict = [identification_verdict({**data, **unit_key(fit.arm)}, before)]
     if not data.get("offered", {"better": True})["better"]:
         verdict.insert(0, hardly_better(data["offered"]))
     return Document("Identification", verdict, parts, warnings=fit.warnings)

@@ -75,8 +75,17 @@ class Joint(ByValue):
         object.__setattr__(self, "origin", readonly(self.origin))
         object.__setattr__(self, "axis", readonly(np.asarray(self.axis, dtype=float) / length))
 
+    @property
+    def along(self) -> int | None:
+        """Number of the axis of its frame that is the joint's, None: it lies between."""
+        k = int(np.argmax(np.abs(self.axis)))
+        return k if abs(self.axis[k]) >= 1.0 - 1e-12 else None  # but for rounding
+
     def moved(self, frame: Frame, q: ca.SX) -> Frame:
         """The joint's frame after it moved by q [rad, mm]."""
+        if (k := self.along) is not None:
+            signed = q if self.axis[k] > 0.0 else -q
+            return frame.turned(k, signed) if self.type == REVOLUTE else frame.moved(k, signed)
         # turned so that its own z axis is the joint's: one symbolic rotation instead of Rodrigues' formula
         to_z = rotation_to_z(self.axis)
         turned = frame.placed(pose(rotation=to_z))
@@ -211,9 +220,9 @@ class KinematicChain(ByValue):
         """
         stands = BASE in self.settled
         hidden = {
-            error_names(j)[k + DIMENSION * (joint.type == REVOLUTE)]
+            error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
             for j, joint in enumerate(self.joints, start=1)
-            for k in np.flatnonzero(np.abs(joint.axis) >= 1.0 - 1e-12).tolist()  # but for rounding
+            if joint.along is not None
         }
         hidden |= frozenset() if stands else self.instrument.hidden(self.base)
         hidden |= {self._turning_with_targets} if self.instrument.own_targets else frozenset()
@@ -259,10 +268,6 @@ class KinematicChain(ByValue):
         return ca.DM(self.base[:3, :3])
 
     # -- symbols -------------------------------------------------------------------------------------------------------
-    def link_lengths(self, values: ca.SX) -> ca.SX:
-        """(n,) `lengths` with their errors, where values of the parameters have some."""
-        return ca.SX(ca.DM(self.lengths))
-
     def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = NOTHING) -> list[Frame]:
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
 
@@ -314,21 +319,15 @@ class KinematicChain(ByValue):
         return frames
 
     def tip(
-        self,
-        q: ca.SX,
-        values: ca.SX,
-        added: Mapping[str, ca.SX],
-        marker: ca.SX | None = None,
-        reference: ca.SX | None = None,
+        self, q: ca.SX, values: Values, added: Mapping[str, ca.SX], marker: ca.SX | None, reference: ca.SX | None
     ) -> tuple[ca.SX, ca.SX]:
         """(d,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument, and (3,)
         how far the measured frame is turned against its reference [mm], (0,) where only points are measured.
 
-        values : those of `parameters`;  marker : number of the measured point from 0, None: the first
+        values, added : as of `frames`;  marker : number of the measured point from 0, None: the first
         reference : (9,) orientation to compare with, by rows
         """
-        named = {name: values[k] for k, name in enumerate(self.parameters().names)}
-        measured = self.measured(self.frames(q, named, added)[-1], named, in_space(added["tool"]))
+        measured = self.measured(self.frames(q, values, added)[-1], values, in_space(added["tool"]))
         point = _of_marker([frame.point(ca.SX(3, 1)) for frame in measured], marker)[: self.dimension]
         if self.angle_scale is None or reference is None:
             return point, ca.SX(0, 1)
@@ -439,9 +438,6 @@ class PlanarChain(KinematicChain):
 
     def _base_axes(self, values: Values) -> Any:
         return Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
-
-    def link_lengths(self, values: ca.SX) -> ca.SX:
-        return super().link_lengths(values) + values[: len(self)]
 
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 1 points (2,), since joint 1 is the base."""

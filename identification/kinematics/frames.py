@@ -113,12 +113,6 @@ def displacement(values: Mapping[str, float], names: Sequence[str]) -> tuple[Arr
     return np.array(errors[:3]), from_angles(errors[3:])
 
 
-def displaced_by(frame: Array, other: Array, names: Sequence[str]) -> dict[str, float]:
-    """The six errors of these names of a frame (4, 4) that make it another."""
-    relative: Array = np.linalg.inv(frame) @ other
-    return dict(zip(names, [*relative[:3, 3].tolist(), *to_angles(relative[:3, :3]).tolist()], strict=True))
-
-
 def point_table(place: Array) -> dict[str, float]:
     """(3,) [mm] as files and JSON have it."""
     return {f"{axis}_mm": float(x) for axis, x in zip(AXES, place, strict=True)}
