@@ -113,7 +113,6 @@ CASES: list[Case] = [
             ("8 --test-poses plan.csv", "--test-poses; criterion D; criterion I"),
             ("8 --subset length_error:1", "--subset; criterion D; criterion Ds"),
             ("8 --criterion Ds", "subset; none; at least one"),
-            ("8 --solver fedorov", "fedorov; list of postures; --candidates"),
             ("8 --solver ipotp", "ipotp; ipopt"),
             ("8 --candidates far.csv", "far.csv; 0 of 1"),
             ("5 --missing backlash", "--missing; --robust"),
