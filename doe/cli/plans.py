@@ -202,7 +202,7 @@ def design_files(
     signs = () if loaded.counting is None else loaded.counting.sign
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach, signs)
-    if criterion.robust and solver in (None, "fedorov"):
+    if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
     data = dict[str, Any]()
@@ -449,7 +449,7 @@ def compare_files(
     --starts 1, the fraction of good starts.
 
     runs : Numbers of measurements m, as in 10,20.
-    solvers : Names, as in a,b; left out: all but fedorov, which needs a list of postures.
+    solvers : Names, as in a,b; left out: all.
     criteria : D, A, E or Dstar; several as in D,A.
     starts : Starts of one run, as in 1,10; left out: the solver's own.
     repeats : Repetitions of each search, with different seeds.
@@ -463,7 +463,7 @@ def compare_files(
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = [n for n in available_solvers() if n != "fedorov"] if solvers is None else solvers
+    names = [*available_solvers()] if solvers is None else solvers
     loaded = [load_arm(arm) for arm in arms]
     asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
     path = None if job.out is None else job.out / "rows.parquet"

@@ -20,7 +20,7 @@ EXAMPLE = """armcal study study.toml --workers 4
 where study.toml has, for instance (names of files are beside it):
     arms = ["arm.toml"]
     # solvers of `armcal design`, "dft", "random", plan files
-    plans = ["exchange_ipopt", "random", "plan.csv"]
+    plans = ["exchange", "random", "plan.csv"]
     runs = [10, 20]           # of measurements; a plan file has its own
     sigma_mm = [0.05, 0.1]    # left out: the arm's own
     # simulated data sets per cell

@@ -153,13 +153,3 @@ def test_ctrl_c_after_the_last_row_says_that_rows_are_kept(tmp_path: Path, monke
     done = CliRunner().invoke(main.commands["compare"], options)
     assert (done.exit_code, f"finished rows are kept in {out}" in done.stderr) == (1, True)
     assert [file.name for file in out.iterdir()] == ["rows.parquet"]
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_all_solvers_are_those_that_need_no_list_of_postures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("doe.solvers.available_solvers", lambda: ["fedorov", "random", "analytic"])
-    arm = tmp_path / "arm.toml"
-    arm.write_text("links_mm = [260.0, 180.0]\n")
-    done = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "3", "--repeats", "1", "--json"])
-    assert done.exit_code == 0, done.output
-    assert {row["solver"] for row in json.loads(done.stdout)["rows"]} == {"random", "analytic"}
