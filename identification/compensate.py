@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, as_frame, readonly
-from identification.document import Document, Documented
-from identification.documents.identification import compensation_document
+from identification.arrays import Array, readonly
+from identification.document import Document, Documented, Sheet
+from identification.documents.identification import command_rows, miss_text, rows_listed
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.files.csv import csv_text
@@ -108,7 +108,7 @@ def compensate(
         start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes, closest=False)
     if where.directions is None and len(start):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
-        past = past_from_order(start) if model.remembers else None
+        past = past_from_order(start) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(start), past=past)
     commands = search(Task(model, goals, start, where, constraints, enough), boxes, keeps_branch=True)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
@@ -276,8 +276,12 @@ class Compensation(Documented):
     def commands_in_file_units(self) -> Array:
         """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
         commands = in_columns(self.commands, self.joint_types)
-        turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
-        return np.where(turning, np.degrees(commands), commands)
+        return np.where(self.turning, np.degrees(commands), commands)
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """(n,) True for revolute joints."""
+        return np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
 
     def to_json(self) -> dict[str, Any]:
         """Counts, the largest error over targets reached, the others, and a row for each target
@@ -311,16 +315,33 @@ class Compensation(Documented):
             "commands": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
         }
 
-    def to_frame(self) -> Any:
-        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`."""
-        columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
-        columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
-        left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
-        return as_frame(columns | left)
-
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""
-        return compensation_document(self)
+        reached, near = self.reached, self.near
+        verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
+        if self.model_rms is not None:
+            verdict += f" (RMS {self.model_rms:.4g} mm on its own measurements)"
+        if self.angles is not None and reached.any():
+            most = float(np.degrees(np.max(self.angles[reached])))
+            verdict += f"; orientations are those wanted to {miss_text(most)} deg, by the same model"
+        verdict += "."
+        if missed := (np.flatnonzero(~reached) + 1).tolist():
+            counts = {"out of reach": ~near, "barred by a constraint": near & ~reached}
+            why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
+            counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
+            have = "have" if len(missed) > 1 else "has"
+            verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
+        reasons = [f"target {k} ! {message}" for k, message in enumerate(self.messages, start=1) if message]
+        rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
+        (_, joints), dimension = self.commands.shape, self.targets.shape[1]
+        digits = 3 if joints + dimension <= 6 else 2  # of more joints and axes than 80 columns have room
+        units = ["" if turns else " [mm]" for turns in self.turning]
+        commands = np.where(reached[:, None], self.commands_in_file_units, np.nan)
+        rows = command_rows(self.targets, commands, self.left, digits)
+        headings = ["row", *"xyz"[:dimension], *(f"q{j}{unit}" for j, unit in enumerate(units, start=1)), "miss"]
+        table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
+        rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
+        return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=self.warnings)
 
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
@@ -502,16 +523,12 @@ def _tried(task: Task, starts: Array) -> tuple[Array, Array]:
     barred = (ranks >= MISSED) & (ranks < BEYOND)
     if ends.shape[2] > task.goals.shape[1] and barred.any():  # a redundant arm has more than the starts found
         part = task.at(np.flatnonzero(barred))
-        further, _, better = part.ranked(*_turned_away(part, ends[barred]))
+        clear = part.descended(ends[barred][:, :3], 8, clear=True)[0]  # of a few, more is effort
+        further, _, better = part.ranked(*part.descended(clear, QUICK))
         gains = better[:, 0] < ranks[barred]
         rows = np.flatnonzero(barred)[gains]
         best[rows], ranks[rows] = further[gains, 0], better[gains, 0]
     return best, ranks
-
-
-def _turned_away(task: Task, starts: Array) -> tuple[Array, Array]:
-    """What postures that miss constraints, starts (k, s, n), best first, are led to: a few of them, more is effort."""
-    return task.descended(task.descended(starts[:, :3], 8, clear=True)[0], QUICK)
 
 
 def _closest(task: Task, postures: Array) -> Array:

@@ -31,6 +31,7 @@ from identification.conditions import BY_ORDER, REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.placed import led_to_contact, of_positions, tip_jacobian
@@ -129,7 +130,7 @@ class ArmModel(Model):
             targets = len(chain.instrument.targets)  # as many postures for each
             target = np.arange(batch, dtype=float) % targets if targets else None
             q = led_to_contact(self, anywhere, 0.0, units, target)
-            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
+            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (np.linalg.norm(self.position(q), axis=1) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
             if len(kept) == CHOICES:
@@ -150,10 +151,6 @@ class ArmModel(Model):
         points = of_positions(self).position(postures)
         apart = [np.linalg.norm(points - place, axis=1) for place in instrument.targets.values()]
         return {instrument.target: np.array([*instrument.targets])[np.argmin(apart, axis=0)].tolist()}
-
-    def gaps(self, postures: Array) -> Array:
-        """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
-        return np.asarray(np.linalg.norm(self.position(postures), axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
@@ -249,7 +246,7 @@ class ArmModel(Model):
 
         def by_order(postures: Array) -> Array:
             """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""
-            conditions = Conditions.in_order(postures, ordered.remembers)
+            conditions = Measurements(postures, np.zeros((len(postures), ordered.dimension))).conditions
             return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
         return base, design_model(model), tuple(bases), weights, by_order, partial(detectability, arm)
@@ -296,7 +293,9 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
     has no place.
     """
-    instrument, stands = chain.instrument, BASE in chain.settled or chain.instrument.stands(chain.base)
+    instrument = chain.instrument
+    placed = bool(instrument.targets) if instrument.own_targets else not np.array_equal(chain.base, np.eye(4))
+    stands = placed or BASE in chain.settled
     if not instrument.reads_positions and not contacts:
         chain.refuse_contacts()
     if (instrument.contact or instrument.own_targets) and not stands:

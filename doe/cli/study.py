@@ -20,7 +20,7 @@ EXAMPLE = """armcal study study.toml --workers 4
 where study.toml has, for instance (names of files are beside it):
     arms = ["arm.toml"]
     # solvers of `armcal design`, "dft", "random", plan files
-    plans = ["exchange_ipopt", "random", "plan.csv"]
+    plans = ["exchange", "random", "plan.csv"]
     runs = [10, 20]           # of measurements; a plan file has its own
     sigma_mm = [0.05, 0.1]    # left out: the arm's own
     # simulated data sets per cell
@@ -73,20 +73,21 @@ def command(
     if cells and study not in ("blind", "blind-spatial"):
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
-    with interruptible(folder):
-        if study == "paper":
-            # in some seconds, in this process, without anything to resume
-            from doe.jobs import make_folder, parquet
-            from doe.report.studies import paper_parts
-            from doe.studies.paper import paper_study, passed
+    if study == "paper":
+        # in some seconds, in this process, without anything to resume
+        from doe.jobs import make_folder, parquet
+        from doe.report.studies import paper_parts
+        from doe.studies.paper import paper_study, passed
 
-            force = job.force or job.resume
-            if folder.exists():
-                check_writable(folder / "errata.parquet", force)
-            tables = paper_study(replications, seed=seed, progress=progress)
-            make_folder(folder)
-            write_together({folder / f"{name}.parquet": parquet(table) for name, table in tables.items()}, force)
-            return tables_answer(folder, tables, paper_parts(tables), passed(tables))
+        force = job.force or job.resume
+        if folder.exists():
+            check_writable(folder / "errata.parquet", force)
+        tables = paper_study(replications, seed=seed, progress=progress)
+        answer = tables_answer(folder, tables, paper_parts(tables), passed(tables))
+        make_folder(folder)
+        write_together({folder / f"{name}.parquet": parquet(table) for name, table in tables.items()}, force)
+        return answer
+    with interruptible(f"finished rows are kept in {folder}, go on with --resume"):
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             from doe.report.studies import blind_parts, blind_pictures
@@ -101,13 +102,13 @@ def command(
         from doe.studies.monte_carlo import load_study, run_study
 
         tables = run_study(load_study(Path(study), replications), folder, job.where(), **options)
-    made, blocks = tables["cells"], tables["blocks"]
-    if "done" not in blocks["status"]:
-        reason = re.sub(r"\b[A-Z]\w*Error: ", "", blocks["error"][0])  # users need no exception types
-        raise JobError(f"no cell could be done: {reason}")
-    data = {"out": folder, "cells": made.to_dicts(), "failed": len(made.filter(made["status"] != "done"))}
-    written = f"{len(made)} rows written to {folder / 'cells.parquet'}"
-    return Answer(data, [*monte_carlo_parts(tables), written])
+        made, blocks = tables["cells"], tables["blocks"]
+        if "done" not in blocks["status"]:
+            reason = re.sub(r"\b[A-Z]\w*Error: ", "", blocks["error"][0])  # users need no exception types
+            raise JobError(f"no cell could be done: {reason}")
+        data = {"out": folder, "cells": made.to_dicts(), "failed": len(made.filter(made["status"] != "done"))}
+        written = f"{len(made)} rows written to {folder / 'cells.parquet'}"
+        return Answer(data, [*monte_carlo_parts(tables), written])
 
 
 def tables_answer(folder: Path, tables: Mapping[str, Any], shown: list[Any], passed: bool) -> Answer:

@@ -24,7 +24,7 @@ from identification.effects.base import Effect
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame
-from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.parameters import LENGTH_ERROR, REVOLUTE
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
 BY_JOINT = ("joint_angles", "extensions", "deflections", "slopes", "joint_turns", "joint_shifts")
@@ -37,6 +37,8 @@ class Chain:
     geometry: KinematicChain
     gravity: Gravity | None
     q: ca.SX  # (n,) commanded joint angles [rad]
+    gravity_turn: ca.SX  # [rad] about the axes of the base that a frame may turn about
+    payload_shift: ca.SX  # (d,) of the payload from where the file says [mm], in the tip's frame
     payload: ca.SX  # [kg]
     temperature: ca.SX  # [K] above the mean
     time: ca.SX  # -0.5..0.5 over the session
@@ -47,8 +49,6 @@ class Chain:
     orientation: ca.SX | None = None  # (9,) to compare with, by rows, None: none is measured
     errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
     off: ca.SX | None = None  # the share of their geometry that does not hold
-    gravity_turn: ca.SX | None = None  # [rad] about the axes of the base that a frame may turn about
-    payload_shift: ca.SX | None = None  # of the payload from where the file says [mm], in the tip's frame; in space
 
     @classmethod
     def of(cls, arm: Arm, q: ca.SX, c: ca.SX, columns: Mapping[str, slice]) -> Chain:
@@ -56,7 +56,8 @@ class Chain:
         at = {name: c[place] for name, place in columns.items()}
         if "past" in at:
             at["past"] = ca.reshape(at["past"], REMEMBERED, arm.links).T
-        return cls(arm.chain, arm.gravity, q, **at)
+        turned, shifted = ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension)
+        return cls(arm.chain, arm.gravity, q, turned, shifted, **at)
 
     @property
     def previous(self) -> ca.SX:
@@ -90,9 +91,9 @@ class Chain:
     def acceleration(self) -> ca.SX:
         """(3,) acceleration of gravity [m/s^2] in the frame of the base, rotated by `gravity_turn`."""
         gravity = in_space(ca.SX(ca.DM(self.required_gravity.acceleration)))
-        if (turn := self.gravity_turn) is None or turn.is_zero():
+        if self.gravity_turn.is_zero():
             return gravity
-        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, turn).axes, gravity)
+        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, self.gravity_turn).axes, gravity)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:
@@ -100,8 +101,7 @@ class Chain:
         as far along as the file says; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.geometry
         at = ca.SX(ca.DM(next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at))
-        hangs = at if self.payload_shift is None else at + in_space(self.payload_shift)
-        masses = [(self.payload, self.links - 1, self.frames[-1].point(hangs))]
+        masses = [(self.payload, self.links - 1, self.frames[-1].point(at + in_space(self.payload_shift)))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
             masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
         return masses
@@ -166,11 +166,13 @@ def position_and_state(
     add(OF_LOAD, chain)
     additions["payload"] += chain.payload
     loads: dict[str, Any] = {place: additions[place] for place in OF_LOAD}
-    lengths = drawn.link_lengths(geometry)
+    named = dict(zip(drawn.parameters().names, ca.vertsplit(geometry), strict=True))
+    errors = (named.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(drawn) + 1))
+    lengths = ca.DM(drawn.lengths) + ca.vertcat(*errors)
     add([place for place in sizes if place not in (*OF_LOAD, "instrument")], replace(chain, **loads), lengths)
-    tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.orientation)
+    tip, turned = drawn.tip(chain.q + additions["joint_angles"], named, additions, chain.marker, chain.orientation)
     add(["instrument"], chain, tip=tip)
-    settings = geometry[geometry.numel() - len(drawn.instrument.parameters) :]
+    settings = ca.vertcat(ca.SX(0, 1), *(named[p.name] for p in drawn.instrument.parameters))
     target = ca.SX(0) if chain.marker is None else chain.marker
     reading = drawn.instrument.reading(tip + additions["instrument"], settings, target)
     return ca.vertcat(reading, turned), ca.vertcat(*loads.values(), lengths, tip)

@@ -114,12 +114,6 @@ class Solution:
         """(K,) True where it is stationary; False for data that are not finite."""
         return np.asarray(self.status == Status.converged)
 
-    def finished(self) -> Solution:
-        """The same, read only."""
-        for array in (self.parameters, self.rss, self.status):
-            array.setflags(write=False)
-        return self
-
 
 def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
     """Stationary points of K problems from starts (K, p), which are moved inside the bounds first.

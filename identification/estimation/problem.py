@@ -152,7 +152,7 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
 class Problem:
     """min over the parameters of sum_i w_i |measured_i - position_i|^2 (eq. 3, with weights), for K data sets.
 
-    postures : (m, n) [rad] that all data sets share, with conditions (m,); or (K, m, n), each its own, and (K, m)
+    postures : (m, n) [rad] that all data sets share, with their conditions
     positions : (K, m, d) measured [mm]
     weights : (m,) of the rows, 1/sigma_i^2 where sigma is known
     sigma : root mean square over rows [mm] of the standard deviation that the weights are of; None: unknown
@@ -209,10 +209,7 @@ class Problem:
 
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
-        chosen = replace(self, positions=self.positions[index])
-        if self.postures.ndim == 2:
-            return chosen
-        return replace(chosen, postures=self.postures[index], conditions=self.conditions.rows(index))
+        return replace(self, positions=self.positions[index])
 
     @cached_property
     def root_weights(self) -> Array:

@@ -104,7 +104,8 @@ class WhiteRows:
         root : (p, rank), as of `of_postures`
         """
         leverages = decomposed_groups(self.jacobian @ root, self.residual, self.postures)[0]
-        return 1.0 - float(np.sum(leverages**2) / leverages.sum()) if leverages.any() else 1.0
+        share = 1.0 - float(np.sum(leverages**2) / leverages.sum()) if leverages.any() else 1.0
+        return max(share, np.finfo(float).eps)  # of no equation more than unknowns it is rounding
 
 
 @dataclass(frozen=True)

@@ -264,8 +264,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(str(file.base_link), str(file.tip_link), limited)
     else:
-        rows = [replace(_row(row), limits=(-np.pi, np.pi)) for row in file.dh]
-        chain = chain_of(rows, _convention(file))
+        chain = chain_of(*_dh_table(file))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -290,12 +289,13 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     return replace(chain, instrument=instrument)
 
 
-def _row(table: Any) -> DHRow:
-    return DHRow(table.a_mm, math.radians(table.alpha_deg), table.d_mm, math.radians(table.offset_deg), table.joint)
-
-
-def _convention(file: Any) -> str:
-    return next((row.convention for row in file.dh if row.convention), STANDARD)
+def _dh_table(file: Any) -> tuple[list[DHRow], str]:
+    """Rows and convention of `[[dh]]`."""
+    rows = [
+        DHRow(row.a_mm, math.radians(row.alpha_deg), row.d_mm, math.radians(row.offset_deg), row.joint, (-np.pi, np.pi))
+        for row in file.dh
+    ]
+    return rows, next((row.convention for row in file.dh if row.convention), STANDARD)
 
 
 def _pose(table: Any) -> Array:
@@ -444,89 +444,89 @@ def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
 def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
     """Rows and convention of the `[[dh]]` table of an arm file; None where it has none."""
     file = validated_arm(read_toml(path))
-    return None if file.dh is None else (list(map(_row, file.dh)), _convention(file))
+    return None if file.dh is None else _dh_table(file)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def dump_arm(arm: Arm) -> str:
     """The text of an arm file for `arm`; `load_arm` reads the same arm from it, to rounding (1e-14).
 
-    That of a spatial arm has its drawing in it, as the text of a URDF file.
-    Raises `InputError` for a spatial arm with a chosen set of parameters, which no file can say.
+    That of a spatial arm has its drawing in it, as the text of a URDF file. Bodies are written as they are covered,
+    without what they look like. Raises `InputError` for a spatial arm with a chosen set of parameters, and limits of
+    coupled joints that are not the controller's, which no file can say.
     """
-    chain, calibration, tables = arm.chain, arm.calibration, Plain(name=arm.name)
+    chain, calibration, kind, degree = arm.chain, arm.calibration, "spatial", math.degrees(1.0)
     limits, sliding = np.stack(arm.column_limits), np.array(arm.joint_types) == PRISMATIC
-    kind = "planar" if chain.planar else "spatial"
-    if kind == "planar":
+    drawing: Plain = {"links_mm": arm.lengths}
+    if chain.planar:
+        kind = "planar"
         if not np.all(np.isfinite(limits)) and np.any(np.abs([arm.lower, arm.upper]) != np.pi):
             tied = "limits of coupled joints, none of which is the controller's"
             raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
-        tables["links_mm"] = _in_file(arm.lengths)
-    elif chain.fixed:
-        chosen = "has a chosen set of parameters"
-        raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
     else:
-        drawing = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
-        tables |= {"kind": kind, "urdf": drawing, "base_link": BASE_LINK, "tip_link": TIP}
-        tables |= {"base": pose_table(chain.base)} if BASE in chain.settled else {}
-        tables |= {"tool": tool_tables(chain.tools, chain.tool_axes)} if TOOL in chain.settled else {}
-    if arm.sigma is not None:
-        angle = (
-            {}
-            if chain.angle_scale is None
-            else {"sigma_deg": _in_file(arm.sigma / chain.angle_scale, math.degrees(1.0))}
-        )
-        tables["measurement"] = angle | {"sigma_mm": float(arm.sigma)}
-    tables |= {"instrument": chain.instrument.table()} if chain.instrument.kind else {}
-    for unit, joints, factor in (("deg", ~sliding, math.degrees(1.0)), ("mm", sliding, 1.0)):
+        if chain.fixed:
+            chosen = "has a chosen set of parameters"
+            raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
+        urdf = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
+        drawing = {"kind": kind, "urdf": urdf, "base_link": BASE_LINK, "tip_link": TIP}
+        drawing["base"] = pose_table(chain.base) if BASE in chain.settled else None
+        drawing["tool"] = tool_tables(chain.tools, chain.tool_axes) if TOOL in chain.settled else None
+    within = {}
+    for unit, joints, factor in (("deg", ~sliding, degree), ("mm", sliding, 1.0)):
         if joints.any() and np.all(np.isfinite(limits[:, joints])):  # else those of the drawing
             lower, upper = _in_file(limits[:, joints], factor)
-            tables[f"joint_limits_{unit}"] = {"lower": lower, "upper": upper}
-    tables |= {} if arm.gear_ratios is None else {"gear_ratio": _in_file(arm.gear_ratios)}
-    for key, keys, value in (
-        ("joints", JointsTable.model_fields, arm.counting),
-        ("machining", MachiningTable.model_fields, arm.machining if arm.machining != Machining() else None),
-        ("gravity", GravityTable.model_fields, arm.gravity),
-    ):
-        tables |= {} if value is None else {key: _in_table(keys, value)}
+            within[f"joint_limits_{unit}"] = {"lower": lower, "upper": upper}
+    constraints = []
     for constraint in (each for each in arm.constraints if not isinstance(each, ColumnLimits)):
         sphere = isinstance(constraint, KeepOutCircle) and kind == "spatial"
         which = "keep_out_sphere" if sphere else constraint.kind
         entries = _in_table(CONSTRAINTS[which][kind].replace("?", "").split(), constraint)
         if "facing" not in entries:
             entries.pop("acceptance_deg", None)
-        tables.setdefault("constraints", []).append({"kind": which, **entries})
-    if (cell := arm.cell) is not None:  # bodies as they are covered, without what they look like
-        bodies = list[Plain]()
-        for body in cell.bodies:
-            named: Plain = {"name": body.name} | ({"joint": body.joint} if body.joint else {})
-            for start, end, (radius,) in (np.split(capsule, [3, 6]) for capsule in body.capsules):
-                ends = {"start_mm": _in_file(start[: arm.dimension]), "end_mm": _in_file(end[: arm.dimension])}
-                bodies.append({"kind": "capsule", **named, **ends, "radius_mm": float(radius)})
-            for middle, turn, half in (np.split(box, [3, 12]) for box in body.boxes):
-                place = pose_table(pose(middle, turn.reshape(3, 3)))
-                place = {key: place[key] for key in POSE[kind].replace("?", "").split()}
-                bodies.append({"kind": "box", **named, "size_mm": _in_file(2.0 * half[: arm.dimension]), **place})
-        said: Plain = {} if cell.floor is None else {"floor_z_mm": float(cell.floor)}
-        said["clearance_mm"] = float(cell.clearance)
-        said |= {"apart": sorted(map(sorted, cell.apart))} if cell.apart else {}
-        tables["cell"] = said | ({"bodies": bodies} if bodies else {})
+        constraints.append({"kind": which, **entries})
+    bodies, axes = list[Plain](), slice(arm.dimension)
+    for body in () if arm.cell is None else arm.cell.bodies:
+        named = {"name": body.name, "joint": body.joint or None}
+        for start, end, (radius,) in (np.split(capsule, [3, 6]) for capsule in body.capsules):
+            ends = {"start_mm": start[axes], "end_mm": end[axes], "radius_mm": radius}
+            bodies.append({"kind": "capsule", **named, **ends})
+        for middle, turn, half in (np.split(box, [3, 12]) for box in body.boxes):
+            place = pose_table(pose(middle, turn.reshape(3, 3)))
+            place = {key: place[key] for key in POSE[kind].replace("?", "").split()}
+            bodies.append({"kind": "box", **named, "size_mm": 2.0 * half[axes], **place})
     # where base and measured points are if they are somewhere without being known
     somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
-    named_points = list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
-    named_points = named_points and TOOL not in chain.settled
-    if somewhere or named_points:
+    points = list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
+    points = points and TOOL not in chain.settled
+    if somewhere or points:
         calibration = calibration or Calibration({})
         stands = standing_in(chain, calibration.values)
         calibration = replace(calibration, base=stands.base) if somewhere else calibration
-        if named_points:
-            calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes)
-    effects = _built(arm.effects, chain)
-    if effects:
-        tables["effects"] = _effect_tables(effects, chain, effects)
-    if calibration is not None:
-        tables["calibration"] = _calibration_table(arm, effects, calibration)
-    return _toml(tables)
+        calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes) if points else calibration
+    effects, scale = _built(arm.effects, chain), chain.angle_scale
+    sigma_deg = None if arm.sigma is None or scale is None else _in_file(arm.sigma / scale, degree)
+    cell = arm.cell and {
+        "floor_z_mm": arm.cell.floor,
+        "clearance_mm": arm.cell.clearance,
+        "apart": sorted(map(sorted, arm.cell.apart)) or None,
+        "bodies": bodies or None,
+    }
+    tables = {
+        "name": arm.name,
+        **drawing,
+        "measurement": {"sigma_deg": sigma_deg, "sigma_mm": arm.sigma},
+        "instrument": chain.instrument.table() if chain.instrument.kind else None,
+        **within,
+        "gear_ratio": arm.gear_ratios,
+        "joints": arm.counting and _in_table(JointsTable.model_fields, arm.counting),
+        "machining": _in_table(MachiningTable.model_fields, arm.machining) if arm.machining != Machining() else None,
+        "gravity": arm.gravity and _in_table(GravityTable.model_fields, arm.gravity),
+        "constraints": constraints,
+        "cell": cell,
+        "effects": _effect_tables(effects, chain, effects),
+        "calibration": None if calibration is None else _calibration_table(arm, effects, calibration),
+    }
+    return _toml({key: value for key, value in _plain(tables).items() if value not in ([], {})})
 
 
 def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".") -> str:
@@ -581,21 +581,19 @@ def _effect_tables(effects: Effects, chain: KinematicChain, every: Effects) -> l
     """Entries of `[[effects]]`;  every : effect of the arm"""
     tables = []
     for spec, effect in effects:
-        table: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
+        table: Plain = {"name": spec.name, "joint": spec.joint}
         parameters = {p.short: p for p in effect.parameters}
         for short, value in spec.values.items():
             if (parameter := parameters.get(short)) is not None:
                 table[parameter.toml_key] = _in_file(value, parameter.to_file)
             else:  # a setting
-                table[short] = int(value) if value == int(value) else float(value)
+                table[short] = int(value) if value == int(value) else value
         if (curve := spec.curve) is not None:
-            degree = math.degrees(1.0)
-            angles = (_in_file(angle, degree) for angle in (curve.start, curve.stop, curve.values))
-            table |= zip(CURVE_KEYS, angles, strict=True)
+            angles = (_in_file(angle, math.degrees(1.0)) for angle in (curve.start, curve.stop, curve.values))
             fitted = _curve_parameters(chain, every, curve.geometry, spec.key, in_file=False)
             geometry = {p.file_name: _in_file(curve.geometry[p.name], p.to_file) for p in fitted}
-            table |= {"geometry": geometry} if geometry else {}
-        tables.append(table)
+            table |= dict(zip(CURVE_KEYS, angles, strict=True)) | {"geometry": geometry or None}
+        tables.append(_plain(table))
     return tables
 
 
@@ -606,27 +604,25 @@ def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> 
     order = _named(parameters, calibration.parameter_names, "calibration", in_file=False)
     named = _named(parameters, values, "calibration", in_file=False)
     in_file = {p.file_name: _in_file(values[p.name], p.to_file) for p in named}
+    geometry = {name: in_file.pop(name) for name in [*in_file] if GEOMETRY.fullmatch(name)}
+    table: Plain = {"values": geometry}
     if chain.planar:
         held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         offsets = _in_file(held.joint_offsets, math.degrees(1.0))
-        table: Plain = {"length_errors_mm": _in_file(held.length_errors), "joint_offsets_deg": offsets}
-    else:
-        table = {"values": {name: value for name, value in in_file.items() if GEOMETRY.fullmatch(name)}}
-    if calibration.base is not None:
-        table["base"] = pose_table(calibration.base)
-    if calibration.tools:
-        table["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
-    if order:
-        table["parameters"] = [p.file_name for p in order]
+        table = {"length_errors_mm": held.length_errors, "joint_offsets_deg": offsets}
+    factors, covariance = [p.to_file for p in order], None
     if calibration.covariance is not None:
-        factors = [p.to_file for p in order]
         rows = zip(factors, calibration.covariance, strict=True)
-        table["covariance"] = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
-    if calibration.effects:
-        table["effects"] = {name: value for name, value in in_file.items() if not GEOMETRY.fullmatch(name)}
-    if calibration.provenance:
-        table["provenance"] = _plain(calibration.provenance)
-    return table
+        covariance = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
+    table |= {
+        "base": None if calibration.base is None else pose_table(calibration.base),
+        "tools": tool_tables(calibration.tools, calibration.tool_axes) or None,
+        "parameters": [p.file_name for p in order] or None,
+        "covariance": covariance,
+        "effects": in_file or None,
+        "provenance": calibration.provenance or None,
+    }
+    return dict(_plain(table))
 
 
 def _plain(value: Any) -> Any:
@@ -660,11 +656,11 @@ def _with_tables(text: str, key: str, entry: Plain | list[Plain]) -> str:
     lines = [f"{line}\n" for line in text.removesuffix("\n").split("\n")]
     headers = {k: header[1] for k, line in enumerate(lines) if (header := HEADER.fullmatch(line.strip()))}
     start = end = len(lines)
-    if own := [k for k, name in headers.items() if name == key]:
-        start, end = own[0], next((k for k in headers if k > own[-1]), len(lines))
+    if of_key := [k for k, name in headers.items() if name == key]:
+        start, end = of_key[0], next((k for k in headers if k > of_key[-1]), len(lines))
         while not lines[end - 1].strip() or lines[end - 1].lstrip().startswith("#"):
             end -= 1
-    if isinstance(entry, list) or not own:
+    if isinstance(entry, list) or not of_key:
         start, new = end, f"\n{new}"
     spliced = "".join([*lines[:start], new, *lines[end:]])
     try:

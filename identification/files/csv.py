@@ -119,14 +119,14 @@ class Table:
             cell = repr(text) if text and text.strip() else "an empty cell"
             raise InputError(f"{self.place(row, column)}: found {cell}, allowed: {allowed}")
 
-    def warn_unused(self, known: Iterable[str] = (), hint: str = "") -> None:
-        """One `UserWarning` for all columns that were not asked for, with the nearest `known` one where there is one;
-        these may be there without a word.
+    def warn_unused(self, expected: Iterable[str] = (), hint: str = "") -> None:
+        """One `UserWarning` for all columns that were not asked for, with the nearest `expected` one where there is
+        one; these may be there without a word.
 
         hint : what else to say
         """
-        free, unused = [column for column in known if column not in self], []
-        for column in (column for column in self.columns if column not in {*self.used, *known}):
+        free, unused = [column for column in expected if column not in self], []
+        for column in (column for column in self.columns if column not in {*self.used, *expected}):
             near = "" if KNOWN.fullmatch(column) else suggestion(close_names(column, free)).strip()
             unused.append(f"{column!r} ({near})" if near else f"{column!r}")
         if unused:

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
-from identification.arrays import Array
+from identification.arrays import Array, slices
 from identification.conditions import BY_ORDER, FOLLOWING, condition_columns
 from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.chain import OF_LOAD, Chain, contribution, state_slices, widths
@@ -366,8 +366,7 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
     # at a joint: functions (m, w) that are added to its angle; in space, an axis that tilts and shifts
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
     few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
-    sizes = widths(chain)
-    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
+    places = slices(widths(chain))
     levers = model.place_levers(q, at.values, conditions)[0]
     for j in (j for j in turning if j + 1 not in unseen):
         place, lever, angle, weight = f"joint:{j + 1}", at.levers[:, :, j, None], q[:, j], n**-0.5
@@ -391,7 +390,7 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
             yield block(f"load:{j + 1}", place, 0.3 * weight, times(lever, loads))
         if "joint_turns" in chain.bends and chain.joints[j].type == REVOLUTE:  # tilts and shifts move the point alike
             plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T  # across the axis
-            parts = [levers[:, :, ends[kind] - 3 * n + 3 * j :][:, :, :3] @ plane for kind in chain.bends]
+            parts = [levers[:, :, places[kind]][:, :, 3 * j : 3 * j + 3] @ plane for kind in chain.bends]
             parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
             turns = np.column_stack([f(k * angle) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)])
             yield block(f"wobble:{j + 1}", place, 0.3 * weight, times(np.concatenate(parts, axis=2), turns))

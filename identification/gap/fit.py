@@ -153,7 +153,7 @@ class At:
     @cached_property
     def torques(self) -> Array:
         """(m, n) moments of gravity about the joints, their mean square 1."""
-        torques = self.model.on_chain(lambda chain: chain.torques)(self.rows.postures, self.rows.conditions)
+        torques = self.model.torques(self.rows.postures, self.rows.conditions)
         return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
 
     @property

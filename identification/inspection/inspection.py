@@ -258,9 +258,9 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
         unit, factor = ("deg", 180.0 / np.pi) if kind == REVOLUTE else ("mm", 1.0)
         low, high = float(shown[:, j - 1].min()) * factor, float(shown[:, j - 1].max()) * factor
         lower, upper = (limits[:, j - 1] * factor).tolist()
-        ends = {"limit_low": lower, "limit_high": upper}
-        known = {name: None if np.isnan(x) else x for name, x in ends.items()}
-        entries.append({"joint": j, "unit": unit, "low": low, "high": high, **known, "rows_outside": outside[j - 1]})
+        ends = {"low": low, "high": high, "limit_low": lower, "limit_high": upper}
+        given = {name: None if np.isnan(x) else x for name, x in ends.items()}
+        entries.append({"joint": j, "unit": unit, **given, "rows_outside": outside[j - 1]})
         # none where it may turn all the way round, and readings of several turns do not matter
         has_limits = np.isfinite(lower) and (doubts.limited(arm)[j - 1] or j in tied)
         shown_limits = (f"{x:.2f}" if has_limits else "none" for x in (lower, upper))
@@ -280,8 +280,8 @@ def other_frame(arm: Arm, written: Reading) -> list[str]:
     written : the columns as they are
     """
     chain, base = arm.chain, written.base
-    known = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
-    if base is None or not known or written.rms > DRAWN * arm.reach:
+    placed = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
+    if base is None or not placed or written.rms > DRAWN * arm.reach:
         return []
     relative = chain.base[:3, :3].T @ base[:3, :3]
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))
@@ -400,7 +400,7 @@ def sag(
     kilograms, down = np.ones(arm.links) if masses is None else np.asarray(masses, dtype=float), np.zeros(arm.dimension)
     down[-1] = -9.81  # [m/s^2]
     heavy = replace(arm, gravity=Gravity(down, kilograms, np.full(arm.links, 0.5)))
-    torques = Model(heavy).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)
+    torques = Model(heavy).torques(measurements.postures, measurements.conditions)
     sizes = np.sqrt(np.mean(torques**2, axis=0))
     modelled = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
     # an upright first axis has no torque but rounding

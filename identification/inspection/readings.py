@@ -191,11 +191,15 @@ class Reading:
         if self.scaled != 1.0:
             times, larger = max(self.scaled, 1.0 / self.scaled), self.scaled > 1.0
             small, large = ("measurements", "arm file") if larger else ("arm file", "measurements")
-            # to 2 %
-            unit = next((unit for factor, unit in UNITS.items() if abs(times / factor - 1.0) <= 0.02), "")
-            how = f"as if the {'positions' if larger else 'arm file'} had {unit} for millimetres"
-            how = how if unit else "which is the factor of no unit: another arm, or a length that is mistyped?"
-            sentences.append(f"the lengths of the {large} are {times:.4g} times those of the {small}, {how}")
+            lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
+            names = [name for factor, name in UNITS.items() if abs(times / factor - 1.0) <= 0.02]
+            if names:
+                whose = "positions" if larger else "lengths of the arm file"
+                columns = ", whose columns end in _m" if larger and names == ["metres"] else ""
+                lengths = f"the {whose} are in {names[0]}{columns} ({lengths})"
+            else:
+                lengths += ", which is the factor of no unit (another arm, or a length that is mistyped)"
+            sentences.append(lengths)
         if self.late:
             when = "late" if self.late > 0 else "early"
             sentences.append(f"each position stands one row too {when}, beside another posture")
@@ -289,11 +293,13 @@ def _read_differently(arm: Arm, rows: SomeRows, search: bool) -> Readings:
         base, _, rms = reading.placed(rows, _place(arm))
         return replace(reading, rms=rms, base=base)
 
-    written = placed(Reading.as_written(arm.links))
-    if rows.few(arm):
+    written = Reading.as_written(arm.links)
+    units = None if rows.few(arm) else _other_units(arm, rows)
+    if units is None and not search:
         return Readings(written)
-    if (better := _other_units(arm, rows, written)) is not None or not search:
-        return better or Readings(written)
+    written = placed(written)
+    if units is not None or rows.few(arm):
+        return replace(units or Readings(written), written=written)
     place = _place(arm, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
     tried = {written: written.rms}
     kinds = arm.joint_types
@@ -413,7 +419,7 @@ def _without_far_rows(arm: Arm, q: Array, x: Array) -> tuple[float, NDArray[np.b
     return place(q[near], x[near]).rms, near
 
 
-def _other_units(arm: Arm, rows: SomeRows, written: Reading) -> Readings | None:
+def _other_units(arm: Arm, rows: SomeRows) -> Readings | None:
     """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
     where that fits the arm clearly better for how far apart the positions then are. Rows far from all others do not
     count. Angles are suspected only where all are below 7 deg, or one is above 7 rad; how many times the lengths of one
@@ -453,6 +459,7 @@ def _other_units(arm: Arm, rows: SomeRows, written: Reading) -> Readings | None:
     if CLEARLY * share >= as_written:
         return None
     rms = share * drawn[turned]
+    written = Reading.as_written(arm.links)
     better = replace(written, turned=turned, scaled=scaled, rms=rms)
     explained = rms <= DRAWN * arm.reach
     return Readings(written, better, explained=explained, certain=explained and as_written > 10.0 * share)

@@ -76,9 +76,6 @@ class Instrument:
     own_targets: ClassVar[str] = ""
     offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
     reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
-    # names of those parameters of the base that move arm and instrument together, or turn the frame of the instrument
-    # about what it reads: no reading depends on them
-    hides: ClassVar[frozenset[str]] = frozenset()
     guide: ClassVar[Guide]  # what the first files say of it, where it has a `kind`
     size_is_open: ClassVar[Any] = ("", "")  # what reads so of an arm twice as large, and what to do about it
 
@@ -119,8 +116,9 @@ class Instrument:
             yield OwnValue(p.name, p.name, value, {p.name: p.to_file}, p.file_unit, self.kind)
 
     def hidden(self, base: Array) -> frozenset[str]:
-        """`hides` of a base (4, 4) that stands about there in the frame of the instrument."""
-        return self.hides
+        """Names of parameters on which no reading depends: those that move arm and instrument together, or turn the
+        frame of the instrument about what it reads;  base : (4, 4) about where that stands in the frame"""
+        return frozenset()
 
     @property
     def places(self) -> bool:
@@ -132,7 +130,7 @@ class Instrument:
         a shift along the axes of the instrument and rotations about its own; and those on which no reading depends."""
         shift, turn = base[:3, 3] - first[:3, 3], to_angles(first[:3, :3].T @ base[:3, :3])
         movement = dict(zip(["x", "y", "z", "wx", "wy", "wz"], [*shift.tolist(), *turn.tolist()], strict=True))
-        return movement, frozenset(name.partition(".")[2].replace("r", "w") for name in self.hides)
+        return movement, frozenset(name.partition(".")[2].replace("r", "w") for name in self.hidden(base))
 
     # -- where a fit starts ----------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:
@@ -160,10 +158,6 @@ class Instrument:
         return {}
 
     # -- postures that touch, for plans --------------------------------------------------------------------------------
-    def stands(self, base: Array) -> bool:
-        """Whether what is measured from, or touched, has a place, where that of the base (4, 4) is not known."""
-        return bool(self.targets) if self.own_targets else not np.array_equal(base, np.eye(4))
-
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
         """(m,) True where points (m, k, 3) in its frame are outside of what is touched, but for `near` [mm]."""
         return np.asarray(np.all(self.linearized(points, values, np.zeros(1))[0][..., 0] > -near, axis=1))

@@ -14,7 +14,7 @@ most uses, and searches ask for hundreds of models, so models that have the same
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import attrgetter
@@ -153,11 +153,6 @@ class Model:
         """What the effects need of arm and data: gravity, directions, temperature, time, past."""
         return frozenset().union(*(effect.needs for effect in self.effects))
 
-    @property
-    def remembers(self) -> bool:
-        """True if an effect depends on the postures measured before."""
-        return "past" in self.needs
-
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
@@ -183,7 +178,7 @@ class Model:
         """Where each condition stands among the columns of the table."""
         chain = self.arm.chain
         several = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
-        further = ("past",) * self.remembers + ("marker",) * several
+        further = ("past",) * ("past" in self.needs) + ("marker",) * several
         further += ("orientation",) * (chain.angle_scale is not None) + ("errors", "off") * bool(self._curves)
         return condition_columns(self.joints, further)
 
@@ -284,10 +279,7 @@ class Model:
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
-        """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets.
-
-        Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
-        """
+        """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets."""
         return self.expressions._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def linearize(
@@ -338,16 +330,15 @@ class Model:
         """
         return self.arm.chain.points(self._postures(postures), self.geometry)
 
-    def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
-        """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
+    def torques(self, postures: ArrayLike, conditions: When = None) -> Array:
+        """(m, n) gravity torques of the nominal arm (`Chain.torques`). Raises `InputError` for one without gravity."""
         q, c = self.expressions.symbols[:2]
-        value = ca.cse(ca.densify(expression(self.chain_at(q, c))))
-        evaluate = vectorize(ca.Function("expression", [q, c], [value]))
-        return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
+        torques = ca.Function("torques", [q, c], [ca.cse(ca.densify(self.chain_at(q, c).torques))])
+        return vectorize(torques)(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
-        if q.ndim not in (2, 3) or q.shape[-1] != self.joints:
+        if q.ndim != 2 or q.shape[1] != self.joints:
             raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.joints})")
         return q
 

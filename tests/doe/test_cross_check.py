@@ -23,7 +23,7 @@ def test_three_answers_agree() -> None:
     methods = [
         "relaxation, clarabel",
         "column generation, column_generation",
-        "exact plan, exchange_ipopt",
+        "exact plan, exchange",
         "closed form",
     ]
     assert [row["method"] for row in found] == methods

@@ -329,7 +329,7 @@ def targets(draw: st.DrawFn, arm: ArmText) -> str:
 def studies(draw: st.DrawFn, arm: ArmText) -> str:
     """A small study of one or two plans."""
     plan = ["random", "best_of_random", "plan.csv", "exchange", *(() if arm.spatial else ("dft",))]
-    plan = ["fedorov", "none", "../plan.csv"] if one_in(draw, 12) else plan
+    plan = ["none", "../plan.csv"] if one_in(draw, 12) else plan
     chosen = [f'"{pick(draw, plan)}"' for _ in range(draw(st.integers(1, 2)))]
     few = 3 if arm.spatial else 1  # equations of a row make up for the parameters
     runs = ["[1]", "[]"] if one_in(draw, 12) else [f"[{12 * few}]", f"[{10 * few}, {20 * few}]", f"[{8 * few}]"]

@@ -141,8 +141,6 @@ def test_the_past_follows_the_order_and_stays_with_its_rows() -> None:
     some = data.rows([0, 2])
     np.testing.assert_array_equal(np.asarray(some.conditions.past), past[[0, 2]])
     np.testing.assert_array_equal(np.asarray(some.rows([1]).conditions.past), past[[2]])
-    both = past_from_order(np.stack([q, 2.0 * q]))  # two sessions at once
-    np.testing.assert_array_equal(both[1], 2.0 * past_from_order(q))
 
 
 def test_the_past_is_worked_out_only_where_an_effect_asks_for_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,7 +39,10 @@ def candidates(folder: Folder) -> None:
 
 
 @pytest.fixture
-def cell(folder: Folder) -> Folder:
+def cell(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> Folder:
+    """With posts; and without bounds, which take most of the time and of which nothing is asked here."""
+    for place in ("doe.solvers.solving.best_known_bound", "doe.design.best_known_bound"):
+        monkeypatch.setattr(place, lambda *_: None)
     folder.write("arm.toml", ARM.replace("links_mm", "link_width_mm = 30.0\nlinks_mm") + POSTS)
     return folder
 

@@ -14,7 +14,6 @@ from doe.bounds.certificate import Bound
 from doe.design import score_plan
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
-from doe.studies.comparison import Comparison
 from identification.arm import EffectSpec
 from identification.errors import InputError, JobError
 from identification.running import Status
@@ -167,7 +166,6 @@ def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None
     try:
         assert chosen_solver(problem(FOUR), "baseline") == Random()  # a class is called without arguments
         assert set(available_solvers()) == {*SOLVERS, "baseline"}
-        Comparison([FOUR], [4], ["baseline"])
     finally:
         available_solvers.cache_clear()
 

@@ -52,9 +52,6 @@ def test_figures() -> None:
     for found, reached in ((FOUND, [0]), (replace(FOUND, violations=None), [0, 2])):
         np.testing.assert_array_equal(found.safe_commands[reached], found.commands[reached])
         assert np.isnan(np.delete(found.safe_commands, reached, axis=0)).all()
-    frame = FOUND.to_frame()
-    assert frame.columns == ["q1", "q2", "x_mm", "y_mm", "error_mm", "reachable", "message"]
-    assert frame["q1"].to_list() == pytest.approx([30.0, 0.0, -90.0])
 
 
 def test_rows_without_a_command_have_none() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 from identification.compensate import Compensation
 from identification.document import Sheet
 from identification.documents.identification import (
-    compensation_document,
     corrected_section,
     identification_actions,
     identification_verdict,
@@ -63,15 +62,16 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
         (False, "base", [refit, again]),
         (False, "offsets", [again]),
     ):
-        actions = validation_actions(better, how, "m.toml", "d.csv")
+        data = {"rms_mm": 1.0, "rms_nominal_mm": 2.0 if better else 1.0, "refit": how, "notes": []}
+        actions = validation_actions(data, "m.toml", "d.csv")
         assert [action.command for action in actions] == expected
-        first, *rest = validation_actions(better, how, "m.toml", "d.csv", beyond=True)
+        first, *rest = validation_actions(data, "m.toml", "d.csv", beyond=True)
         assert "--library-prior" in first.command
         assert rest == actions
-    first = identification_actions("a.toml", "d.csv", None, diagnosed=False)
+    first = identification_actions({"warnings": []}, "a.toml", "d.csv", None, diagnosed=False)
     assert first[0].text.endswith("add --out calibrated.toml to this command.")
     assert first[1].command.startswith("armcal diagnose a.toml d.csv")
-    kept = identification_actions("a.toml", "d.csv", Path("mine.toml"), diagnosed=True)
+    kept = identification_actions({"warnings": []}, "a.toml", "d.csv", Path("mine.toml"), diagnosed=True)
     assert [action.command.split()[1:3] for action in kept] == [["validate", "mine.toml"], ["compensate", "mine.toml"]]
 
 
@@ -88,7 +88,7 @@ def test_counts_of_targets_without_a_command() -> None:
     """Row 2 is out of reach, row 3 barred; both lack angles, and a sentence says how many and why."""
     found = commands([0.0, 3.0, 0.0], [-1.0, -1.0, 2.0])
     assert np.isnan(found.safe_commands).tolist() == [[False], [True], [True]]
-    document = compensation_document(found)
+    document = found.document()
     why = "2 have no command (angles left empty): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
     assert document.verdict == [f"1 of 3 targets reached by the calibrated model. {why}"]
     table, *reasons = document.parts

@@ -26,7 +26,7 @@ def test_equals_scipy_with_weights(effects: tuple[EffectSpec, ...], m: int) -> N
     # scipy stops at a relative change of the cost of 1e-15: about 1e-7 of a standard deviation (0.03 mm)
     np.testing.assert_allclose(closed.parameters * model.scales, other.x * model.scales, rtol=0, atol=1e-7)
     weighted = np.sum(weights[:, None] * closed.residuals_after**2)
-    assert weighted <= 2.0 * other.cost * (1.0 + 1e-12)
+    assert weighted <= 2.0 * other.cost * (1.0 + 1e-10)  # residuals of .1 mm, rounded to 1e-13
 
 
 @pytest.mark.parametrize("n", [1, 3, 6])

@@ -150,7 +150,7 @@ def random_case(generator: np.random.Generator, arm: Arm, m: int) -> tuple[Model
 
 
 @pytest.mark.parametrize("n", [1, 12])
-def test_all_effects_together_are_the_plain_formula_and_its_central_difference(n: int) -> None:
+def test_all_effects_together_are_the_plain_formula(n: int) -> None:
     generator = np.random.default_rng(n)
     few = OF_JOINT if n > 1 else OF_JOINT[:-1]
     arm = random_arm(generator, n, [*(spec(name, None) for name in WHOLE), *(spec(name, n) for name in few)])
@@ -160,14 +160,6 @@ def test_all_effects_together_are_the_plain_formula_and_its_central_difference(n
     expected = [reference(arm, q, row, named) for q, row in zip(postures, table, strict=True)]
     # differences of energies lose 1e-9 of a torque; its effect is some mm
     np.testing.assert_allclose(model.position(postures, values, conditions), expected, rtol=0, atol=1e-6)
-    jacobian = model.jacobian(postures, values, conditions)
-    for k in range(len(values)):
-        size = max(np.max(np.abs(jacobian[..., k])), 1e-3)
-        step = np.eye(len(values))[k] * 0.01 / size  # moves the tip by 0.01 mm
-        ahead, behind = (model.position(postures, values + s * step, conditions) for s in (1, -1))
-        difference = (ahead - behind) / (2 * step[k])
-        # rounding 1e-12 mm over 0.02 mm, curvature (0.01/50)^2/6: both below 1e-7 of the column
-        np.testing.assert_allclose(jacobian[..., k], difference, rtol=0, atol=1e-6 * size)
 
 
 @pytest.mark.parametrize("n", [1, 12])
