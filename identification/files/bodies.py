@@ -99,7 +99,7 @@ def covered(body: GivenBody, reach: float, foot: bool = False) -> Body:
     if rest:
         solid = np.concatenate([drawn[k] for k in rest])
         size = np.ptp(solid, axis=(0, 1))
-        if body.joint or (foot and size.min() > 0.1 * size.max()):
+        if body.joint or (foot and size.min() > 0.3 * size.max()):
             exact = np.concatenate([exact, capsules_around(solid)])
         else:
             boxes = np.concatenate([boxes_around(triangles[k], shapes[k].place) for k in rest])
