@@ -40,6 +40,7 @@ PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "tim
 FAINT = 0.03
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
 WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
+HOLE = 0.5 * np.pi  # convention: angles without a row that are no part of what was measured
 TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
 SLOW = 3  # convention: half periods, of orders of functions of several variables
 
@@ -340,13 +341,15 @@ def curve_waves(angles: Array, start: float, stop: float) -> Array:
 
 def measured_range(angles: Array, turns: bool) -> tuple[float, float]:
     """First and last angle [rad] of those measured (m,); where a joint turns, and no more than once around, they begin
-    after the widest gap on the circle."""
+    after a gap on the circle of more than `HOLE`, and than the one between the last and the first."""
     low, high = float(angles.min()), float(angles.max())
     if not turns or high - low > 2.0 * np.pi:
         return low, high
     order = np.argsort(np.mod(angles, 2.0 * np.pi))
     gaps = np.mod(np.roll(angles[order], -1) - angles[order], 2.0 * np.pi)
     widest = int(np.argmax(gaps))
+    if gaps[widest] <= max(HOLE, 2.0 * np.pi - (high - low)):
+        return low, high
     start = float(np.roll(angles[order], -1)[widest])
     return start, start + 2.0 * np.pi - float(gaps[widest])
 
