@@ -143,6 +143,15 @@ class D(Criterion):
             total[..., rows[:, None], rows] += sign * np.linalg.inv(information[..., rows[:, None], rows])
         return total
 
+    def curvature(self, information: Array, directions: Array) -> Array:
+        """-sum_t s_t tr(M_t^-1 X_a M_t^-1 X_b), with real inverses only."""
+        total = np.zeros((len(directions), len(directions)))
+        for sign, rows in self.terms(len(information)):
+            root = np.linalg.inv(np.linalg.cholesky(information[rows[:, None], rows]))
+            whitened = (root @ directions[:, rows[:, None], rows] @ root.T).reshape(len(directions), -1)
+            total -= sign * (whitened @ whitened.T)
+        return total
+
     def values_after_adding(self, information: Array, jacobians: Array) -> Array:
         """Less Phi(A_s), by the determinant lemma: log det(I_d + B_t A_t^-1 B_t^T)."""
         total = np.zeros(jacobians.shape[:2])

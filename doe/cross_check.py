@@ -18,16 +18,15 @@ def cross_check(
     problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0, seconds: float = 60.0
 ) -> list[dict[str, Any]]:
     """Rows `method`, `space`, attained `value`, upper `bound` and `table_1_max_residual` of the (weighted) plan: of the
-    relaxation, the optimum over all postures, an exact plan of IPOPT, and the closed form where it applies; bounds and
-    attained values bracket the truth.
+    relaxation, the optimum over all postures, an exact plan, and the closed form where it applies; bounds and attained
+    values bracket the truth.
 
     With a prior over many effects, whose continuous optimum takes hours, without that.
     seconds : for both, the first half for the exact plan, which a bound reached ends sooner
     """
     end = perf_counter() + seconds
-    solver = "exchange_ipopt" if problem.choices is None else None
     # where the weights took all the time the exact plan has that of its first start
-    exact = solve(problem, runs, solver, seed=seed, seconds=max(0.5 * seconds, 0.01))
+    exact = solve(problem, runs, "exchange", seed=seed, seconds=max(0.5 * seconds, 0.01))
     designs: list[tuple[str, str, ApproximateDesign | Design]] = [("relaxation", "candidates", relaxed)]
     if not problem.deviations:
         try:

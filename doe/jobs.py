@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import polars as pl
@@ -212,9 +212,14 @@ def run_tasks(
             allowed = f"--seed {made} to go on, or --force to replace them"
             raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     waiting, running = deque(text for text in asked if text not in table.rows), dict[Future[Any], str]()
-    done, failed, suspects = len(asked) - len(waiting), 0, set[str]()  # that may have killed their worker: run alone
+    done, failed = len(asked) - len(waiting), 0
 
-    def store(text: str, rows: list[Row] | None, error: BaseException | None = None) -> None:
+    def task(text: str) -> tuple[Any, ...]:
+        """The arguments of `perform`."""
+        key = asked[text]
+        return function, dict(key), seed, *(() if payload is None else (payload(key),))
+
+    def store(text: str, rows: list[Row] | None, error: BaseException | None) -> None:
         nonlocal done, failed
         table.add(text, rows or [_failure(asked[text], seed, error)])
         done, failed = done + 1, failed + (rows is None or rows[0]["status"] != "done")
@@ -225,17 +230,14 @@ def run_tasks(
         while waiting:
             try:
                 with executor_of(workers) as (executor, count):
-                    # three tasks per worker, so that none waits; a million tasks are never in flight at once
-                    ahead = count * 3 if count > 1 else 1
                     while waiting or running:
-                        while waiting and len(running) < (1 if suspects & {waiting[0], *running.values()} else ahead):
-                            key = asked[waiting[0]]
-                            needed = () if payload is None else (payload(key),)
-                            future = executor.submit(perform, function, dict(key), seed, *needed)
+                        # three tasks per worker, so that none waits; a million tasks are never in flight at once
+                        while waiting and len(running) < (count * 3 if count > 1 else 1):
+                            future = executor.submit(perform, *task(waiting[0]))
                             running[future] = waiting.popleft()
                         for future in wait(running, 0.2, FIRST_COMPLETED).done:
                             if future.cancelled():
-                                raise BrokenExecutor
+                                raise JobError(LOST)
                             if isinstance(error := future.exception(), BrokenExecutor):
                                 raise error
                             text = running.pop(future)  # the executor's own error: rows that cannot travel
@@ -244,17 +246,14 @@ def run_tasks(
                         # while a result is fetched is logged and dropped
                         if (client := getattr(executor, "_client", None)) and client.status != "running":
                             raise JobError(LOST)
-            except BrokenExecutor as error:  # one task of these killed its worker, and took the others with it
+            except BrokenExecutor:
                 if not running:
                     raise JobError(LOST) from None
-                texts = list(running.values())
+                for text in running.values():  # one of these killed its worker, and took the others with it
+                    rows, alone = call(perform, *task(text), seconds=None)
+                    died = f"the worker process died when it ran this task alone ({alone['error']})"
+                    store(text, rows, JobError(died))
                 running.clear()
-                if len(texts) == 1 and texts[0] in suspects:
-                    died = f"the worker process died when it ran this task alone ({ending(error)})"
-                    store(texts[0], None, JobError(died))
-                else:
-                    suspects.update(texts)
-                    waiting.extendleft(reversed(texts))
     finally:  # in the order of the keys, whichever finished first
         table.rows = {text: table.rows[text] for text in (asked | table.rows) if text in table.rows}
     return table.frame(asked)
@@ -330,13 +329,6 @@ def _end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def ending(error: BrokenExecutor) -> str:
-    """How a process of ours ended, by what loky says of it."""
-    code = re.search(r"\((-?\d+)\)\}", str(error))
-    number = int(code[1]) if code else 1
-    return f"signal {-number}" if number < 0 else f"exit code {number}"
-
-
 @contextmanager
 def cluster(address: str, patience: float = 10.0) -> Iterator[tuple[Executor, int]]:
     """Executor and number of threads of a dask cluster, `tcp://host:port` of its scheduler; its workers need this
@@ -376,34 +368,30 @@ def cluster(address: str, patience: float = 10.0) -> Iterator[tuple[Executor, in
 
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------
-class Outcome(NamedTuple):
-    """How a call in its own process ended."""
-
-    value: Any  # what it returned, None unless `status` is "done"
-    status: str  # "done", "failed" (it raised), "timeout" (killed), "crashed" (the process died)
-    error: str | None = None  # one line on what went wrong
-    seconds: float = 0.0  # wall time of the call itself, without starting the process
-
-
-def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -> Outcome:
-    """`function(*arguments)` in a new process, killed `seconds` [s] after it was called.
+def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -> tuple[Any, Row]:
+    """`function(*arguments)` in a new process, killed `seconds` [s] after it was called: what it returned, and a row.
 
     function : importable by name there;  arguments : picklable
+
+    `status` : "done", "failed" (it raised), "timeout" (killed) or "crashed" (the process died), where the value is None
+    `error` : one line on what went wrong;  `seconds` : of the call itself, without starting the process
     """
+    value, status, error = None, "done", None
     with _pool(1) as process:
-        started = time.monotonic()
+        began = time.monotonic()
         try:
             # a minute to start and import, which is not part of the limit on the call itself
             process.submit(id, function).result(60.0)  # its module is imported by now
-            started = time.monotonic()
+            began = time.monotonic()
             value = process.submit(_silenced, function, arguments).result(seconds)
         except TimeoutError:
-            return Outcome(None, "timeout", f"killed after {seconds:g} s", seconds or 60.0)
-        except BrokenExecutor as error:
-            return Outcome(None, "crashed", ending(error), time.monotonic() - started)
-        except Exception as error:  # noqa: BLE001 - every failure becomes the outcome
-            return Outcome(None, "failed", one_line(error), time.monotonic() - started)
-        return Outcome(value, "done", None, time.monotonic() - started)
+            status, error = "timeout", f"killed after {seconds or 60.0:g} s"
+        except BrokenExecutor as lost:  # loky says how in its message
+            code = re.search(r"\((-?)(\d+)\)\}", str(lost)) or ("", "", "1")
+            status, error = "crashed", f"{'signal' if code[1] else 'exit code'} {code[2]}"
+        except Exception as raised:  # noqa: BLE001 - every failure becomes a row
+            status, error = "failed", one_line(raised)
+        return value, {"status": status, "error": error, "seconds": time.monotonic() - began}
 
 
 def _silenced(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:

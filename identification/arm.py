@@ -233,6 +233,11 @@ class Arm(ByValue):
         return limits[0], limits[1]
 
     @property
+    def payload(self) -> float:
+        """[kg] at the tip, 0 where nothing is said of it."""
+        return 0.0 if self.gravity is None else self.gravity.payload
+
+    @property
     def reach(self) -> float:
         """Length of the stretched nominal arm [mm]."""
         return self.chain.reach

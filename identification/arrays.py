@@ -5,6 +5,7 @@ from __future__ import annotations
 import copyreg
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from itertools import accumulate
 from numbers import Real
 from types import MappingProxyType
 from typing import Any
@@ -65,6 +66,12 @@ def _hashable(value: Any) -> Any:
         numbers = {key: held for key, held in value.items() if isinstance(held, Real | np.ndarray)}
         return frozenset(value), frozenset(zip(numbers, map(_hashable, numbers.values()), strict=True))
     return (value.shape, *value.flat[:50].tolist()) if isinstance(value, np.ndarray) else value
+
+
+def slices(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Where each part of a vector stands, of parts of these sizes in this order."""
+    ends = accumulate(sizes.values())
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
 def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:

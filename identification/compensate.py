@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, as_frame, readonly
-from identification.document import Document, Documented
-from identification.documents.identification import compensation_document
+from identification.arrays import Array, readonly
+from identification.document import Document, Documented, Sheet
+from identification.documents.identification import command_rows, miss_text, rows_listed
 from identification.errors import InputError
 from identification.estimation.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.files.csv import csv_text
@@ -105,10 +105,10 @@ def compensate(
     start, where, sided = nominal, replace(conditions or Conditions(), orientation=turned), tuple[str, ...]()
     if start is None:
         middle = np.tile(np.add(*familiar) / 2.0, (len(goals), 1))
-        start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes)
+        start = search(Task(drawing, goals, middle, Conditions(orientation=turned), constraints), boxes, closest=False)
     if where.directions is None and len(start):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
-        past = past_from_order(start) if model.remembers else None
+        past = past_from_order(start) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(start), past=past)
     commands = search(Task(model, goals, start, where, constraints, enough), boxes, keeps_branch=True)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
@@ -124,7 +124,7 @@ def compensate(
         arm.joint_types,
         turned,
         None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
-        tuple(each.kind for each in constraints),
+        names_at(constraints, commands),
         missed,
         beyond,
         rms,
@@ -149,6 +149,16 @@ def violations(constraints: Constraints, postures: Array) -> Array:
     return np.where(missed > TOLERANCE, missed, 0.0)
 
 
+def names_at(constraints: Constraints, postures: Array) -> tuple[tuple[str, ...], ...]:
+    """(m, c) kinds of the constraints, where bodies keep apart with the two that come nearest to what they keep."""
+    names = []
+    for each in constraints if len(postures) else ():
+        pairs = getattr(each, "pairs", ())
+        worst = np.argmin(each.margin(postures), axis=1)
+        names.append([f"{each.kind} of {' and '.join(pairs[k])}" if pairs else each.kind for k in worst.tolist()])
+    return tuple(zip(*names, strict=True))
+
+
 @dataclass(frozen=True, eq=False)
 class Compensation(Documented):
     """Joint commands for k targets.
@@ -160,7 +170,7 @@ class Compensation(Documented):
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
     angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
     joint_types : (n) of the arm, empty: all revolute
-    constraints : kinds of those given;  violations : (k, c) by how much each command misses them [mm]
+    constraints : (k, c) names of those given;  violations : (k, c) by how much each command misses them [mm]
     outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
     model_rms : [mm] that the calibrated model left of its own measurements, None: not known
     sided : effects of the model for which the order of the targets was taken as that of the approach
@@ -174,7 +184,7 @@ class Compensation(Documented):
     joint_types: tuple[str, ...] = ()
     orientations: Array | None = None
     angles: Array | None = None
-    constraints: tuple[str, ...] = ()
+    constraints: tuple[tuple[str, ...], ...] = ()
     violations: Array | None = None
     outside: NDArray[np.bool_] | None = None
     model_rms: float | None = None
@@ -207,8 +217,9 @@ class Compensation(Documented):
             by = f"{error:.4g} mm{'' if self.angles is None else f' and {np.degrees(self.angles[k]):.4g} deg'}"
             clauses = [] if near else [f"out of reach within the joint limits: {nearest} {by}"]
             missed = () if self.violations is None else self.violations[k]
-            for number, (kind, size) in enumerate(zip(self.constraints, missed, strict=True), start=1):
-                clauses += [f"constraint {number} ({kind}) is missed by {size:.4g} mm"] if size > 0.0 else []
+            names = self.constraints[k] if self.constraints else ()
+            for number, (name, size) in enumerate(zip(names, missed, strict=True), start=1):
+                clauses += [f"constraint {number} ({name}) is missed by {size:.4g} mm"] if size > 0.0 else []
             messages.append("; ".join(clauses))
         return messages
 
@@ -265,8 +276,12 @@ class Compensation(Documented):
     def commands_in_file_units(self) -> Array:
         """(k, n) [deg], of prismatic joints [mm], as the controller counts."""
         commands = in_columns(self.commands, self.joint_types)
-        turning = np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
-        return np.where(turning, np.degrees(commands), commands)
+        return np.where(self.turning, np.degrees(commands), commands)
+
+    @property
+    def turning(self) -> NDArray[np.bool_]:
+        """(n,) True for revolute joints."""
+        return np.array(self.joint_types or (REVOLUTE,) * self.commands.shape[1]) == REVOLUTE
 
     def to_json(self) -> dict[str, Any]:
         """Counts, the largest error over targets reached, the others, and a row for each target
@@ -300,16 +315,33 @@ class Compensation(Documented):
             "commands": [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)],
         }
 
-    def to_frame(self) -> Any:
-        """A row for each target: `q1`.. [deg, mm], `x_mm`.., `error_mm`, `reachable`, `message`."""
-        columns = {f"q{j}": values for j, values in enumerate(self.commands_in_file_units.T, start=1)}
-        columns |= {f"{axis}_mm": values for axis, values in zip("xyz", self.targets.T, strict=False)}
-        left: dict[str, Any] = {"error_mm": self.left, "reachable": self.reached, "message": self.messages}
-        return as_frame(columns | left)
-
     def document(self) -> Document:
         """How many targets are reached and which are not, then joint commands for the first ones."""
-        return compensation_document(self)
+        reached, near = self.reached, self.near
+        verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
+        if self.model_rms is not None:
+            verdict += f" (RMS {self.model_rms:.4g} mm on its own measurements)"
+        if self.angles is not None and reached.any():
+            most = float(np.degrees(np.max(self.angles[reached])))
+            verdict += f"; orientations are those wanted to {miss_text(most)} deg, by the same model"
+        verdict += "."
+        if missed := (np.flatnonzero(~reached) + 1).tolist():
+            counts = {"out of reach": ~near, "barred by a constraint": near & ~reached}
+            why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
+            counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
+            have = "have" if len(missed) > 1 else "has"
+            verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
+        reasons = [f"target {k} ! {message}" for k, message in enumerate(self.messages, start=1) if message]
+        rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
+        (_, joints), dimension = self.commands.shape, self.targets.shape[1]
+        digits = 3 if joints + dimension <= 6 else 2  # of more joints and axes than 80 columns have room
+        units = ["" if turns else " [mm]" for turns in self.turning]
+        commands = np.where(reached[:, None], self.commands_in_file_units, np.nan)
+        rows = command_rows(self.targets, commands, self.left, digits)
+        headings = ["row", *"xyz"[:dimension], *(f"q{j}{unit}" for j, unit in enumerate(units, start=1)), "miss"]
+        table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
+        rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
+        return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=self.warnings)
 
     def __repr__(self) -> str:
         return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
@@ -328,6 +360,11 @@ class Task(NamedTuple):
     conditions: Conditions
     constraints: Constraints = ()
     enough: float = TOLERANCE
+
+    @property
+    def redundant(self) -> bool:
+        """Whether postures reach a goal in more ways than one by one."""
+        return self.conditions.orientation is None and self.near.shape[1] > self.goals.shape[1]
 
     def at(self, rows: Index) -> Task:
         """Of some of the goals."""
@@ -387,88 +424,119 @@ class Task(NamedTuple):
         return np.take_along_axis(postures, order[:, :, None], axis=1), left, rank
 
 
-def search(task: Task, boxes: Sequence[tuple[Array, Array]], *, keeps_branch: bool = False) -> Array:
-    """(k, n) postures that reach the goals within the first of some limits in which one does; where none does, the
-    closest to the goal within the first.
+def search(
+    task: Task, boxes: Sequence[tuple[Array, Array]], *, keeps_branch: bool = False, closest: bool = True
+) -> Array:
+    """(k, n) postures that reach the goals within the first of some limits in which one does, each within the next;
+    where none does, the closest to the goal within the first.
 
     keeps_branch : of the postures that reach a goal that to which `near` leads is taken, not the nearest to `near`
+    closest : False: where none does, a posture near to the goal is enough
     """
-    postures, rank = np.empty_like(task.near), np.full(len(task.near), np.inf)
-    for limits in boxes:
-        rest = np.flatnonzero(rank >= MISSED)
-        for rows in np.split(rest, range(1_000, len(rest), 1_000)):
-            ends, ranks = _within_limits(task.within(limits).at(rows), keeps_branch)
-            better = (ranks < MISSED) | np.isinf(rank[rows])
-            postures[rows[better]], rank[rows[better]] = ends[better], ranks[better]
+    if len(task.near) > 1_000:
+        parts = np.split(np.arange(len(task.near)), range(1_000, len(task.near), 1_000))
+        return np.concatenate(
+            [search(task.at(rows), boxes, keeps_branch=keeps_branch, closest=closest) for rows in parts]
+        )
+    inner, *outer = (task.within(limits) for limits in boxes)
+    postures, rank = _tried_quickly(inner, keeps_branch)
+    missed, beside = np.flatnonzero(rank >= MISSED), np.empty(0, dtype=int)
+    if outer and missed.size:  # what is out of reach there is out of reach within the first, too
+        wider = outer[0].at(missed)
+        ends, ranks = _tried_thoroughly(wider, *_tried_quickly(wider, keeps_branch), all_seeds=closest)
+        beside, missed = missed[ranks < MISSED], missed[ranks < BEYOND]
+        ends = ends[ranks < MISSED]
+    if missed.size:
+        rest = inner.at(missed), postures[missed], rank[missed]
+        postures[missed], rank[missed] = _tried_thoroughly(*rest, all_seeds=closest)
+    if beside.size:
+        only_there = rank[beside] >= MISSED
+        postures[beside[only_there]], rank[beside[only_there]] = ends[only_there], NEAR
+    if closest and (beyond := np.flatnonzero(rank >= BEYOND)).size:
+        postures[beyond] = _closest(inner.at(beyond), postures[beyond])
     return postures
 
 
-def _within_limits(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
-    """(k, n) postures and (k,) ranks within the limits of the model."""
+def _seeds(task: Task) -> Array:
+    """(256, n) postures within the limits, always the same."""
+    arm = task.model.arm
+    return np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, arm.links))
+
+
+def _better(old: tuple[Array, Array], new: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Postures (k, n) and ranks (k,), those of the better rank. A branch that is nearer to a goal that is nearly
+    reached, by less than anybody knows, is none to go to."""
+    (postures, rank), (ends, ranks) = old, new
+    better = ranks < np.where((rank >= NEAR) & (rank < MISSED), NEAR, rank)
+    return np.where(better[:, None], ends, postures), np.where(better, ranks, rank)
+
+
+def _tried_quickly(task: Task, keeps_branch: bool) -> tuple[Array, Array]:
+    """(k, n) postures and (k,) ranks to which `near` and 32 seeds lead, of a redundant arm six."""
     arm, (k, n) = task.model.arm, task.near.shape
     task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
-    postures, rank = task.near.copy(), np.full(k, np.inf)
-    seeds = np.random.default_rng(0).uniform(arm.lower, arm.upper, (256, n))  # always the same, 32 of them at first
-    redundant = task.conditions.orientation is None and n > task.goals.shape[1]
-
-    def take(rows: Index, ends: Array, ranks: Array) -> None:
-        # a branch that is nearer to a goal that is nearly reached, by less than anybody knows, is none to go to
-        better = ranks < np.where((rank[rows] >= NEAR) & (rank[rows] < MISSED), NEAR, rank[rows])
-        postures[rows[better]], rank[rows[better]] = ends[better], ranks[better]
-
+    best = task.near.copy(), np.full(k, np.inf)
     if keeps_branch:
         ends, _, ranks = task.ranked(*task.descended(task.near[:, None]))
-        take(np.arange(k), ends[:, 0], ranks[:, 0])
-    for first in (True, False) if redundant else (False,):
-        if not (rest := np.flatnonzero(rank >= (NEAR if first or not redundant else BEYOND))).size:
-            break
-        part, starts = task.at(rest), np.broadcast_to(seeds[:32], (len(rest), 32, n))
-        if first:  # most seeds reach most goals: the six whose linear steps to them end nearest
-            origin = Task(task.model, np.zeros((256, task.goals.shape[1])), seeds, Conditions())
-            gaps, jacobians = origin.gaps(seeds, np.arange(256))
-            scale = task.units / task.model.reach
-            shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
-            ends = seeds + np.einsum("snd,ksd->ksn", shortest, part.goals[:, None] + gaps)
-            away = np.linalg.norm((np.clip(ends, arm.lower, arm.upper) - part.near[:, None]) * scale, axis=2)
-            starts = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
-        take(rest, *_tried(part, np.concatenate([part.near[:, None], starts], axis=1), last=not first))
-    missed = np.flatnonzero(rank >= MISSED)
+        best = _better(best, (ends[:, 0], ranks[:, 0]))
+    rest, seeds = np.flatnonzero(best[1] >= NEAR), _seeds(task)
+    if not rest.size:
+        return best
+    part, starts = task.at(rest), np.broadcast_to(seeds[:32], (len(rest), 32, n))
+    if task.redundant:  # most seeds reach most goals: those whose linear steps to them end nearest
+        origin = Task(task.model, np.zeros((256, task.goals.shape[1])), seeds, Conditions())
+        gaps, jacobians = origin.gaps(seeds, np.arange(256))
+        scale = task.units / task.model.reach
+        shortest = np.linalg.pinv(jacobians / scale) / scale[:, None]  # (s, n, d)
+        ends = seeds + np.einsum("snd,ksd->ksn", shortest, part.goals[:, None] + gaps)
+        away = np.linalg.norm((np.clip(ends, arm.lower, arm.upper) - part.near[:, None]) * scale, axis=2)
+        starts = seeds[np.argsort(away, axis=1, kind="stable")[:, :6]]
+    tried = _tried(part, np.concatenate([part.near[:, None], starts], axis=1))
+    for array, of_rest in zip(best, _better((best[0][rest], best[1][rest]), tried), strict=True):
+        array[rest] = of_rest
+    return best
+
+
+def _tried_thoroughly(task: Task, postures: Array, rank: Array, *, all_seeds: bool) -> tuple[Array, Array]:
+    """Better postures (k, n) and ranks (k,), of a redundant arm from the first 32 seeds, then from all."""
+    arm, seeds = task.model.arm, _seeds(task)
+    task = task._replace(near=turned_into(task.near, arm.lower, arm.upper, task.model.joint_types))
+    if task.redundant and (rest := np.flatnonzero(rank >= BEYOND)).size:
+        tried = _tried(task.at(rest), np.broadcast_to(seeds[:32], (len(rest), *seeds[:32].shape)))
+        postures[rest], rank[rest] = _better((postures[rest], rank[rest]), tried)
+    missed = np.flatnonzero((rank >= MISSED) & all_seeds)
     missed = missed[np.argsort(rank[missed], kind="stable")]
-    for start in range(0, len(missed), 32):  # effort: those missed by least with the other seeds, while it helps
+    for start in range(0, len(missed), 32):  # effort: those missed by least, while it helps
         rows = missed[start : start + 32]
-        take(rows, *_tried(task.at(rows), np.broadcast_to(seeds[32:], (len(rows), 224, n))))
+        tried = _tried(task.at(rows), np.broadcast_to(seeds[32:], (len(rows), *seeds[32:].shape)))
+        postures[rows], rank[rows] = _better((postures[rows], rank[rows]), tried)
         if np.all(rank[rows] >= MISSED):
             break
     return postures, rank
 
 
-def _tried(task: Task, starts: Array, *, last: bool = True) -> tuple[Array, Array]:
+def _tried(task: Task, starts: Array) -> tuple[Array, Array]:
     """(k, n) the best postures that starts (k, s, n) lead to, and their ranks (k,): where all miss a constraint by what
-    is missed as further residuals, and where none reaches the goal, if these are the last starts, by Newton's method.
-    """
+    is missed as further residuals."""
     ends, _, rank = task.ranked(*task.descended(starts, QUICK))
     best, ranks = ends[:, 0], rank[:, 0]
-    beyond, barred = (ranks >= BEYOND) & last, (ranks >= MISSED) & (ranks < BEYOND)
-    barred &= ends.shape[2] > task.goals.shape[1]  # a redundant arm has more than the starts found
-    for which, led_on in ((beyond, _newton), (barred, _turned_away)):
-        if which.any():
-            part = task.at(np.flatnonzero(which))
-            further, _, better = part.ranked(*led_on(part, ends[which]))
-            gains = better[:, 0] < ranks[which]
-            rows = np.flatnonzero(which)[gains]
-            best[rows], ranks[rows] = further[gains, 0], better[gains, 0]
+    barred = (ranks >= MISSED) & (ranks < BEYOND)
+    if ends.shape[2] > task.goals.shape[1] and barred.any():  # a redundant arm has more than the starts found
+        part = task.at(np.flatnonzero(barred))
+        clear = part.descended(ends[barred][:, :3], 8, clear=True)[0]  # of a few, more is effort
+        further, _, better = part.ranked(*part.descended(clear, QUICK))
+        gains = better[:, 0] < ranks[barred]
+        rows = np.flatnonzero(barred)[gains]
+        best[rows], ranks[rows] = further[gains, 0], better[gains, 0]
     return best, ranks
 
 
-def _turned_away(task: Task, starts: Array) -> tuple[Array, Array]:
-    """What postures that miss constraints, starts (k, s, n), best first, are led to: a few of them, more is effort."""
-    return task.descended(task.descended(starts[:, :3], 8, clear=True)[0], QUICK)
-
-
-def _newton(task: Task, starts: Array) -> tuple[Array, Array]:
-    """The closest postures (k, 1, n) to goals out of reach, by Newton's method, and what they leave (k, 1);  starts :
-    (k, s, n), best first"""
+def _closest(task: Task, postures: Array) -> Array:
+    """(k, n) the closest postures to goals out of reach, by Newton's method from postures (k, n) and from seeds."""
     arm, units = task.model.arm, task.model.reach / task.units
+    seeds = np.broadcast_to(_seeds(task)[:32], (len(postures), 32, arm.links))
+    starts = np.concatenate([postures[:, None], seeds], axis=1)
+    starts = task.ranked(*task.descended(starts, QUICK))[0]
     # of starts that are nearly the same the first
     firsts = (np.sort(np.unique(np.round(ordered, 1), axis=0, return_index=True)[1]) for ordered in starts)
     kinds = [ordered[first] for ordered, first in zip(starts, firsts, strict=True)]
@@ -488,4 +556,5 @@ def _newton(task: Task, starts: Array) -> tuple[Array, Array]:
 
     ends = newton_ascent(np.concatenate(kinds), height, slopes, (arm.lower, arm.upper), units)
     order = np.lexsort((-height(ends, np.arange(len(ends))), goal))
-    return task.descended(ends[order[np.unique(goal[order], return_index=True)[1]], None])
+    best = ends[order[np.unique(goal[order], return_index=True)[1]], None]
+    return task.ranked(*task.descended(np.concatenate([best, postures[:, None]], axis=1), 1))[0][:, 0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.arm import LARGEST
-from identification.arrays import Array, ByValue
+from identification.arrays import Array, ByValue, slices
 
 # what follows from the order of measurement: all, and what only rows that follow each other show
 BY_ORDER = frozenset({"time", "directions", "past"})
@@ -92,7 +92,6 @@ class Conditions(ByValue):
     past : (m, n, 12) what each joint remembers of the postures before (`past_from_order`) [rad], None: nothing
     marker : (m,) number of the measured point of each row, from 0, None: the first
     orientation : (m, 3, 3) measured, which computed ones are compared with; None: those of the arm as best known
-    For K sessions at once, (K, m), (K, m, n) and (K, m, n, 12).
     """
 
     payload: Array | None = None
@@ -104,32 +103,20 @@ class Conditions(ByValue):
     marker: Array | None = None
     orientation: Array | None = None
 
-    @classmethod
-    def in_order(cls, postures: Array, remembers: bool = False) -> Conditions:
-        """Conditions (..., m) of plans (..., m, n) measured in their order, as `Measurements.conditions` of each.
-
-        remembers : with the past of the joints, which takes time
-        """
-        time = np.broadcast_to(session_time(np.arange(postures.shape[-2], dtype=float)), postures.shape[:-1])
-        past = past_from_order(postures) if remembers else None
-        return cls(time=time, directions=directions_from_order(postures), past=past)
-
-    def table(self, m: int | tuple[int, ...], n: int, payload: float, postures: Array | None = None) -> Array:
-        """(m, 4 + n) columns payload [kg], temperature [K], time, session, directions, with the neutral values filled
-        in; (K, m, 4 + n) for m = (K, m).
-
-        postures : (m, n) for 12 n columns more with the past, where there is none the posture itself; None: without
-        """
-        shape = np.atleast_1d(m)
-        table = np.empty((*shape, 4 + n + (0 if postures is None else n * REMEMBERED)))
-        plain = (self.payload, payload), (self.temperature, 0.0), (self.time, 0.0), (self.session, 0.0)
-        for column, (values, neutral) in enumerate(plain):
-            table[..., column] = neutral if values is None else values
-        table[..., 4 : 4 + n] = 1.0 if self.directions is None else self.directions
-        if postures is not None:
-            past = postures[..., None] if self.past is None else np.asarray(self.past)
-            whole = np.broadcast_to(past, (*postures.shape, REMEMBERED))
-            table[..., 4 + n :] = whole.reshape(*postures.shape[:-1], n * REMEMBERED)
+    def table(self, columns: Mapping[str, slice], postures: Array, payload: float) -> Array:
+        """(..., m, C) in these columns (`condition_columns`), of postures (..., m, n). Of which nothing is said is
+        neutral: the arm's payload [kg], approach +1, the first of several markers, of joints that remember the posture
+        itself, and zero."""
+        neutral: dict[str, Any] = {"payload": payload, "directions": 1.0, "marker": -1.0}
+        table = np.zeros((*postures.shape[:-1], max(place.stop for place in columns.values())))
+        for name, place in columns.items():
+            if (value := getattr(self, name, None)) is None:
+                value = np.repeat(postures, REMEMBERED, axis=-1) if name == "past" else neutral.get(name, 0.0)
+            elif name in ("past", "orientation"):
+                value = np.reshape(value, (*np.shape(value)[:-2], -1))
+            elif name != "directions":
+                value = np.asarray(value)[..., None]
+            table[..., place] = value
         return table
 
     @property
@@ -141,6 +128,18 @@ class Conditions(ByValue):
         """The conditions of some rows (any numpy index)."""
         pick = {name: value[index] for name, value in vars(self).items() if value is not None}
         return replace(self, **pick)
+
+
+def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]:
+    """Where each condition of a model of n joints stands among its columns, in this order.
+
+    further : which of those that not every model has: `past` of the joints, if an effect has a memory; `marker`, where
+        there are several; measured `orientation`, row by row; `errors` of the joints by their curves, with `off`, the
+        share of the curves' geometry that does not hold
+    """
+    sizes = {"payload": 1, "temperature": 1, "time": 1, "session": 1, "directions": n}
+    others = {"past": n * REMEMBERED, "marker": 1, "orientation": 9, "errors": n, "off": 1}
+    return slices(sizes | {name: size for name, size in others.items() if name in further})
 
 
 def session_time(order: Array) -> Array:
@@ -162,25 +161,25 @@ def gaps_of(order: Array) -> NDArray[np.bool_]:
 
 
 def directions_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:
-    """(..., m, n) sign of the change from the posture measured before; first row +1, no change: as before.
+    """(m, n) sign of the change from the posture measured before; first row +1, no change: as before.
 
-    postures : (m, n), or (K, m, n) of K sessions;  order : (m,), None: as they stand
+    postures : (m, n);  order : (m,), None: as they stand
     gaps : (m,) rows before which measurements are missing: 0 there, until the joint moves again
     """
-    m = postures.shape[-2]
+    m = len(postures)
     sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
     cut = np.zeros((m, 1), dtype=bool) if gaps is None else gaps[sequence, None].astype(bool)
     signs = np.ones_like(postures)
-    signs[..., 1:, :] = np.where(cut[1:], 0.0, np.sign(np.diff(postures[..., sequence, :], axis=-2)))
+    signs[1:] = np.where(cut[1:], 0.0, np.sign(np.diff(postures[sequence], axis=0)))
     # the last row that moved, for every row: a running maximum of row numbers
-    moved = np.maximum.accumulate(np.where((signs != 0.0) | cut, np.arange(m)[:, None], 0), axis=-2)
+    moved = np.maximum.accumulate(np.where((signs != 0.0) | cut, np.arange(m)[:, None], 0), axis=0)
     directions = np.empty_like(signs)
-    directions[..., sequence, :] = np.take_along_axis(signs, moved, axis=-2)
+    directions[sequence] = np.take_along_axis(signs, moved, axis=0)
     return directions
 
 
 def past_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:
-    """(..., m, n, 12) what each joint remembers when a posture is reached: turning points, the oldest first.
+    """(m, n, 12) what each joint remembers when a posture is reached: turning points, the oldest first.
 
     The first is where the session began, the last the posture before; in between stand the turning points that no
     later swing has wiped out, which decide the state of hysteresis (I. D. Mayergoyz, "Mathematical models of
@@ -189,23 +188,20 @@ def past_from_order(postures: Array, order: Array | None = None, gaps: Array | N
 
     postures, order, gaps : as of `directions_from_order`
     """
-    m = postures.shape[-2]
+    m, n = postures.shape
     sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
-    joints = np.moveaxis(postures[..., sequence, :], -2, -1).reshape(-1, m)
     cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()  # what was before is unknown
-    rows = list[list[float]]()
-    for angles in joints.tolist():
-        kept = angles[:1]
+    past = np.empty((m, n, REMEMBERED))
+    for j, angles in enumerate(postures[sequence].T.tolist()):
+        rows, kept = list[list[float]](), angles[:1]
         for k, angle in enumerate(angles):
             if cut[k]:
                 kept = [angle]
             rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
             if k and not cut[k]:
                 _remember(kept, angle)
-    past = np.array(rows).reshape(*postures.shape[:-2], postures.shape[-1], m, REMEMBERED)
-    turning_points = np.empty((*postures.shape, REMEMBERED))
-    turning_points[..., sequence, :, :] = np.moveaxis(past, -3, -2)
-    return turning_points
+        past[sequence, j] = rows
+    return past
 
 
 def _remember(kept: list[float], angle: float) -> None:

@@ -27,10 +27,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import BY_ORDER, Conditions
+from identification.conditions import BY_ORDER, REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
+from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import PRACTICAL, minimal
 from identification.model.placed import led_to_contact, of_positions, tip_jacobian
@@ -56,13 +57,16 @@ class ArmModel(Model):
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
         """(d,) coordinates [mm] at a posture (n,) and parameters (p,), under conditions of which nothing is said."""
-        conditions, each = self.condition_table(np.zeros((1, self.joints)), Conditions())[0], []
-        for name in {"reference", "missing", "errors", "off"} & set(self._columns):  # none is measured or looked up
-            conditions[self._columns[name]] = float(name == "missing")
+        at, chain, each = self._columns, self.arm.chain, []
+        conditions = ca.SX(ca.DM(Conditions().table(at, np.zeros((1, self.joints)), self.arm.payload)[0]))
+        if "past" in at:
+            conditions[at["past"]] = ca.vec(ca.repmat(q.T, REMEMBERED, 1))
         for point in range(self.points_read):
             if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
-                conditions[self._columns["marker"]] = point
-            each.append(self.expressions.position_function(q, ca.DM(conditions), p))
+                conditions[at["marker"]] = point
+            if "orientation" in at:
+                conditions[at["orientation"]] = ca.vec(chain.orientation(q, self.geometry, ca.SX(point)).T)
+            each.append(self.expressions.position_function(q, conditions, p))
         return ca.vertcat(*each)
 
     # -- what constraints need -------------------------------------------------------------------------------------
@@ -115,17 +119,18 @@ class ArmModel(Model):
         lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
         """
         chain = self.arm.chain
-        if key := chain.instrument.unknown(self.best_known):
-            reason = f"{key} is not known: where the {chain.instrument.kind} is touched depends on it"
-            raise InputError(f"instrument: {reason}, allowed for plans: with {key}, or a calibrated arm")
+        for p in chain.instrument.parameters:
+            if p.start is None and self.best_known[p.name] == p.neutral:
+                reason = f"{p.toml_key} is not known: where the {chain.instrument.kind} is touched depends on it"
+                raise InputError(f"instrument: {reason}, allowed for plans: with {p.toml_key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often
         for _ in range(batches):
             anywhere = generator.uniform(lower, upper, (batch, len(chain)))
             targets = len(chain.instrument.targets)  # as many postures for each
             target = np.arange(batch, dtype=float) % targets if targets else None
-            q = led_to_contact(self, anywhere, chain.instrument.touched, units, target)
-            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (self.gaps(q) < TOUCHES)]
+            q = led_to_contact(self, anywhere, 0.0, units, target)
+            q = q[np.all((q >= lower) & (q <= upper), axis=1) & (np.linalg.norm(self.position(q), axis=1) < TOUCHES)]
             q = q[self.clear_of_surface(q)]
             kept = np.concatenate([kept, q[feasible(q)]])[:CHOICES]
             if len(kept) == CHOICES:
@@ -146,10 +151,6 @@ class ArmModel(Model):
         points = of_positions(self).position(postures)
         apart = [np.linalg.norm(points - place, axis=1) for place in instrument.targets.values()]
         return {instrument.target: np.array([*instrument.targets])[np.argmin(apart, axis=0)].tolist()}
-
-    def gaps(self, postures: Array) -> Array:
-        """(m,) how far the measured point is from what it is to touch [mm] at postures (m, n)."""
-        return np.asarray(np.linalg.norm(self.position(postures) - self.arm.chain.instrument.touched, axis=1))
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
@@ -245,7 +246,7 @@ class ArmModel(Model):
 
         def by_order(postures: Array) -> Array:
             """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""
-            conditions = Conditions.in_order(postures, ordered.remembers)
+            conditions = Measurements(postures, np.zeros((len(postures), ordered.dimension))).conditions
             return self._of_each_point(ordered, postures, conditions) / ordered.scales
 
         return base, design_model(model), tuple(bases), weights, by_order, partial(detectability, arm)
@@ -292,7 +293,9 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     contacts : whether they can be planned, at postures that touch. Raises `InputError` where not, and where the surface
     has no place.
     """
-    instrument, stands = chain.instrument, BASE in chain.settled or chain.instrument.stands(chain.base)
+    instrument = chain.instrument
+    placed = bool(instrument.targets) if instrument.own_targets else not np.array_equal(chain.base, np.eye(4))
+    stands = placed or BASE in chain.settled
     if not instrument.reads_positions and not contacts:
         chain.refuse_contacts()
     if (instrument.contact or instrument.own_targets) and not stands:

@@ -17,6 +17,7 @@ from scipy.linalg import block_diag
 from scipy.special import fdtrc
 
 from identification.arm import Arm, Calibration
+from identification.documents.identification import REMOUNTED
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
@@ -256,6 +257,6 @@ def with_mounting_doubt(
             moved.append(f"{new.replace(' of ', ' in session ', 1)}: {size}")
     if not moved:
         return together
-    doubt = f"reflectors are mounted elsewhere than in the session before ({'; '.join(moved)}): {fall}"
+    doubt = f"{REMOUNTED} ({'; '.join(moved)}): {fall}"
     own = "where each has a name of its own; name them otherwise there, in the column marker"
     return replace(together, doubts=(f"{doubt} {own}", *together.doubts))

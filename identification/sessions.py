@@ -13,7 +13,7 @@ import numpy as np
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments import IN_PLANE, KINDS
+from identification.instruments import KINDS
 from identification.instruments.search import registered
 from identification.kinematics.chain import BASE as STAND
 from identification.kinematics.chain import TOOL
@@ -133,7 +133,7 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
 def without_sessions(calibration: Calibration) -> Calibration:
     """A calibration without the bases of later sessions, and without targets that stand in the frame of the base: the
     arm stands as in the first."""
-    words = [kind.own_targets for kind in (*KINDS.values(), *IN_PLANE.values()) if kind.own_targets]
+    words = [kind.own_targets for kinds in KINDS.values() for kind in kinds.values() if kind.own_targets]
     dropped = (f"{SESSIONS}.", *(f"{word}[" for word in words))
     kept = calibration.about(name for name in calibration.parameter_names if not name.startswith(dropped))
     return replace(kept, values={name: x for name, x in kept.values.items() if not name.startswith(dropped)})

@@ -30,7 +30,7 @@ from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_s
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.corrected import standing_in
-from identification.kinematics.frames import displaced_by, pose
+from identification.kinematics.frames import pose, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
@@ -126,7 +126,7 @@ class Validation(Documented):
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
-        notes = [note for note in self.notes if BY_CHANCE not in note]
+        notes = [note for note in self.notes if BY_CHANCE not in note and note != FITTED]
         parts = validation_sections(data, ", measured points" if TOOL in self.arm.chain.frame_kinds else "")
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
@@ -169,8 +169,8 @@ def _refitted(
     """The refitted parameters (`Validation.refitted`), (m, d) residuals [mm], and how many combinations the data leave
     open;  calibrated : the arm whose conditions hold, None: this one
 
-    The temperature is counted from the mean of the data of the identification, where it is known. Where the arm was set
-    up again, what happened once in the session of the identification is over: a drift or a step has come to its end.
+    The temperature is counted from the mean of the data of the identification, where it is known. In other rows than
+    those what happened once in that session is over: a drift or a step has come to its end.
     """
     model, origin = Model(arm), calibrated or arm
     for what, counted, needed in (
@@ -182,7 +182,8 @@ def _refitted(
     if "gravity" in model.needs and arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
     conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
-    if refit != "none" and any(effect.once for effect in Model(origin).effects):
+    own = comes_from(identified(origin), measurements)
+    if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
         conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
     if measurements.temperature is not None and mean is not None:
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))
@@ -204,7 +205,8 @@ def _refitted(
         stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
         points = {f"{TOOL}[{point}]": pose(at, stands.tool_axes.get(point)) for point, at in stands.tools.items()}
         for place, frame in {BASE: stands.base, **points}.items():
-            placed |= displaced_by(np.eye(4), frame, error_names(place))
+            six = [*frame[:3, 3].tolist(), *to_angles(frame[:3, :3]).tolist()]
+            placed |= dict(zip(error_names(place), six, strict=True))
         refitted += [
             {"session": name, "name": p.name, "unit": p.file_unit, "value": placed.get(p.name, value) * p.to_file}
             for p, value in zip(model.parameters, values.tolist(), strict=True)
@@ -234,12 +236,12 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
         elif fresh and not len(tools) == 1 == len(names):
             its = "its position was" if len(fresh) == 1 else "their positions were"
             yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-    if comes_from(identified(arm), measurements):
+    if own := comes_from(identified(arm), measurements):
         yield FITTED
     if far := extrapolation(arm, measurements.postures):
         yield far
     model = Model(arm)
-    if once := [effect.key for effect in model.effects if effect.once and refit != "none"]:
+    if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
         yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
     for effect in model.effects:
         for need, column, missing, instead in (
@@ -253,40 +255,25 @@ def _notes(validation: Validation, left_open: int) -> Iterator[str]:
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Offered:
-    """Distances [mm] that the model offered and the geometry alone leave, each as `identify` and `validate` have it.
+def offer(
+    by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p_value: float
+) -> dict[str, Any]:
+    """Key `offered` (identification/files/README.md, "JSON keys"): RMS and largest distance [mm] that the model offered
+    and the geometry alone leave, and whether it is better beyond chance, as `validate` judges it.
 
-    by : `holdout` or `cross-validation` (each posture by a fit to others);  rows : how many
-    rms, largest : of the model;  rms_geometry, largest_geometry : of the geometry, identified on the same rows
-    p_value : one-sided, of no gain
+    by : `holdout` or `cross-validation` (each posture by a fit to others);  p_value : one-sided, of no gain
     """
+    lengths = {"rms_mm": model[0], "max_mm": model[1], "rms_geometry_mm": geometry[0], "max_geometry_mm": geometry[1]}
+    better = model[0] < geometry[0] and p_value <= LEVEL_95 / 2.0
+    return {"by": by, "rows": rows, **lengths, "p_value": p_value, "better": better}
 
-    by: str
-    rows: int
-    rms: float
-    largest: float
-    rms_geometry: float
-    largest_geometry: float
-    p_value: float
 
-    @classmethod
-    def of(cls, by: str, geometry: Array, model: Array, measurements: Measurements) -> Offered:
-        """From residuals (m, d) [mm] of the same rows."""
-        before, after = figures_of(geometry), figures_of(model)
-        p_value = gained_squares(distances(geometry), distances(model), measurements).p_above()
-        return cls(by, len(model), after.rms, after.max, before.rms, before.max, p_value)
-
-    @property
-    def better(self) -> bool:
-        """Whether the model predicts better beyond chance, as `validate` judges it."""
-        return self.rms < self.rms_geometry and self.p_value <= LEVEL_95 / 2.0
-
-    def to_json(self) -> dict[str, Any]:
-        """Key `offered` (identification/files/README.md, "JSON keys")."""
-        lengths = {"rms_mm": self.rms, "max_mm": self.largest}
-        lengths |= {"rms_geometry_mm": self.rms_geometry, "max_geometry_mm": self.largest_geometry}
-        return {"by": self.by, "rows": self.rows, **lengths, "p_value": self.p_value, "better": self.better}
+def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements) -> dict[str, Any]:
+    """`offer` from residuals (m, d) [mm] of the same rows."""
+    before, after = distances(geometry), distances(model)
+    p_value = gained_squares(before, after, measurements).p_above()
+    alone, whole = ((rms_distance(left), float(np.max(distances(left)))) for left in (geometry, model))
+    return offer(by, len(model), whole, alone, p_value)
 
 
 def predicted_95(arm: Arm, measurements: Measurements) -> tuple[Array, Array | None]:
@@ -318,9 +305,9 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         if not tests:
             return diagnosis
         test, *_ = tests
-        figures = (test.after, test.largest_after, test.before, test.largest_before)
+        after, before = (test.after, test.largest_after), (test.before, test.largest_before)
         p_value = 1.0 if test.p_shrinks is None else test.p_shrinks
-        return replace(diagnosis, offered=Offered(test.by, test.rows, *figures, p_value))
+        return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
     # as `identify` calibrates it, where it stands in the first session
     fit = estimate(Model(with_sessions(arm, kept)), kept)
@@ -329,17 +316,17 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
     except InputError:  # too few rows to place the arm
         return diagnosis
-    return replace(diagnosis, offered=Offered.of("holdout", alone, extended, holdout))
+    return replace(diagnosis, offered=beside_geometry("holdout", alone, extended, holdout))
 
 
 def prior_judged(
     geometry: Callable[[], Identification], fit: Identification, measurements: Measurements
-) -> Offered | None:
+) -> dict[str, Any] | None:
     """What a fit with a prior of further effects is worth beside the geometry, each posture predicted from the others;
     None where the rows determine the one or the other not."""
     model = left_out_residuals(fit, measurements)
     alone = None if model is None else left_out_residuals(geometry(), measurements)
-    return None if model is None or alone is None else Offered.of("cross-validation", alone, model, measurements)
+    return None if model is None or alone is None else beside_geometry("cross-validation", alone, model, measurements)
 
 
 # -- set up anew -------------------------------------------------------------------------------------------------------

@@ -117,8 +117,8 @@ def init_files(
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
     if instrument is not None and robot is None and dh is None:
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
-    if instrument is not None and instrument not in KINDS:
-        raise InputError.unknown("--instrument: found", instrument, KINDS)
+    if instrument is not None and instrument not in (kinds := KINDS["xyz"]):
+        raise InputError.unknown("--instrument: found", instrument, kinds)
     if robot is not None:
         files = urdf_files(robot, base_link, tip_link, instrument or "")
     else:
@@ -277,16 +277,23 @@ def identify_files(
     """
     import identification.estimation as estimation
     from identification import reuse
-    from identification.documents.identification import hardly_better, identification_actions, identification_document
+    from identification.documents.identification import (
+        hardly_better,
+        identification_actions,
+        identification_document,
+        unit_key,
+    )
+    from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
     from identification.files.arm import load_arm
     from identification.gap.library_prior import given_by, library_prior
     from identification.gap.noise import with_repeats_doubted
+    from identification.measurements import rms_distance
     from identification.model import Model
     from identification.origin import diagnosed, identified
     from identification.sessions import with_sessions
     from identification.simulate import following_errors, with_servo_errors
-    from identification.validate import prior_judged
+    from identification.validate import drawing_residuals, prior_judged
 
     # the arm, its rows, and how they are to be fitted
     loaded, words, minimal = load_arm(arm), [each for text in only for each in words_in(text)], parameters == "minimal"
@@ -362,22 +369,25 @@ def identify_files(
     if words:
         fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), words, rows)
         lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
-    doubted = reuse.with_mounting_doubt(fitted, rows, fit)
-    mounted_anew, fitted = doubted is not fitted, doubted
-    doubts, better = [*fitted.warnings], True
+    fitted = reuse.with_mounting_doubt(fitted, rows, fit)
+    doubts = [*fitted.warnings]
     if (effects := library(rows)) is not None:
         keys["prior"] = effects.to_json()
         lines.append(effects.sentence)
-        alone = None
-        if not words and old is None:
-            alone = prior_judged(lambda: estimation.estimate(Model(with_sessions(loaded, rows)), rows), fitted, rows)
-        if alone is not None:
-            keys["offered"], better = alone.to_json(), alone.better
-            doubts += [] if better else [hardly_better(keys["offered"])]
+        geometry = Model(with_sessions(loaded, rows))
+        alone_too = not words and old is None
+        judged = prior_judged(lambda: estimation.estimate(geometry, rows), fitted, rows) if alone_too else None
+        if judged is not None:
+            keys["offered"] = judged
+            doubts += [] if judged["better"] else [hardly_better(judged)]
 
-    result = fit_in_json(fitted, rows, loaded, arm) | keys
-    if loaded.calibration is not None and words and set(words) <= {"base", "tool"}:
-        result["rms_nominal_mm"] = result["rms_drawing_mm"]
+    result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
+    with suppress(InputError):  # too few rows
+        result["rms_drawing_mm"] = rms_distance(drawing_residuals(loaded, rows))
+    if fitted.geometry is not None and not fitted.not_identifiable:
+        table, places = dh_lines(fitted.calibrated_arm(), fitted.corrected_values, arm)
+        result |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
+    result |= unit_key(fitted.arm) | keys
     hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
     kept = loaded.calibration if words else None, None if old is None else old.calibration
@@ -385,32 +395,8 @@ def identify_files(
     document = identification_document(fitted, result, hidden).plus(*lines, *written)
     if failed := bool(fitted.not_identifiable) or refused_files:
         return Answer(result, [document], fitted, int(failed), doubts)
-    actions = identification_actions(
-        str(arm),
-        str(data),
-        out,
-        diagnosed=diagnosed(loaded),
-        allowed_for=effects is not None,
-        better=better,
-        mounted_anew=mounted_anew,
-    )
+    actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(loaded))
     return Answer(result, [replace(document, actions=actions)], fitted, warnings=doubts)
-
-
-def fit_in_json(fit: Identification, rows: Measurements, arm: Arm, path: Path) -> dict[str, Any]:
-    """What JSON says of a fit of rows by an arm (of the file `path`), what the drawing leaves of them included."""
-    from identification.documents.identification import unit_key
-    from identification.estimation.doubts import left_out_rms
-    from identification.measurements import rms_distance
-    from identification.validate import drawing_residuals
-
-    keys: dict[str, Any] = {"cross_validated_mm": left_out_rms(fit, rows), "rms_drawing_mm": None}
-    with suppress(InputError):  # too few rows
-        keys["rms_drawing_mm"] = rms_distance(drawing_residuals(arm, rows))
-    if fit.geometry is not None and not fit.not_identifiable:
-        table, places = dh_lines(fit.calibrated_arm(), fit.corrected_values, path)
-        keys |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    return fit.to_json() | keys | unit_key(fit.arm)
 
 
 def minimal_model(model: Model, measurements: Measurements) -> Model:
@@ -599,7 +585,7 @@ def validate_files(
 
     refit : What is fitted to DATA: where the base stands, that and all joint offsets, or nothing.
     """
-    from identification.documents.identification import is_better, validation_actions
+    from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
     from identification.origin import check_calibrated, mostly_outside
     from identification.validate import validate
@@ -609,7 +595,7 @@ def validate_files(
     validation = validate(arm, load_sessions([data], arm), refit)
     beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     result = validation.to_json()
-    actions = validation_actions(is_better(result), refit, str(model), str(data), beyond=beyond)
+    actions = validation_actions(result, str(model), str(data), beyond=beyond)
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 

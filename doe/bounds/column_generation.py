@@ -351,7 +351,8 @@ def generate_columns(
             break
         # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
         if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
-            weights = sparsest(jacobians, weights)
+            # an interior point leaves every posture a little, as much as it is accurate: that is no weight
+            weights = sparsest(jacobians, np.where(weights > 10.0 * accuracy, weights, 0.0))
             postures, jacobians, weights = postures[weights > 0.0], jacobians[weights > 0.0], weights[weights > 0.0]
         smallest, offers = min(smallest, gap), offers[new]
         offers = offers[distinct(comparable(offers))]

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from doe.cli.plans import with_collisions
-from doe.cli.verb import stopped_by, verb
-from identification import InputError, JobError, Progress
+from doe.cli.verb import interruptible, verb
+from identification import InputError, Progress
 from identification.document import Answer, Document
 from identification.files.io import write_together
 from identification.workflow import Folder
@@ -40,13 +40,12 @@ def command(
             raise InputError(f"{out}: exists and is not empty, allowed: a new directory, or --force")
     except OSError as error:  # a file, a name that is too long, links that lead in a circle, no right to write
         raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
-    try:
+    with interruptible(f"the files in {out} are whole, but not all there"):
         demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
         document, picture = demo_document(demo), overview_figure(demo)
-        text = page(document, [out / name for name in demo.files])
+        text = page(document, [out / name for name in demo.data["files"]])
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
-    except KeyboardInterrupt as error:
-        raise JobError(f"{stopped_by(error)}; the files in {out} are whole, but not all there") from None
-    look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {', '.join(demo.files)}"
-    answer = Answer(demo.to_json(out), [document.plus(look)])
-    return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
+        files = ", ".join(demo.data["files"])
+        look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
+        answer = Answer(demo.data, [document.plus(look)])
+        return with_collisions(answer, demo.design.problem, demo.design.plan.postures)

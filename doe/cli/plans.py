@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -203,7 +202,7 @@ def design_files(
     signs = () if loaded.counting is None else loaded.counting.sign
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach, signs)
-    if criterion.robust and solver in (None, "fedorov"):
+    if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
     data = dict[str, Any]()
@@ -262,7 +261,7 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
-    from doe.plan.driving import in_sentences, unproven
+    from doe.plan.driving import in_sentences, not_free, unproven
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
@@ -298,7 +297,7 @@ def score_files(
     driven = Plan.load(plan, loaded.joint_types, vias=True).postures
     moves = None if judged.weights is not None else unproven(problem.constraints, driven)
     if moves is not None:
-        data["moves"] = {"not_free": [{"row": k, "bodies": [*pair], "distance_mm": gap} for k, pair, gap in moves]}
+        data["moves"] = {"not_free": not_free(moves)}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
@@ -450,7 +449,7 @@ def compare_files(
     --starts 1, the fraction of good starts.
 
     runs : Numbers of measurements m, as in 10,20.
-    solvers : Names, as in a,b; left out: all but fedorov, which needs a list of postures.
+    solvers : Names, as in a,b; left out: all.
     criteria : D, A, E or Dstar; several as in D,A.
     starts : Starts of one run, as in 1,10; left out: the solver's own.
     repeats : Repetitions of each search, with different seeds.
@@ -459,32 +458,32 @@ def compare_files(
     from doe.jobs import RowTable, parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
-    from doe.solvers.solving import check_runs
-    from doe.studies.comparison import Comparison, compare, compared_problem, summary
+    from doe.studies.comparison import compare, summary
     from identification import load_arm
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = [n for n in available_solvers() if n != "fedorov"] if solvers is None else solvers
+    names = [*available_solvers()] if solvers is None else solvers
     loaded = [load_arm(arm) for arm in arms]
-    comparison = Comparison(loaded, runs, names, starts or [None], repeats, seconds, criteria)
-    for arm, number in product(loaded, runs):
-        check_runs(compared_problem(arm, criteria[0]), number)
+    asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
     path = None if job.out is None else job.out / "rows.parquet"
-    with interruptible(job.out), RowTable(path, resume=job.resume, force=job.force) as table:
-        rows = compare(comparison, table, job.where(1), seed=seed, progress=progress)
-    shown, summed = comparison_parts(rows), summary(rows)
-    if job.out is not None:
-        from doe.report.page import svg
-        from doe.report.studies import profile_figure
+    kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
+    with interruptible(kept):
+        with RowTable(path, resume=job.resume, force=job.force) as table:
+            asked |= {"table": table, "workers": job.where(1), "seed": seed, "progress": progress}
+            rows = compare(loaded, runs, names, **asked)
+        shown, summed = comparison_parts(rows), summary(rows)
+        if job.out is not None:
+            from doe.report.page import svg
+            from doe.report.studies import profile_figure
 
-        files: dict[Path, str | bytes] = {
-            job.out / "summary.parquet": parquet(summed),
-            job.out / "profile.svg": svg(profile_figure(rows)),
-        }
-        write_together(files, force=True)
-        shown.append(f"rows, summary and picture written to {job.out}")
-    return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
+            files: dict[Path, str | bytes] = {
+                job.out / "summary.parquet": parquet(summed),
+                job.out / "profile.svg": svg(profile_figure(rows)),
+            }
+            write_together(files, force=True)
+            shown.append(f"rows, summary and picture written to {job.out}")
+        return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
 @verb("armcal program arm.toml plan.csv --robot ur --out plan.script")
@@ -511,6 +510,7 @@ def program_files(
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
     out : Write the program, which takes the name of the file.
     """
+    from doe.plan.driving import in_sentences, not_free
     from doe.program.program import program
     from identification import Plan, load_arm
 
@@ -527,12 +527,14 @@ def program_files(
     vias = sum(move["kind"] == "via" for move in made.moves)
     runs = len(file) - vias
     data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
+    data["not_free"] = not_free(made.not_free)
     counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
     sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
-    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *lines]
-    return Answer(data, shown)
+    doubts = in_sentences(made.not_free)
+    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts, *lines]
+    return Answer(data, shown, warnings=[line.strip() for line in doubts])
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ EXAMPLE = """armcal study study.toml --workers 4
 where study.toml has, for instance (names of files are beside it):
     arms = ["arm.toml"]
     # solvers of `armcal design`, "dft", "random", plan files
-    plans = ["exchange_ipopt", "random", "plan.csv"]
+    plans = ["exchange", "random", "plan.csv"]
     runs = [10, 20]           # of measurements; a plan file has its own
     sigma_mm = [0.05, 0.1]    # left out: the arm's own
     # simulated data sets per cell
@@ -82,33 +82,36 @@ def command(
         force = job.force or job.resume
         if folder.exists():
             check_writable(folder / "errata.parquet", force)
-        results = paper_study(replications, seed=seed, progress=progress)
+        tables = paper_study(replications, seed=seed, progress=progress)
+        answer = tables_answer(folder, tables, paper_parts(tables), passed(tables))
         make_folder(folder)
-        write_together({folder / f"{name}.parquet": parquet(frame) for name, frame in results.items()}, force)
-        return _tables_answer(results, passed(results), folder, paper_parts(results))
-    with interruptible(folder):
+        write_together({folder / f"{name}.parquet": parquet(table) for name, table in tables.items()}, force)
+        return answer
+    with interruptible(f"finished rows are kept in {folder}, go on with --resume"):
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             from doe.report.studies import blind_parts, blind_pictures
             from doe.studies.blind.study import blind_study, reported_cells
 
             named = cells or reported_cells(space=study == "blind-spatial")
-            result = blind_study(named, replications, folder, job.where(), **options)
-            blind_pictures(folder, result)
-            return _tables_answer(result.tables, result.passed, folder, blind_parts(result))
+            tables = blind_study(named, replications, folder, job.where(), **options)
+            blind_pictures(folder, tables)
+            shown, sets = blind_parts(tables), tables.pop("sets")
+            return tables_answer(folder, tables, shown, "failed" not in sets["status"])
         from doe.report.studies import monte_carlo_parts
-        from doe.studies.monte_carlo import CELLS, load_study, run_study
+        from doe.studies.monte_carlo import load_study, run_study
 
-        made = run_study(load_study(Path(study), replications), folder, job.where(), **options)
-        if "done" not in made.blocks["status"]:
-            reason = re.sub(r"\b[A-Z]\w*Error: ", "", made.blocks["error"][0])  # users need no exception types
+        tables = run_study(load_study(Path(study), replications), folder, job.where(), **options)
+        made, blocks = tables["cells"], tables["blocks"]
+        if "done" not in blocks["status"]:
+            reason = re.sub(r"\b[A-Z]\w*Error: ", "", blocks["error"][0])  # users need no exception types
             raise JobError(f"no cell could be done: {reason}")
-        failed = made.cells.filter(made.cells["status"] != "done")
-        data = {"out": folder, "cells": made.cells.to_dicts(), "failed": len(failed)}
-        return Answer(data, [*monte_carlo_parts(made), f"{len(made.cells)} rows written to {folder / CELLS}"])
+        data = {"out": folder, "cells": made.to_dicts(), "failed": len(made.filter(made["status"] != "done"))}
+        written = f"{len(made)} rows written to {folder / 'cells.parquet'}"
+        return Answer(data, [*monte_carlo_parts(tables), written])
 
 
-def _tables_answer(tables: Mapping[str, Any], passed: bool, folder: Path, shown: list[Any]) -> Answer:
+def tables_answer(folder: Path, tables: Mapping[str, Any], shown: list[Any], passed: bool) -> Answer:
     """The tables as JSON; exit code 1 if the study missed one of its targets."""
-    rows = {name: frame.to_dicts() for name, frame in tables.items()}
+    rows = {name: table.to_dicts() for name, table in tables.items()}
     return Answer({"out": folder, "passed": passed, **rows}, shown, exit_code=0 if passed else 1)

@@ -108,7 +108,7 @@ class JobOptions:
 
     def where(self, otherwise: int | None = None) -> int | str:
         """Address of a cluster, or number of processes; left out: this many, None: as there are cores."""
-        return self.cluster or self.workers or otherwise or os.cpu_count() or 1
+        return self.workers or otherwise or os.cpu_count() or 1 if self.cluster is None else self.cluster
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
@@ -134,13 +134,15 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
         signature = inspect.signature(function).parameters
         for each in signature.values():
             hint, option = hints[each.name], each.kind is inspect.Parameter.KEYWORD_ONLY
+            if each.name in PROVIDED:
+                continue
             if is_dataclass(hint):
                 groups[each.name] = hint
                 inner, of_group = get_type_hints(hint, include_extras=True), documented(hint)[1]
                 for one in fields(hint):
                     default = inspect.Parameter.empty if one.default is MISSING else one.default
                     parameters.append(declared(one.name, inner[one.name], default, of_group[one.name]))
-            elif each.name not in PROVIDED:
+            else:
                 parameters.append(declared(each.name, hint, each.default, helps[each.name] if option else None))
         parameters += [
             click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),
@@ -346,12 +348,11 @@ def stopped_by(error: BaseException) -> str:
 
 
 @contextmanager
-def interruptible(out: Path | None) -> Iterator[None]:
-    """Report Ctrl-C or SIGTERM in one sentence: what was kept, and how to resume."""
+def interruptible(kept: str) -> Iterator[None]:
+    """Ctrl-C or SIGTERM in one sentence, which says what is kept."""
     try:
         yield
     except KeyboardInterrupt as error:
-        kept = f"finished rows are kept in {out}, go on with --resume" if out else "without --out nothing is kept"
         raise JobError(f"{stopped_by(error)}; {kept}") from None
 
 
@@ -400,30 +401,22 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
 
             yield Progress(report)
     else:
-        latest: str | None = ""
-        timers = list[threading.Timer]()
+        latest, ended = "", threading.Event()
 
         def tell(done: float, total: float | None, message: str) -> None:
             nonlocal latest
             share = [f"{100.0 * done / total:.0f} % done"] if total and 0 < done < total else []
             latest = "".join(f", {part}" for part in (message, *share) if part)
 
-        def wait() -> None:
-            timers[:] = [threading.Timer(interval, speak)]
-            timers[0].daemon = True
-            timers[0].start()
-
         def speak() -> None:
-            if (said := latest) is not None:
-                click.echo(f"armcal {title}: {time.monotonic() - started:.0f} s{said}", err=True)
-                wait()
+            while not ended.wait(interval):
+                click.echo(f"armcal {title}: {time.monotonic() - started:.0f} s{latest}", err=True)
 
-        wait()
+        threading.Thread(target=speak, daemon=True).start()
         try:
             yield Progress(tell)
         finally:
-            latest = None
-            timers[0].cancel()
+            ended.set()
 
 
 # -- output ------------------------------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from identification import (
     Plan,
     Progress,
     design_model,
+    dump_arm,
     load_arm,
     rms_distance,
 )
@@ -97,33 +98,18 @@ def spatial() -> Scenario:
 # -- the loop ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Demo:
-    """Everything the demo made."""
+    """What the demo made, of which its page and its picture are."""
 
-    scenario: Scenario
+    title: str
     arm: Arm
-    problem: DesignProblem
     design: Design
-    moves: Plan  # its plan with way-points, if the arm has bodies
+    moves: Plan  # the design's plan with way-points, if the arm has bodies
     fresh: Measurements  # random postures that no fit has seen
     identified: Answer
     diagnosed: Answer
-    extended: Answer  # the named effect identified, from the drawing
-    validated: Answer  # what that leaves of `fresh`
-    left: tuple[Array, Array]  # (200, d) [mm] of `fresh`, measured less what `identified` and `extended` say
-    gaps: Mapping[str, float]  # `fresh_gap_mm` of JSON: RMS distances from `fresh`, `noise` of a perfect model
-    hidden: Mapping[str, Any]  # of JSON: what the fit says beside what was hidden, RMS distances from the hidden arm
-    files: tuple[str, ...]
-
-    @property
-    def diagnosis(self) -> Any:
-        """What is missing, a `Diagnosis`."""
-        return self.diagnosed.result
-
-    def to_json(self, directory: Path) -> dict[str, Any]:
-        """The JSON object of `armcal demo`."""
-        steps = {"design": self.design.to_json(), "identify": self.identified.data, "diagnose": self.diagnosed.data}
-        others = {"fresh_gap_mm": dict(self.gaps), "hidden": dict(self.hidden), "files": list(self.files)}
-        return {"directory": directory, **steps, **others}
+    validated: Answer  # of the named effect refitted, at `fresh`
+    left: tuple[Array, Array]  # (200, d) [mm] of `fresh`, measured less what `identified` and the refit say
+    data: dict[str, Any]  # the JSON object of `armcal demo`
 
 
 def run_demo(
@@ -163,54 +149,60 @@ def run_demo(
     measured("data.csv", design.plan.postures)
     fresh = measured("fresh.csv", random_postures(problem, 200, generator))
     progress(3, 8, "identification")
-    verbs = ("identify", "diagnose", "validate", "compensate")
-    identify, diagnose, validate, compensate = (VERBS[name][0] for name in verbs)
+    identify, diagnose, validate, compensate = (
+        VERBS[name][0] for name in ("identify", "diagnose", "validate", "compensate")
+    )
     path, rows = directory / "arm.toml", directory / "data.csv"
     urdf = None if arm.chain.planar else to_write("corrected.urdf")
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     progress(4, 8, "diagnosis")
-    named = to_write("extended.toml")
-    test = directory / "fresh.csv"
-    diagnosed = diagnose(path, (rows,), holdout=test, named_only=True, out=named, force=True, seed=seed)
+    diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     progress(5, 8, "identification again")
+    write("extended.toml", dump_arm(arm.with_effects(*diagnosed.result.named.specs)))
+    named = Written(directory / "extended.toml")
     extended = identify(named, rows, out=named, force=True)
     progress(6, 8, "commands")
     targets = random_postures(problem, 50, generator)  # where the nominal arm would be there the real one is to go
     write("targets.csv", Plan(targets).text(arm.joint_types))
     sent = compensate(named, directory / "targets.csv", out=to_write("commands.csv"), force=force).result
     progress(7, 8, "page")
-    places = [
-        fit.model.position(fresh.postures, fit.parameters, fresh.conditions)
+    before, after = (
+        fresh.positions - fit.model.position(fresh.postures, fit.parameters, fresh.conditions)
         for fit in (identified.result, extended.result)
-    ]
-    before, after = (fresh.positions - place for place in places)
-    gaps = {
-        "drawing": rms_distance(identified.result.model.position(fresh.postures) - fresh.positions),
-        "identified": rms_distance(before),
-        "extended": rms_distance(after),
-        "noise": float(np.sqrt(arm.dimension) * (arm.sigma or 0.0)),
-    }
+    )
     near, effects = sent.reached, [f"{label}." for label in diagnosed.result.effects]
-    drawn, corrected = (scenario.real(q[near]) - sent.targets[near] for q in (sent.nominal, sent.commands))
-    hidden = {
-        "parameters": [
-            row | {"hidden": scenario.hidden.get(row["name"], 0.0)}
-            for row in extended.data["parameters"]
-            if row["name"] in scenario.hidden or any(row["name"].startswith(label) for label in effects)
-        ],
-        "model_error_mm": rms_distance(places[1] - scenario.real(fresh.postures)),
-        "targets_reached": int(near.sum()),
-        "targets_as_drawn_mm": rms_distance(drawn),
-        "targets_corrected_mm": rms_distance(corrected),
+    data = {
+        "directory": directory,
+        "design": design.to_json(),
+        "identify": identified.data,
+        "diagnose": diagnosed.data,
+        "fresh_gap_mm": {
+            "drawing": rms_distance(identified.result.model.position(fresh.postures) - fresh.positions),
+            "identified": rms_distance(before),
+            "extended": rms_distance(after),
+            "noise": float(np.sqrt(arm.dimension) * (arm.sigma or 0.0)),
+        },
+        "hidden": {
+            "parameters": [
+                row | {"hidden": scenario.hidden.get(row["name"], 0.0)}
+                for row in extended.data["parameters"]
+                if row["name"] in scenario.hidden or any(row["name"].startswith(label) for label in effects)
+            ],
+            "model_error_mm": rms_distance(fresh.positions - after - scenario.real(fresh.postures)),
+            "targets_reached": int(near.sum()),
+            "targets_as_drawn_mm": rms_distance(scenario.real(sent.nominal[near]) - sent.targets[near]),
+            "targets_corrected_mm": rms_distance(scenario.real(sent.commands[near]) - sent.targets[near]),
+        },
+        "files": files,
     }
-    answers = identified, diagnosed, extended, validate(named, directory / "fresh.csv")
-    return Demo(scenario, arm, problem, design, moves, fresh, *answers, (before, after), gaps, hidden, tuple(files))
+    validated = validate(named, directory / "fresh.csv")
+    return Demo(scenario.title, arm, design, moves, fresh, identified, diagnosed, validated, (before, after), data)
 
 
 # -- its page ----------------------------------------------------------------------------------------------------------
 def demo_document(demo: Demo) -> Document:
     """The diagnosis, what was hidden, plan, and certificate."""
-    arm, gaps, hidden, named = demo.arm, demo.gaps, demo.hidden, demo.diagnosis.effects
+    arm, diagnosis, gaps, hidden = demo.arm, demo.diagnosed.result, demo.data["fresh_gap_mm"], demo.data["hidden"]
     # estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm
     values = [
         [
@@ -241,23 +233,25 @@ def demo_document(demo: Demo) -> Document:
     )
     within = " and the tracker's view" if arm.constraints else ""
     chosen = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
-    diagnosed = demo.diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
+    diagnosed = diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
     sections = [
         *diagnosed.parts,
         Section("Against the truth", truth),
         plan_section(arm, demo.moves, lead=chosen, tests={"fresh.csv": demo.validated.result}),
         Section(
             "The certificate",
-            [Pictures(lambda: [certificate, certificate_figure(demo.problem, postures, *effort)])],
+            [Pictures(lambda: [certificate, certificate_figure(demo.design.problem, postures, *effort)])],
         ),
     ]
     actions = [
         Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
         Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
-    test = demo.diagnosis.confirmation
+    test = diagnosis.confirmation
     average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""
-    last = f"with {' + '.join(named)}" if named else "nothing named"  # the model that the diagnosis leads to
+    last = (
+        f"with {' + '.join(diagnosis.effects)}" if diagnosis.effects else "nothing named"
+    )  # the model that the diagnosis leads to
     summary = (
         f"A plan of {len(postures)} runs ({optimality(demo, 4)}). The RMS error on 200 fresh postures falls "
         f"from {gaps['drawing']:.2f} mm (nominal) to {gaps['identified']:.3f} mm (calibrated) and "
@@ -266,7 +260,7 @@ def demo_document(demo: Demo) -> Document:
         f"Commands corrected with this model miss their targets by {hidden['targets_corrected_mm']:.3f} mm, "
         f"uncorrected ones by {hidden['targets_as_drawn_mm']:.2f} mm."
     )
-    return Document(f"armcal demo: {demo.scenario.title}", [*diagnosed.verdict, summary], sections, actions)
+    return Document(f"armcal demo: {demo.title}", [*diagnosed.verdict, summary], sections, actions)
 
 
 def optimality(demo: Demo, digits: int) -> str:
@@ -279,6 +273,7 @@ def optimality(demo: Demo, digits: int) -> str:
 def overview_figure(demo: Demo) -> Figure:
     """Plan, gap step by step, and residuals against the joint at fault."""
     figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), demo.arm.chain.projection
+    diagnosis = demo.diagnosed.result
     places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
     postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=space)
     if space:
@@ -291,7 +286,7 @@ def overview_figure(demo: Demo) -> Figure:
 
     # RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names
     axes = figure.add_subplot(places[1])
-    *heights, noise = (demo.gaps[name] for name in ("drawing", "identified", "extended", "noise"))
+    *heights, noise = (demo.data["fresh_gap_mm"][name] for name in ("drawing", "identified", "extended", "noise"))
     names = ["drawing", "identified", "effect\nadded"]
     axes.plot(names, heights, color="0.8", lw=1, zorder=1)
     axes.scatter(names, heights, color=[LIMIT, BEFORE, AFTER], s=90, zorder=2)
@@ -304,7 +299,7 @@ def overview_figure(demo: Demo) -> Figure:
 
     # residuals turned into the joint angle error they mean, against the joint that the diagnosis names
     axes = figure.add_subplot(places[2])
-    joint = next((spec.joint for spec in demo.diagnosis.named.specs if spec.joint), 1)
+    joint = next((spec.joint for spec in diagnosis.named.specs if spec.joint), 1)
     postures = demo.fresh.postures
     levers = design_model(demo.arm).joint_levers(postures, conditions=demo.fresh.conditions)[..., joint - 1]
     squares = np.sum(levers**2, axis=1)
@@ -314,5 +309,5 @@ def overview_figure(demo: Demo) -> Figure:
         axes.plot(np.degrees(postures[clear, joint - 1]), errors, ".", color=color, ms=4, label=name)
     axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")
     axes.legend(frameon=False, fontsize=9)
-    axes.set_title(f"3. diagnosis:\n{' + '.join(demo.diagnosis.effects) or demo.diagnosis.verdict}", fontsize=10)
+    axes.set_title(f"3. diagnosis:\n{' + '.join(diagnosis.effects) or diagnosis.verdict}", fontsize=10)
     return figure

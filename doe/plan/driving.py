@@ -198,6 +198,11 @@ def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[i
     return found
 
 
+def not_free(moves: Sequence[tuple[int, tuple[str, str], float]]) -> list[dict[str, Any]]:
+    """The same by the keys of files."""
+    return [{"row": row, "bodies": [*pair], "distance_mm": gap} for row, pair, gap in moves]
+
+
 def in_sentences(moves: Sequence[tuple[int, tuple[str, str], float]]) -> list[str]:
     """What is to be said of moves that are not proven to be free."""
     lines = [f"Moves: {len(moves)} may collide on the way:"] if moves else []

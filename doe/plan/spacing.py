@@ -98,9 +98,8 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
 def spread_free_joints(problem: DesignProblem, postures: Array, generator: Generator) -> Array:
     """The same plan with joints that play no part spread evenly over their limits in shuffled order.
 
-    They cost nothing and help to see missing effects (identification/README.md, "Lessons"), instead of staying at a
-    constant. Where even steps are below the minimum distance, rows that are alike in all other joints take the places
-    of the widest in turn.
+    They cost nothing and help to see missing effects, instead of staying at a constant. Where even steps are below the
+    minimum distance, rows that are alike in all other joints take the places of the widest in turn.
     """
     spread, m = np.array(postures), len(postures)
     for joint in free_joints(problem):

@@ -196,11 +196,7 @@ class Clearance:
         if self._last is not None and np.array_equal(self._last.postures, postures):
             return self._last
         m, count, capsules = len(postures), len(self.pairs), len(self._radii)
-        frames, placed = self._frames_at(postures), np.empty((2, 3, len(postures), capsules))
-        for end, joint in {(side, joint) for side in (0, 1) for joint in self._frames[side].tolist()}:
-            chosen = np.flatnonzero(self._frames[end] == joint)
-            points = frames[:, joint, :3, :3] @ self._ends[end, chosen].T + frames[:, joint, :3, 3:]
-            placed[end][:, :, chosen] = points.swapaxes(0, 1)
+        frames, placed = self._placed(postures)
         if not count:
             return Seen(postures.copy(), frames, placed, np.empty((m, 0)), np.empty((m, 0), dtype=np.intp))
         pair, first, second = self._pieces.T
@@ -215,9 +211,10 @@ class Clearance:
         apart = np.sqrt(np.maximum(apart, 0.0)).reshape(m, -1)[:, first[axes] * capsules + second[axes]]
         most[:, axes] = apart - (radius[axes] + self._radii[second[axes]])
         least[:, axes] = most[:, axes] - half[:, first[axes]] - half[:, second[axes]]
-        boxes, size = second[walls] - capsules, self._boxes[second[walls] - capsules, 12:].T
-        most[:, walls] = from_box(self._in_box(middle[..., first[walls]], boxes), size[:, None]) - radius[walls]
-        least[:, walls] = most[:, walls] - half[:, first[walls]]
+        if len(walls):
+            boxes, size = second[walls] - capsules, self._boxes[second[walls] - capsules, 12:].T
+            most[:, walls] = from_box(self._in_box(middle[..., first[walls]], boxes), size[:, None]) - radius[walls]
+            least[:, walls] = most[:, walls] - half[:, first[walls]]
         ends = placed[:, 2][..., first[floors]]
         least[:, floors] = most[:, floors] = ends.min(axis=0) - radius[floors] - (self._floor or 0.0)
         starts = np.searchsorted(pair, range(count))
@@ -228,17 +225,26 @@ class Clearance:
         at, one, two = run[chosen], first[piece[chosen]], second[piece[chosen]]
         gap = shortest(*placed[:, :, at, one], *placed[:, :, at, two])[2]
         exact[chosen] = np.sqrt(dot(gap, gap)) - radius[piece[chosen]] - self._radii[two]
-        chosen = np.flatnonzero(kinds[piece] == 1)
-        at, one, box = run[chosen], first[piece[chosen]], second[piece[chosen]] - capsules
-        a, b = (self._in_box(end[:, at, one], box) for end in placed)
-        size = self._boxes[box, 12:].T
-        exact[chosen] = from_box(a + nearest_to_box(a, b, size)[0] * (b - a), size) - radius[piece[chosen]]
+        if len(chosen := np.flatnonzero(kinds[piece] == 1)):
+            at, one, box = run[chosen], first[piece[chosen]], second[piece[chosen]] - capsules
+            a, b = (self._in_box(end[:, at, one], box) for end in placed)
+            size = self._boxes[box, 12:].T
+            exact[chosen] = from_box(a + nearest_to_box(a, b, size)[0] * (b - a), size) - radius[piece[chosen]]
         groups = np.flatnonzero(np.diff(run * count + pair[piece], prepend=-1))
         distance = np.minimum.reduceat(exact, groups)
         ranks = np.where(exact == np.repeat(distance, np.diff(groups, append=len(run))), piece, len(pair))
         nearest = np.minimum.reduceat(ranks, groups)
         self._last = Seen(postures.copy(), frames, placed, distance.reshape(m, count), nearest.reshape(m, count))
         return self._last
+
+    def _placed(self, postures: Array) -> tuple[Array, Array]:
+        """Frames and ends as `Seen` has them."""
+        frames, placed = self._frames_at(postures), np.empty((2, 3, len(postures), len(self._radii)))
+        for end, joint in {(side, joint) for side in (0, 1) for joint in self._frames[side].tolist()}:
+            chosen = np.flatnonzero(self._frames[end] == joint)
+            points = frames[:, joint, :3, :3] @ self._ends[end, chosen].T + frames[:, joint, :3, 3:]
+            placed[end][:, :, chosen] = points.swapaxes(0, 1)
+        return frames, placed
 
     def _frames_at(self, postures: Array) -> Array:
         """(m, n + 2, 4, 4) frames of base, joints and measured point."""
@@ -252,14 +258,21 @@ class Clearance:
         return np.einsum("wij,i...w->j...w", turns, shifted)
 
     # -- derivatives ---------------------------------------------------------------------------------------------------
-    def gradients(self, postures: Array, run: NDArray[np.intp], pair: NDArray[np.intp]) -> Array:
-        """(N, n) how the distances of N pairs, each at one of the postures, change with the joints [mm/rad, 1]."""
-        seen = self._seen(postures)
-        first, second = self._pieces[seen.nearest[run, pair], 1:].T
+    def nearest(self, postures: Array) -> NDArray[np.intp]:
+        """(m, k) numbers of the pairs of pieces that have the distances."""
+        return self._seen(postures).nearest
+
+    def gradients(self, postures: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> Array:
+        """(N, n) how the distances of N pairs of pieces, each at one of the postures, change with the joints
+        [mm/rad, 1]."""
+        last = self._last
+        kept = last is not None and np.array_equal(last.postures, postures)
+        frames, placed = (last.frames, last.placed) if last is not None and kept else self._placed(postures)
+        first, second = self._pieces[piece, 1:].T
         capsules, axis = len(self._radii), second < len(self._radii)
-        a, b = seen.placed[:, :, run, first]  # (3, N)
+        a, b = placed[:, :, run, first]  # (3, N)
         other = np.where(axis, second, 0)
-        c, d = seen.placed[:, :, run, other]
+        c, d = placed[:, :, run, other]
         share, shared, normal = shortest(a, b, c, d)
         # of axes that cross each other the direction across both
         normal = np.where(dot(normal, normal) < 1e-12, np.cross(b - a, d - c, axis=0), normal)
@@ -272,9 +285,9 @@ class Clearance:
             share[wall], away = nearest_to_box(start, end, self._boxes[box, 12:].T)
             normal[:, wall] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), away)
         # (m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide
-        along, turning = seen.frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], turns(self.model)[:, None]
+        along, turning = frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], turns(self.model)[:, None]
         moment = np.where(turning, along[..., 0], 0.0)
-        force = np.where(turning, np.cross(seen.frames[:, 1:-1, :3, 3], along[..., 0]), along[..., 0])
+        force = np.where(turning, np.cross(frames[:, 1:-1, :3, 3], along[..., 0]), along[..., 0])
         slopes, joints = np.zeros((len(run), moment.shape[1])), np.arange(1, moment.shape[1] + 1)
         still = np.where(axis, self._frames[1, other], 0)
         for sign, near, far, part, piece, frame in (
@@ -301,22 +314,27 @@ class Slopes:
 
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, a, k)."""
-        run, pair = np.indices((len(postures), self.count)).reshape(2, -1)
-        slopes = self.clearance.gradients(postures, run, pair)[:, self.joints]
+        run, nearest = np.repeat(np.arange(len(postures)), self.count), self.clearance.nearest(postures)
+        slopes = self.clearance.gradients(postures, run, nearest.ravel())[:, self.joints]
         return self.values(postures), np.swapaxes(slopes.reshape(len(postures), self.count, -1), 1, 2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
         """(m, a) gradients of the sums with weights (m, k)."""
+        return self._slope_of(self.clearance.nearest(postures), postures, weights)
+
+    def _slope_of(self, pieces: NDArray[np.intp], postures: Array, weights: Array) -> Array:
+        """Of the distances of pairs of pieces (m, k)."""
         run, pair = np.nonzero(weights)
-        slopes, total = self.clearance.gradients(postures, run, pair), np.zeros(postures.shape)
+        slopes, total = self.clearance.gradients(postures, run, pieces[run, pair]), np.zeros(postures.shape)
         np.add.at(total, run, weights[run, pair, None] * slopes)
         return total[:, self.joints]
 
     def bend(self, postures: Array, weights: Array) -> Array:
-        """(m, a, a) Hessians of the sums: differences of their gradients."""
+        """(m, a, a) Hessians of the sums: differences of the gradients of the same pieces."""
         steps = 1e-4 * np.eye(postures.shape[1])[self.joints, None]
         moved = np.concatenate([postures + steps, postures - steps]).reshape(-1, postures.shape[1])
-        slopes = self.slope(moved, np.tile(weights, (2 * len(steps), 1)))
+        alike = (2 * len(steps), 1)
+        slopes = self._slope_of(np.tile(self.clearance.nearest(postures), alike), moved, np.tile(weights, alike))
         ahead, behind = slopes.reshape(2, len(steps), len(postures), len(steps))
         bend = np.moveaxis(ahead - behind, 0, 1) / 2e-4
         return np.asarray(0.5 * (bend + np.swapaxes(bend, 1, 2)))

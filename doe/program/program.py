@@ -9,7 +9,6 @@ as fast at its fastest as on average and stops without a jerk.
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from doe.plan.driving import in_sentences, room_of, unproven
+from doe.plan.driving import room_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
 from identification import Arm, Array, InputError, Plan
@@ -55,7 +54,8 @@ class Move(NamedTuple):
     run : number of the measurement there, 0 at a way-point
     joints, external : positions of the arm's joints, and of external axes: of more than six joints those that slide,
         and those that turn after the sixth
-    arrival, departure : [ms] from the start, departure after settling;  comment : `run 3` or `via`
+    arrival, departure : [ms] from the start, departure after settling
+    comment : `run 3` or `via`, and whether the move there may collide
     """
 
     run: int
@@ -72,6 +72,7 @@ class Program(NamedTuple):
     moves : of each its `kind` (`measure` or `via`), the `run` that is measured there, None at a way-point, the `joints`
         in `units`, and the `seconds` from the start at which it arrives
     units : (n) deg or mm;  seconds : estimated duration, without the measurements
+    not_free : moves that may collide, as `unproven` has them; the program says so where they are
     """
 
     text: str
@@ -79,6 +80,7 @@ class Program(NamedTuple):
     moves: list[dict[str, Any]]
     units: tuple[str, ...]
     seconds: float
+    not_free: list[tuple[int, tuple[str, str], float]]
 
 
 def program(
@@ -119,7 +121,10 @@ def program(
     ]:  # [deg, mm] rounding of files
         found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
         raise InputError(f"{found}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
-    check_rows(arm, plan.postures, via)
+    not_free = check_rows(arm, plan.postures, via)
+    comments = [f"run {run}" if run else "via" for run in runs]
+    for row, (one, other), _ in not_free:
+        comments[row - 1] += SPECIAL.sub("?", f", may collide: {one} and {other}")
     units = [language.length if slide else language.angle for slide in slides]
     order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
     inner, outer = order[: language.arm], order[language.arm :]
@@ -144,8 +149,8 @@ def program(
             for k, run, row in zip(count(1), runs, columns, strict=False)
         ],
         "moves": [
-            Move(run, [row[j] for j in inner], [row[j] for j in outer], a, d, f"run {run}" if run else "via")
-            for run, row, a, d in zip(runs, positions, arrivals, departures, strict=True)
+            Move(run, [row[j] for j in inner], [row[j] for j in outer], a, d, comment)
+            for run, row, a, d, comment in zip(runs, positions, arrivals, departures, comments, strict=True)
         ],
     }
     moves = [
@@ -153,12 +158,12 @@ def program(
         for run, row, a in zip(runs, columns.tolist(), arrivals, strict=True)
     ]
     text = rendered_template(language.template, template, known)
-    return Program(text, identifier, moves, plan.units, departures[-1] / 1000.0)
+    return Program(text, identifier, moves, plan.units, departures[-1] / 1000.0, not_free)
 
 
-def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
-    """Raises `InputError` for the first row that breaks a constraint; a way-point need not be seen, and where bodies
-    are known it keeps what moves keep. Warns (`UserWarning`) of moves that may collide."""
+def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[tuple[int, tuple[str, str], float]]:
+    """Moves that may collide, as `unproven` has them. Raises `InputError` for the first row that breaks a constraint; a
+    way-point need not be seen, and where bodies are known it keeps what moves keep."""
     constraints = constraints_of(arm)
     room = room_of(constraints)
     for constraint in constraints:
@@ -168,8 +173,7 @@ def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> None:
             raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
     for row in [] if room is None else np.flatnonzero(np.any(room.margin(postures) < -ROUNDING, axis=1)):
         raise InputError(f"row {row + 1}: a way-point in which bodies collide, allowed: one with half the clearance")
-    for sentence in in_sentences(unproven(constraints, postures) or []):
-        warnings.warn(sentence.strip(), UserWarning, stacklevel=4)
+    return unproven(constraints, postures) or []
 
 
 def decimal(value: float, unit: float, digits: int) -> str:

@@ -58,14 +58,14 @@ def hashes(paths: Iterable[Path]) -> list[tuple[str, int, str]]:
     return [(str(path), len(content), hashlib.sha256(content).hexdigest()) for path, content in contents]
 
 
-def page(document: Document, *more: Section) -> str:
-    """The page as text, with more sections at its end; it needs no other file and no network."""
+def page(document: Document, *last: Section) -> str:
+    """The page as text, with these sections at its end; it needs no other file and no network."""
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
     loose = [part for part in document.parts if not isinstance(part, Section)]
     sections = [Section("In short", loose)] if loose else []
-    sections += [*(part for part in document.parts if isinstance(part, Section)), *more]
+    sections += [*(part for part in document.parts if isinstance(part, Section)), *last]
     steps = {k: part for k, s in enumerate(sections, 1) for part in s.parts if isinstance(part, PlanSteps)}
     names = ["three.min.js", "scene.js"] if any("scene" in part.data for part in steps.values()) else []
     style, *scripts = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,9 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from doe.studies.blind.study import ALL, KEEPS, NOTHING, OUTSIDE, BlindStudy
+from doe.studies.blind.study import ALL, KEEPS, NOTHING, OUTCOMES, OUTSIDE
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
-from doe.studies.monte_carlo import CELL, StudyResult
+from doe.studies.monte_carlo import CELL
 from doe.studies.paper import passed
 from identification import Array
 from identification.document import Sheet
@@ -105,14 +106,17 @@ def profile_figure(rows: pl.DataFrame) -> Figure:
 
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------
-def monte_carlo_parts(result: StudyResult) -> list[Any]:
+def monte_carlo_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     """One table per cell, up to twelve, of errors, deviations and coverage of each parameter (dashes where no fit
     succeeded), and the cells that could not be simulated."""
-    parts: list[Any] = [str(result)]
+    cells, done = tables["cells"], tables["blocks"].filter(status="done")
+    fits = done.group_by("key").first()["fits"].sum() if "fits" in done.columns else 0
+    failures = len(tables["blocks"]) - len(done)
+    parts: list[Any] = [f"{cells.select(CELL).n_unique()} cells, {fits} fits, {failures} failures"]
     formats = {"parameter": "", "mean_error": ".4g", "std": ".4g", "expected_std": ".4g", "coverage": ".2%", "unit": ""}
     headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
-    cells = result.cells.partition_by(*CELL, maintain_order=True)
-    for cell in cells[:12]:
+    each = cells.partition_by(*CELL, maintain_order=True)
+    for cell in each[:12]:
         rows = cell.to_dicts()
         first = rows[0]
         plan = f"{first['arm']}, plan {first['plan']}, {first['runs']} runs, sigma {first['sigma_mm']:g} mm"
@@ -124,7 +128,7 @@ def monte_carlo_parts(result: StudyResult) -> list[Any]:
         figures = [[cell_text(row[name], kind) for name, kind in formats.items()] for row in rows]
         rms = f"RMS {cell_text(first['rms_mm'])} mm"
         parts.append(Sheet(headings, figures, f"{title}: {first['fits']} fits{failed}, {rms}"))
-    return [*parts, *([f"first 12 of {len(cells)} cells"] if len(cells) > 12 else [])]
+    return [*parts, *([f"first 12 of {len(each)} cells"] if len(each) > 12 else [])]
 
 
 # -- armcal study paper ------------------------------------------------------------------------------------------------
@@ -168,11 +172,16 @@ MEASURES = {
 }
 
 
-def blind_parts(result: BlindStudy) -> list[Any]:
+def blind_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     """Verdict, figures of the cells, reliability, bars, and the most frequent mistakes."""
-    parts: list[Any] = [str(result)]
+    bars = tables["bars"].to_dicts()
+    counts = Counter(row["outcome"] for row in bars)
+    outcomes = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
+    done = len(tables["sets"].filter(status="done"))
+    failed = f"; {len(tables['sets']) - done} batches failed" if done < len(tables["sets"]) else ""
+    parts: list[Any] = [f"{done} blind data sets; bars: {outcomes or 'none'}{failed}"]
     cells: dict[str, dict[str, Any]] = {}
-    for row in result.tables["cells"].iter_rows(named=True):
+    for row in tables["cells"].iter_rows(named=True):
         cells.setdefault(row["cell"], {})[row["measure"]] = row
     for title, measures in MEASURES.items():
         rows = [
@@ -183,17 +192,16 @@ def blind_parts(result: BlindStudy) -> list[Any]:
         parts.append(Sheet(("hidden", "sets", *measures), rows, title))
     rows = [
         [f"{row['from']:g} to {row['to']:g}", f"{row['said']:.3f}", f"{row['right']:.3f}", str(row["count"])]
-        for row in result.tables["reliability"].iter_rows(named=True)
+        for row in tables["reliability"].iter_rows(named=True)
     ]
     error = with_error(cells.get(ALL, {}).get("calibration error"))
     title = f"Said with probability p: right in p? Expected calibration error {error}"
     parts.append(Sheet(("said", "mean", "right", "sets"), rows, title))
-    bars = result.tables["bars"].iter_rows(named=True)
     rows = [[row["cell"], row["measure"], row["asked"], with_error(row), row["outcome"]] for row in bars]
     parts.append(Sheet(("cell", "measure", "asked", "measured", "outcome"), rows, "Bars"))
     wrong = [
         [row["hidden"], row["named"], str(row["count"])]
-        for row in result.tables["confusion"].iter_rows(named=True)
+        for row in tables["confusion"].iter_rows(named=True)
         if row["hidden"] != row["named"] and not (row["hidden"] == OUTSIDE and row["named"].endswith("unknown"))
     ]
     return [*parts, Sheet(("hidden", "named", "sets"), wrong, "Most frequent mistakes between classes", 12)]
@@ -208,10 +216,10 @@ def with_error(row: dict[str, Any] | None) -> str:
     return f"{value}({error:.0f})" if np.isfinite(error) else value
 
 
-def blind_pictures(folder: Path, result: BlindStudy) -> None:
+def blind_pictures(folder: Path, tables: Mapping[str, pl.DataFrame]) -> None:
     """confusion.png and reliability.png in the folder, replaced if they are there."""
-    single = result.tables["confusion"].filter(~pl.col("hidden").str.contains(" + ", literal=True))
-    drawn = {"confusion": (confusion_figure, single), "reliability": (reliability_figure, result.tables["reliability"])}
+    single = tables["confusion"].filter(~pl.col("hidden").str.contains(" + ", literal=True))
+    drawn = {"confusion": (confusion_figure, single), "reliability": (reliability_figure, tables["reliability"])}
     for name, (draw, rows) in drawn.items():
         if len(rows):
             write_together({folder / f"{name}.png": draw(rows)}, force=True)

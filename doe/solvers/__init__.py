@@ -1,6 +1,6 @@
 """Exact solvers, and `solve`, the only entry point to them."""
 
-from doe.solvers.exchange import Exchange, Fedorov, Gradient
+from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic
 from doe.solvers.solver import Offer, Solver
@@ -10,8 +10,6 @@ __all__ = [
     "SOLVERS",
     "Analytic",
     "Exchange",
-    "Fedorov",
-    "Gradient",
     "Ipopt",
     "Offer",
     "Random",

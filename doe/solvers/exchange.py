@@ -1,14 +1,14 @@
 """Exchange, for many starts at once: each run in turn is taken out of the plan and replaced by the best posture.
 
-`Exchange` offers all postures that differ from the run's in one joint, on a coarse grid per joint: coordinate exchange
-(R. K. Meyer, C. J. Nachtsheim, Technometrics 37, 1995), here with the best single-joint change over all joints.
-`Fedorov` offers a whole list (R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980), after V. V. Fedorov, "Theory of
-Optimal Experiments", 1972). One sweep visits every run in random order; a start ends when a sweep changes nothing. The
-starts of a batch advance together, so that numpy works on arrays of starts x candidates.
+Offered are all postures that differ from the run's in one joint, on a coarse grid per joint: coordinate exchange (R. K.
+Meyer, C. J. Nachtsheim, Technometrics 37, 1995), here with the best single-joint change over all joints. Or a whole
+list (R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980), after V. V. Fedorov, "Theory of Optimal Experiments",
+1972). One sweep visits every run in random order; a start ends when a sweep changes nothing. The starts of a batch
+advance together, so that numpy works on arrays of starts x candidates.
 
-Exchange finds the pattern, a climb the last digits: with one (IPOPT, L-BFGS) the two are put together. Near a good plan
-there are better ones more often than at random, so each then also starts from the best plans so far, with some runs
-drawn again.
+Exchange finds the pattern, a climb on gradients the last digits. Near a good plan there are better ones more often than
+at random, so each second batch starts from the best plans so far: with some of their runs drawn again, or, of many
+parameters, with exchanges among the postures of them all.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from doe.criteria import information_matrix
 from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import distance_to_keep, gaps
 from doe.problem.postures import fill, listed_candidates, random_postures
-from doe.problem.problem import MANY, DesignProblem, information_of_each
-from doe.solvers.ipopt import Climber, Ipopt, variables
+from doe.problem.problem import DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError
 
@@ -34,56 +33,83 @@ IMPROVEMENT = 1e-9  # smaller gains of a single exchange are rounding
 
 @dataclass(frozen=True)
 class Exchange:
-    """Coordinate exchange from random grid postures; with `climb` the best five plans of each batch are polished by
-    IPOPT, and every second batch starts from the ten best, with a quarter of their runs drawn again.
+    """Exchange from random plans. The best five of each batch are climbed, those of a list are not.
 
-    levels : grid values per joint, its limits included;  batch : starts that advance together
+    levels : grid values per joint, its limits included;  batch : starts that advance together, five of many parameters
+    climb : False: the plans that exchange ends at, to compare with
     """
 
     levels: int = 9
     batch: int = 50
-    climb: Ipopt | None = None
+    climb: bool = True
     name: str = "exchange"
 
     def starts_for(self, problem: DesignProblem) -> int:
-        """Thirty per pair of joints, as local optima grow with them; fewer for many parameters, as each costs p^3."""
-        wanted = max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
-        return max(10, round(wanted * min(1.0, (MANY / problem.parameters) ** 2)))
+        """Thirty per pair of joints, as local optima grow with them; of many parameters, and out of a list, each start
+        is thorough, and fewer will do the more each costs."""
+        if problem.choices is not None:
+            return max(2, round(10 * min(1.0, (100 / problem.parameters) ** 2))) if problem.deviations else 30
+        if problem.many_parameters:
+            return 10 if problem.constraints else 15
+        return max(2 * self.batch, 30 * len(problem.searched_joints) ** 2)
 
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
-        """The plans of each batch, best first; the polished ones of each where there is a climb."""
-        climb, best, left, vary, seen = None, list[tuple[float, Array]](), budget.starts, False, list[float]()
-        # of more variables IPOPT takes longer to improve what exchange found than it takes to search on
-        if self.climb and variables(problem, runs) <= 1500:
-            climb = Climber(problem, runs, self.climb, budget)
+        """The plans of each batch, best first, and the climbed ones. Raises `InputError` for a list of fewer postures
+        than runs."""
+        choices, many, left = problem.choices, problem.many_parameters, budget.starts
+        climb = PlanAscent(problem) if self.climb and choices is None else None
+        # where few starts lead to the best plan, its last digits tell whether others agree
+        accuracy = None if many or problem.constraints else 1e-11
+        repeats = problem.minimum_distance == 0.0
+        best, seen, vary = list[tuple[float, Array]](), list[float](), False
+        if choices is not None:
+            postures = listed_candidates(problem, choices)
+            postures = postures if repeats else np.unique(postures, axis=0)
+            if not repeats and len(postures) < runs:
+                raise InputError(
+                    f"runs: found {runs}, allowed: up to {len(postures)}, the different postures to choose from"
+                )
+        # one by one where there is a prior over many effects: a start takes seconds, and a time limit is to find some;
+        # runs of all starts, at most: keeps memory and time of a batch small
+        most = 5 if many else self.batch
+        if choices is not None:
+            most = 1 if problem.deviations else 10
         while True:
-            started = self.begin(problem, left, runs, generator)
-            left -= len(started)
-            yield Offer(started[0])  # something to return if the user stops during the first batch
-            if vary:
-                chosen = np.array([plan for _, plan in best])[generator.integers(len(best), size=len(started))]
-                kept = generator.random(started.shape[:2]) > 0.25
-                started = np.where(kept[..., None], chosen, started)
-            plans, values = Batch(problem, started, self.grid(problem)).improved(generator, budget)
+            count = max(1, min(most, left, 20_000 // runs))
+            left -= count
+            # constraints take long to look at: postures of a pool are known to be allowed
+            if choices is not None or (many and (vary or problem.constraints)):
+                if choices is None:
+                    fresh = random_postures(problem, count * runs, generator)
+                    postures = np.unique(np.concatenate([fresh, *(plan for _, plan in best)]), axis=0)
+                chosen = np.array([generator.choice(len(postures), runs, replace=repeats) for _ in range(count)])
+                batch = Batch(problem, postures[chosen], postures, chosen)
+            else:
+                started = self.begin(problem, count, runs, generator)
+                if vary:
+                    kept = generator.random(started.shape[:2]) > 0.25
+                    varied = np.array([plan for _, plan in best])[generator.integers(len(best), size=count)]
+                    started = np.where(kept[..., None], varied, started)
+                batch = Batch(problem, started, self.grid(problem))
+            yield Offer(batch.plans[0])  # something to return if the user stops during the first batch
+            plans, values = batch.improved(generator, budget)
             if climb is None:
                 yield from (Offer(plan, 1, independent=True) for plan in plans)
                 continue
             yield Offer(plans[0], 1)
             for k in _unlike(values, seen)[:5]:
                 seen.append(float(values[k]))
-                value = problem.objective(climbed := climb(plans[k]))
+                climbed = climb(plans[k], accuracy, budget.ended)
+                value = problem.objective(climbed)
                 if _unlike([value], [other for other, _ in best]):
                     best = sorted([*best, (value, climbed)], key=lambda pair: -pair[0])[:10]
                 yield Offer(climbed, independent=not vary)
-                climb.pass_on_interrupt()
-            yield Offer(plans[0], len(started) - 1)
-            vary = not vary and bool(best)
+            yield Offer(plans[0], count - 1)
+            vary = bool(best) and (many or not vary)
 
-    def begin(self, problem: DesignProblem, left: int, runs: int, generator: Generator) -> Array:
-        """(s, m, n) random plans on the grid: a batch, or as many starts as are left; joints that play no part stay in
-        the middle."""
-        # runs of all starts, at most: keeps memory and time of a batch small
-        count, grid = max(1, min(self.batch, left, 20_000 // runs)), self.grid(problem)
+    def begin(self, problem: DesignProblem, count: int, runs: int, generator: Generator) -> Array:
+        """(s, m, n) random plans on the grid; joints that play no part stay in the middle."""
+        grid = self.grid(problem)
 
         def on_grid(size: int) -> Array:
             postures = np.tile((problem.lower + problem.upper) / 2.0, (size, 1))
@@ -106,83 +132,6 @@ def _unlike(values: Sequence[float] | Array, others: Sequence[float]) -> list[in
             new.append(k)
             seen.append(float(value))
     return new
-
-
-@dataclass(frozen=True)
-class Fedorov:
-    """Exchange with all of `problem.choices` for every run, from random ones; each once unless repeats are allowed."""
-
-    name: str = "fedorov"
-
-    def starts_for(self, problem: DesignProblem) -> int:
-        """Each start is thorough; fewer for many parameters that have a prior, as each costs the square of them."""
-        return max(2, round(10 * min(1.0, (100 / problem.parameters) ** 2))) if problem.deviations else 30
-
-    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
-        """One offer per start. Raises `InputError` without choices, or with fewer of them than runs."""
-        if problem.choices is None:
-            raise InputError("solver: fedorov needs a list of postures, found none, allowed: with --candidates")
-        postures = listed_candidates(problem, problem.choices)
-        if problem.minimum_distance > 0.0:
-            postures = np.unique(postures, axis=0)
-            if len(postures) < runs:
-                allowed = f"up to {len(postures)}, the different postures to choose from"
-                raise InputError(f"runs: found {runs}, allowed: {allowed}")
-        # one by one where there is a prior over many effects: a start takes seconds, and a time limit is to find some
-        count = 1 if problem.deviations else 10
-        while True:
-            for plan in exchanged(problem, postures, (count, runs), generator, budget):
-                yield Offer(plan, 1, independent=True)
-
-
-@dataclass(frozen=True)
-class Gradient:
-    """L-BFGS from random postures; later batches from exchanges among the postures of the best plans so far: for models
-    of many parameters.
-
-    batch : starts between two exchanges, half as many under constraints, where each takes longer
-    """
-
-    batch: int = 10
-    name: str = "gradient"
-
-    def _together(self, problem: DesignProblem) -> int:
-        return max(1, self.batch // 2) if problem.constraints else self.batch
-
-    def starts_for(self, problem: DesignProblem) -> int:
-        """Fewer under constraints."""
-        return min(15, 2 * self._together(problem)) if problem.constraints else 15
-
-    def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
-        """One offer per start."""
-        climb, left, best = PlanAscent(problem), budget.starts, list[Array]()
-        while True:
-            # runs of all starts that climb between two exchanges, at most
-            count, first = max(1, min(self._together(problem), left, 2_000 // runs)), not best
-            left -= count
-            started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
-            yield Offer(started[0])  # something to return if the user stops during the first batch
-            if not first or problem.constraints:  # penalties climb slowly from poor plans
-                pool = np.unique(np.concatenate([*best, *(started if first else started[:1])]), axis=0)
-                started = exchanged(problem, pool, (count, runs), generator, budget)
-            for plan in started:
-                climbed = climb(plan, stop=budget.ended)
-                yield Offer(climbed, 1, independent=first)
-                best.append(climbed)
-            # of as many plans as have 300 postures to exchange
-            best = sorted(best, key=lambda plan: -problem.objective(plan))[: max(2, 300 // runs)]
-
-
-def exchanged(
-    problem: DesignProblem, postures: Array, shape: tuple[int, int], generator: Generator, budget: Budget
-) -> Array:
-    """(s, m, n) plans of listed postures (N, n), all different, that no exchange with the list improves, best first;
-    from random ones."""
-    if problem.minimum_distance == 0.0:
-        chosen = generator.integers(len(postures), size=shape)
-    else:
-        chosen = np.array([generator.choice(len(postures), shape[1], replace=False) for _ in range(shape[0])])
-    return Batch(problem, postures[chosen], postures, chosen).improved(generator, budget)[0]
 
 
 class Batch:

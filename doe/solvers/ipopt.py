@@ -36,12 +36,8 @@ from identification import Array, InputError
 
 @dataclass(frozen=True)
 class Ipopt:
-    """Interior point method from random postures.
+    """Interior point method from random postures."""
 
-    warm : True: stay near the start (it is nearly optimal already), False: first move away from the limits
-    """
-
-    warm: bool = False
     name: str = "ipopt"
 
     def starts_for(self, problem: DesignProblem) -> int:
@@ -51,19 +47,14 @@ class Ipopt:
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One offer per start. Raises `InputError` for a plan of too many variables."""
         most = 5000  # variables, whose second derivatives are dense: 0.2 GB, and 10 s for each step
-        if (many := variables(problem, runs)) > most:
+        if (many := runs * len(problem.searched_joints)) > most:
             raise InputError(
                 f"runs: {runs} postures are {many} variables for ipopt, allowed: at most {most}; leave --solver out"
             )
-        climb = Climber(problem, runs, self, budget)
+        climb = Climber(problem, runs, budget)
         while True:
             yield Offer(climb(random_postures(problem, runs, generator)), 1, independent=True)
             climb.pass_on_interrupt()
-
-
-def variables(problem: DesignProblem, runs: int) -> int:
-    """Joint angles that IPOPT moves."""
-    return runs * len(problem.searched_joints)
 
 
 class Climber:
@@ -72,7 +63,7 @@ class Climber:
     Variables and derivatives are ordered run by run, joint by joint of the searched ones: (m a), (m a, m a).
     """
 
-    def __init__(self, problem: DesignProblem, runs: int, settings: Ipopt, budget: Budget) -> None:
+    def __init__(self, problem: DesignProblem, runs: int, budget: Budget) -> None:
         self.problem, self.runs, self.budget, self.ascent = problem, runs, budget, PlanAscent(problem)
         self.joints, self.walls = self.ascent.joints, self.ascent.walls
         self.base = np.tile((problem.lower + problem.upper) / 2.0, (runs, 1))
@@ -95,8 +86,6 @@ class Climber:
             "ipopt.acceptable_iter": 4,
             "ipopt.bound_relax_factor": 0.0,  # otherwise bounds are exceeded by 1e-8 and the optimum is "beaten"
         }
-        if settings.warm:
-            options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
         self._callbacks = self._build()  # CasADi does not keep them alive
         given = {name: function for name, function in self._callbacks.items() if name != "nlp"}
         self.ipopt = ca.nlpsol("ipopt", "ipopt", self._callbacks["nlp"], options | given)

@@ -13,7 +13,7 @@ A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint.
 elements, or of smaller ones of one size, each with its own phases: the mean of their matrices H is optimal again.
 With no limits the plan of one group is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random phases:
 any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled order, since the plan f_j = j hides
-missing effects (identification/README.md, "Lessons"). With all ranges below pi it is the two-level factorial,
+missing effects. With all ranges below pi it is the two-level factorial,
 2^(joints) runs or a multiple.
 """
 

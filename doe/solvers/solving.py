@@ -26,7 +26,7 @@ from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints, with_additions
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
-from doe.solvers.exchange import Exchange, Fedorov, Gradient
+from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic, optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
@@ -66,9 +66,6 @@ class Random:
 SOLVERS: dict[str, Solver] = {
     "analytic": Analytic(),
     "exchange": Exchange(),
-    "exchange_ipopt": Exchange(climb=Ipopt(warm=True), name="exchange_ipopt"),
-    "fedorov": Fedorov(),
-    "gradient": Gradient(),
     "ipopt": Ipopt(),
     "random": Random(),
     "best_of_random": Random(count=1000, name="best_of_random"),
@@ -102,10 +99,9 @@ def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver
             raise InputError.unknown("solver: unknown name", solver, available_solvers())
         solver = available_solvers()[solver]
     if solver is None:
-        listed, many = problem.choices is not None, problem.many_parameters
-        return SOLVERS["fedorov" if listed else "gradient" if many else "exchange_ipopt"]
-    if problem.choices is not None and not isinstance(solver, Fedorov):
-        raise InputError(f"solver: {solver.name} cannot choose from a list of postures, allowed: fedorov")
+        return SOLVERS["exchange"]
+    if problem.choices is not None and not isinstance(solver, Exchange):
+        raise InputError(f"solver: {solver.name} cannot choose from a list of postures, allowed: exchange")
     return solver
 
 
@@ -126,7 +122,7 @@ def solve(
 ) -> Design:
     """The best plan of `runs` measurements that the solver finds, with its certificate.
 
-    solver : settings object, or name; left out: a plan from theory if that attains the bound, else exchange + IPOPT
+    solver : settings object, or name; left out: a plan from theory if that attains the bound, else exchange
     seed : the same seed gives the same plan, unless the time limit binds
     starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
         up to 100 runs, 30 s for more. The bound is part of it: whichever of search and bound comes first ends at half

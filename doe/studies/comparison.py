@@ -7,7 +7,7 @@ A row is one run of one solver: its cost, and the quality of its plan by our own
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from doe.criteria import criterion
 from doe.jobs import Key, Row, RowTable, Workers, call, run_tasks, short_hash, with_columns
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
+from doe.solvers.solving import check_runs
 from identification import Arm, InputError, Progress, dump_arm
 
 if TYPE_CHECKING:
@@ -30,70 +31,65 @@ COLUMNS: dict[str, Any] = {"parameters": pl.Int64, "correct": pl.Boolean}
 COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds"), pl.Float64)
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """What is compared: problems x solvers x settings x repeats.
-
-    solvers : names as in `armcal design --solver`, or settings objects (see `doe.solvers.solver.Solver`) whose classes
-        can be imported where the runs happen; names must be unique
-    """
-
-    arms: Sequence[Arm]
-    runs: Sequence[int]  # numbers of measurements m
-    solvers: Sequence[str | Solver]
-    starts: Sequence[int | None] = (None,)  # of one run, None: the solver's default
-    repeats: int = 5  # runs of each combination, each with a different seed
-    seconds: float = 60.0  # time limit of one run: given to the solver, and enforced by killing the run
-    criteria: Sequence[str] = ("D",)  # names as in `armcal design --criterion`, of those in `CRITERIA`
-
-    def __post_init__(self) -> None:
-        for arm in self.arms:
-            arm.chain.refuse_contacts()
-        for solver in self.solvers:
-            if isinstance(solver, str) and solver not in available_solvers():
-                raise InputError.unknown("solvers: unknown name", solver, available_solvers())
-        for name in self.criteria:
-            if name not in CRITERIA:
-                raise InputError.unknown("criterion: of a comparison found", name, CRITERIA)
-        if not 0.0 < self.seconds < np.inf:  # it is part of every key, in JSON
-            raise InputError(f"seconds: found {self.seconds}, allowed: a finite number > 0")
-        names = [solver if isinstance(solver, str) else solver.name for solver in self.solvers]
-        if len(set(names)) < len(names):
-            raise InputError(f"solvers: {', '.join(names)}, allowed: each name once")
-
-
 def compare(
-    comparison: Comparison,
+    arms: Sequence[Arm],
+    runs: Sequence[int],
+    solvers: Sequence[str | Solver],
+    *,
+    starts: Sequence[int | None] = (None,),
+    repeats: int = 5,
+    seconds: float = 60.0,
+    criteria: Sequence[str] = ("D",),
     table: RowTable | None = None,
     workers: Workers = 1,
-    *,
     seed: int = 0,
     progress: Progress = Progress(),
 ) -> pl.DataFrame:
-    """One row per run: the key's columns, `status`, `outcome` (the solver's own), `value`, `bound`, `efficiency`,
-    `correct`, `seconds`, `error`.
+    """Problems x solvers x settings x repeats, one row per run: the key's columns, `status`, `outcome` (the solver's
+    own), `value`, `bound`, `efficiency`, `correct`, `seconds`, `error`.
+
+    runs : numbers of measurements m
+    solvers : names as in `armcal design --solver`, or settings objects (see `doe.solvers.solver.Solver`) whose classes
+        can be imported where the runs happen; names must be unique
+    starts : of one run, None: the solver's default;  repeats : runs of each combination, each with a different seed
+    seconds : time limit of one run [s]: given to the solver, and enforced by killing the run
+    criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
 
     Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers; only times do: for
-    comparable times use one process fewer than there are cores.
+    comparable times use one process fewer than there are cores. Raises `InputError`, also for too few runs.
     """
-    arms = {short_hash(dump_arm(arm)): arm for arm in comparison.arms}
-    solvers = {solver if isinstance(solver, str) else solver.name: solver for solver in comparison.solvers}
+    for arm in arms:
+        arm.chain.refuse_contacts()
+    for solver in solvers:
+        if isinstance(solver, str) and solver not in available_solvers():
+            raise InputError.unknown("solvers: unknown name", solver, available_solvers())
+    for name in criteria:
+        if name not in CRITERIA:
+            raise InputError.unknown("criterion: of a comparison found", name, CRITERIA)
+    if not 0.0 < seconds < np.inf:  # it is part of every key, in JSON
+        raise InputError(f"seconds: found {seconds}, allowed: a finite number > 0")
+    by_name = {solver if isinstance(solver, str) else solver.name: solver for solver in solvers}
+    if len(by_name) < len(solvers):
+        raise InputError(f"solvers: {', '.join(by_name)}, allowed: each name once")
+    for arm, m in product(arms, runs):
+        check_runs(compared_problem(arm, criteria[0]), m)
+    by_hash = {short_hash(dump_arm(arm)): arm for arm in arms}
     grid = product(
-        ({"arm": arm.name, "arm_hash": digest} for digest, arm in arms.items()),
-        comparison.criteria,
-        comparison.runs,
-        ({"solver": name, "settings": s if isinstance(s, str) else repr(s)} for name, s in solvers.items()),
-        comparison.starts,
-        range(comparison.repeats),
+        ({"arm": arm.name, "arm_hash": digest} for digest, arm in by_hash.items()),
+        criteria,
+        runs,
+        ({"solver": name, "settings": s if isinstance(s, str) else repr(s)} for name, s in by_name.items()),
+        starts,
+        range(repeats),
     )
     keys: list[Key] = [
-        {**arm, "criterion": name, "runs": m, **setting, "starts": starts or 0}  # 0: the solver's own number
-        | {"limit_s": comparison.seconds, "repeat": repeat}
-        for arm, name, m, setting, starts, repeat in grid
+        {**of_arm, "criterion": name, "runs": m, **setting, "starts": number or 0}  # 0: the solver's own number
+        | {"limit_s": seconds, "repeat": repeat}
+        for of_arm, name, m, setting, number, repeat in grid
     ]
 
     def payload(key: Key) -> tuple[Arm, str | Solver]:
-        return arms[key["arm_hash"]], solvers[key["solver"]]
+        return by_hash[key["arm_hash"]], by_name[key["solver"]]
 
     return run_tasks(run_of, keys, table or RowTable(), workers, seed=seed, payload=payload, progress=progress)
 
@@ -101,9 +97,8 @@ def compare(
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Arm, str | Solver]) -> list[Row]:
     """The row of one run, in a new process, killed some time after its limit; `seconds` is the search alone."""
     number = int(seed.generate_state(1)[0])
-    outcome = call(solve_and_evaluate, *task, key, number, seconds=1.5 * key["limit_s"] + 10.0)
-    ended = {"status": outcome.status, "error": outcome.error, "seconds": outcome.seconds}
-    return [ended | (outcome.value or {})]
+    evaluated_plan, ending = call(solve_and_evaluate, *task, key, number, seconds=1.5 * key["limit_s"] + 10.0)
+    return [ending | (evaluated_plan or {})]
 
 
 def solve_and_evaluate(arm: Arm, solver: str | Solver, key: dict[str, Any], seed: int) -> Row:

@@ -37,7 +37,6 @@ from identification.files.io import write_together
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
 DFT, RANDOM = "dft", "random"
-PLANS, BLOCKS, CELLS = "plans.parquet", "blocks.parquet", "cells.parquet"
 BLOCK, RANDOM_BLOCK = 10_000, 100  # replications of a task; those that share one random plan
 MOST_ROWS = 4_000_000  # of a task: 64 MB of positions
 
@@ -102,22 +101,6 @@ def load_study(path: Path | str, replications: int | None = None) -> Study:
 
 
 # -- the run -----------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class StudyResult:
-    """What a study found."""
-
-    cells: pl.DataFrame  # one row per cell and parameter, see `pooled_rows`
-    blocks: pl.DataFrame  # one row per block of replications and parameter
-    plans: pl.DataFrame  # one row per plan that a solver made
-
-    def __str__(self) -> str:
-        done = self.blocks.filter(self.blocks["status"] == "done")
-        fits = done.group_by("key").first()["fits"].sum() if "fits" in done.columns else 0
-        return f"{self.cells.select(CELL).n_unique()} cells, {fits} fits, {len(self.blocks) - len(done)} failures"
-
-    __repr__ = __str__
-
-
 def run_study(
     study: Study,
     folder: Path | str | None = None,
@@ -127,10 +110,11 @@ def run_study(
     resume: bool = False,
     force: bool = False,
     progress: Progress = Progress(),
-) -> StudyResult:
-    """Every cell of the study.
+) -> dict[str, pl.DataFrame]:
+    """Every cell of the study: `cells` (one row per cell and parameter, see `pooled_rows`), `blocks` (one row per block
+    of replications and parameter) and `plans` (one row per plan that a solver made).
 
-    folder : for plans.parquet, blocks.parquet and cells.parquet, created if missing. None: nothing is written
+    folder : for NAME.parquet of these, created if missing. None: nothing is written
     resume : go on with an interrupted or extended study in `folder`;  force : replace what is there
     Failures (no plan for so many runs, a plan that cannot identify the model) are rows with `status` and `error`.
     """
@@ -142,7 +126,7 @@ def run_study(
     ]
     run = partial(run_tasks, workers=workers, seed=seed, progress=progress)
     open_table = partial(RowTable, resume=resume, force=force)
-    places = [None if folder is None else Path(folder) / name for name in (PLANS, BLOCKS, CELLS)]
+    places = [None if folder is None else Path(folder) / f"{name}.parquet" for name in ("plans", "blocks", "cells")]
     with open_table(places[0]) as of_plans, open_table(places[1]) as of_blocks:
         plans = run(make_plan, keys, of_plans, payload=lambda key: arms[key["inputs"]])
         tasks = {canonical(key): (key, cell) for key, cell in _tasks(study, plans)}
@@ -151,7 +135,7 @@ def run_study(
         cells = pooled_rows(blocks)
         if places[2] is not None and "done" in cells["status"]:
             write_together({places[2]: parquet(cells)}, force=True)
-    return StudyResult(cells, blocks, plans)
+    return {"cells": cells, "blocks": blocks, "plans": plans}
 
 
 def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, arm: Arm) -> list[Row]:

@@ -47,7 +47,8 @@ def simulated(arms: Sequence[Arm], plans: Any, runs: Sequence[int], replications
         errors = {key: PAPER[key][: arm.links] for key in ("length_errors_mm", "joint_offsets_deg")}
         truths = [{"name": "paper", **errors}]
         study = Study.of([arm], plans, runs=[*runs], truths=truths, replications=replications)
-        rows += [{"links": arm.links, **row} for row in run_study(study, seed=seed).cells.iter_rows(named=True)]
+        cells = run_study(study, seed=seed)["cells"]
+        rows += [{"links": arm.links, **row} for row in cells.iter_rows(named=True)]
     return rows
 
 
@@ -81,7 +82,7 @@ def table_3(replications: int = REPLICATIONS, seed: int = 0) -> pl.DataFrame:
         printed |= {(*at, f"orientation_offset:{j}"): value for j, value in orientations}
     rows: list[Row] = []
     cases = [("Table III", paper_arm(links), "dft", [3, 4, 20]) for links in (2, 3, 4)]
-    cases.append(("joint limits", paper_arm(4, limited=True), "exchange_ipopt", [4, 20]))
+    cases.append(("joint limits", paper_arm(4, limited=True), "exchange", [4, 20]))
     for place, cell in [
         (place, row)
         for place, arm, plan, numbers in cases

@@ -22,7 +22,6 @@ from identification.document import (
     unit_or_dash,
 )
 from identification.effects.catalogue import Entry
-from identification.kinematics.parameters import REVOLUTE
 from identification.running import Status
 from identification.sessions import placing
 
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
+REMOUNTED = "reflectors are mounted elsewhere than in the session before"  # the beginning of that sentence
 MOST_HELD = 24  # parameters of effects that are listed without intervals; --library-prior has hundreds of them
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
@@ -67,17 +67,6 @@ def p_value_in_words(p: float) -> str:
     return f"p = {p:.3g}" if p > 0.0 else "p < 1e-300"
 
 
-def misfit_sentence(fit: Identification, p_value: float, times: float) -> str:
-    """That chi2 rejects the model or the sigma given, and what follows; times : residuals in units of that sigma."""
-    figures = f"chi2 {fit.chi2:.4g}, {fit.dof} degrees of freedom, {p_value_in_words(p_value)}"
-    prior = "the prior does not hold (above), " if fit.contradictions else ""
-    cause = f"{prior}the model is incomplete or sigma_mm too small"
-    follows = "rely on sigma_mm and are too narrow" if fit.uncertainty.kind == "given" else "do not rely on sigma_mm"
-    do = "settle the prior first" if fit.contradictions else "armcal diagnose looks for what is missing"
-    scatter = f"{MISFIT} {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {fit.sigma:.4g} ({figures})"
-    return f"{scatter}: {cause}. The intervals {follows}; {do}"
-
-
 def reading_unit(arm: Any) -> str:
     """Unit of the errors of an arm, None: of no arm: that of what its instrument reads."""
     return "px" if arm is not None and any(c.quantity == "pixel" for c in arm.chain.instrument.coordinates) else "mm"
@@ -89,7 +78,7 @@ def unit_key(arm: Any) -> dict[str, str]:
 
 
 def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
-    """What, and what is said of it: how the fit ended, errors before and after, what it promises, sigma, intervals."""
+    """What, and what is said of it: how the fit ended, the largest error left, what it promises, sigma, intervals."""
     closed = fit.method == "linear" and fit.status is Status.converged
     outcome = "Closed form, the exact global minimum." if closed else fit.status.value
     unit, tip = reading_unit(fit.arm), None
@@ -107,8 +96,7 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return [
         ("method", f"{fit.method}: {outcome}"),
-        ("RMS", f"{fit.rms_before:.4g} -> {fit.rms_after:.4g} {unit}"),
-        ("largest", "{:.4g} -> {:.4g} ".format(*fit.largest) + unit),
+        ("left at most", f"{fit.largest[1]:.4g} {unit}"),
         ("orientations, RMS", angles),
         ("expected error", tip),
         ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),
@@ -117,70 +105,61 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     ]
 
 
-def parameters_document(fit: Identification) -> Document:
-    """All of it: the parameters, rounded by their standard deviations, and what else was found."""
-    # an effect always has its settings: `transmission_ripple:2[k=17].a`
-    full = {p.name: f"{effect.label}.{p.short}" for effect in fit.model.effects for p in effect.parameters}
-    rows = [
-        [
-            full.get(row["name"], row["name"]),
-            *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS),
-            row["unit"],
-        ]
-        for row in fit.rows()
-    ]
-    table = Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), rows)
-    open_ones = [("not identifiable", combination) for combination in fit.not_identifiable]
-    return Document("Identification", [], [table, Sheet.facts([*open_ones, *fit_facts(fit)])], (), fit.warnings)
-
-
-def identification_document(result: Identification, data: Data, hidden: frozenset[str] = frozenset()) -> Document:
+def identification_document(
+    fit: Identification, data: Data | None = None, hidden: frozenset[str] = frozenset()
+) -> Document:
     """Everything about a fit: warnings, verdict, figures, the Denavit-Hartenberg table where the arm file has one, else
-    the corrected values but for those `hidden`.
+    the corrected values but for those `hidden`; the parameters of a model that is no arm's.
 
-    data : what `armcal identify --json` says of it
+    data : what `armcal identify --json` says of it, None: what it says itself
     """
+    data = fit.to_json() if data is None else data
     # of the class of the others: estimation, where it is defined, imports this module
-    dh = [type(result.corrected_values[0])(**row) for row in data.get("dh_table", ())]
-    rows = [row for row in result.corrected_values if row.parameter not in hidden]
-    sections = dh_sections(dh, data.get("dh_places", ())) or [corrected_section("Corrected values", rows)]
-    left, drawn = data.get("cross_validated_mm"), data.get("rms_nominal_mm")
-    others = f"{reading_unit(result.arm)} RMS: each posture predicted by a fit to the others, noise included"
-    figures: list[tuple[str, str | None]] = [
-        *fit_facts(result),
-        ("cross-validated", None if left is None else f"{number(left)} {others}"),
-        ("drawing", None if drawn is None else f"{number(drawn)} mm RMS, {DRAWN['base']}"),
-    ]
-    parts: list[Part] = [Sheet.facts(figures), *sections]
-    if result.not_identifiable:
+    dh = [type(fit.corrected_values[0])(**row) for row in data.get("dh_table", ())]
+    values = [row for row in fit.corrected_values if row.parameter not in hidden]
+    tables: list[Part] = [*dh_sections(dh, data.get("dh_places", ()))]
+    if values and not tables:
+        tables = [corrected_section("Corrected values", values)]
+    if fit.arm is None:
+        rows = (
+            [row["name"], *(estimate_text(row[key], row["std"], row["unit"]) for key in COLUMNS), row["unit"]]
+            for row in fit.rows()
+        )
+        tables = [Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), [*rows])]
+    drawn = data.get("rms_drawing_mm") if "only" in data else None
+    by_drawing = None if drawn is None else f"{number(drawn)} {reading_unit(fit.arm)} RMS, {DRAWN['base']}"
+    parts: list[Part] = [Sheet.facts([*fit_facts(fit), ("drawing", by_drawing)]), *tables]
+    if fit.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
-        parts += [f"  {combination}" for combination in result.not_identifiable]
+        parts += [f"  {combination}" for combination in fit.not_identifiable]
     if servo := data.get("servo_error", ()):
         keys = ("offset", "reversal", "rms", "largest", "rest")
         cells = [[str(row["joint"]), *(f"{row[key]:z.5f}" for key in keys), row["unit"]] for row in servo]
         meaning = "read less commanded: offset + reversal s + rest, s = +1 or -1 the sign of the last motion"
         parts += [Sheet(("joint", *keys, "unit"), cells, "Servo error"), meaning]
-    # what the errors before the fit are those of; without a place in the file, one has been fitted before
-    if drawn is not None and result.rms_before > (1.0 + 1e-3) * result.rms_after:
-        before = "where the arm file has it"
-    else:
-        arm, places = getattr(result.model, "arm", None), placing(result.model.parameters)
-        fitted = bool(places) and len(places) < len(result.names)
-        file = "arm file" if arm is None or arm.calibration is not None else "drawing"
-        before = f"{file}, {DRAWN['base' if fitted else 'none']}"
-    verdict = [identification_verdict(data, before)]
+    # whose the errors before the fit are; without a place in the file, one has been fitted before
+    places = placing(fit.model.parameters)
+    placed = 0 < len(places) < len(fit.names) or fit.rms_before <= (1.0 + 1e-3) * fit.rms_after
+    file = "arm file" if fit.arm is None or fit.arm.calibration is not None else "drawing"
+    before = f"{file}, {DRAWN['base' if places and placed else 'none']}"
+    verdict = [identification_verdict({**data, **unit_key(fit.arm)}, before)]
     if not data.get("offered", {"better": True})["better"]:
         verdict.insert(0, hardly_better(data["offered"]))
-    return Document("Identification", verdict, parts, warnings=result.warnings)
+    return Document("Identification", verdict, parts, warnings=fit.warnings)
 
 
 def identification_verdict(data: Data, before: str = "") -> str:
-    """What a fit does to the error on its own data;  before : whose the error before is, where not the drawing's"""
+    """What a fit does to the error on its own data, and what it leaves of postures left out of it;  before : whose the
+    error before is, where not the drawing's"""
     drawn, unit = None if "only" in data else data.get("rms_drawing_mm"), data.get("reading_unit", "mm")
     was = f"{in_a_sentence(data['rms_before_mm'])}{before and f' {unit} ({before})'}"
     was = was if drawn is None else drawing_in_words(drawn, unit=unit)
     after = f"{in_a_sentence(data['rms_after_mm'])} {unit}"
-    return f"On its own data the calibration takes the RMS error from {was} to {after}."
+    # many parameters, held by a prior or not, come as near to the rows they are fitted to as one likes
+    left, others = data.get("cross_validated_mm"), ""
+    if left is not None:
+        others = f"; of postures left out of the fit it is {in_a_sentence(left)} {unit} (noise included)"
+    return f"On its own data the calibration takes the RMS error from {was} to {after}{others}."
 
 
 def hardly_better(offered: Data) -> str:
@@ -227,11 +206,11 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str,
 
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
-    """Nominal and corrected values with intervals, without those that are the drawing's to the last digit shown."""
+    """Nominal and corrected values with intervals, without those that are the drawing's to 0.0001 mm or deg."""
     keys, cells = ("nominal", "corrected", "std", "low_95", "high_95"), []
     for row in rows:
         name, std, unit = f"{row.name} *" if row.weak else row.name, row.std, row.unit
-        same = {number(getattr(row, key), 5) for key in keys if key != "std"}
+        same = {number(getattr(row, key), 4) for key in keys if key != "std"}
         if unit not in ("mm", "deg") or len(same) > 1 or row.nominal is None:
             cells.append([name, *(estimate_text(getattr(row, key), std, unit) for key in keys), unit_or_dash(unit)])
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
@@ -258,31 +237,20 @@ def identify_command(arm: str, rows: str, fit: str = "", out: str = "calibrated.
     return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out {out}"
 
 
-def identification_actions(
-    arm: str,
-    rows: str,
-    written: Path | None,
-    *,
-    diagnosed: bool,
-    allowed_for: bool = False,
-    better: bool = True,
-    mounted_anew: bool = False,
-) -> list[Action]:
-    """What follows from an identification.
+def identification_actions(data: Data, arm: str, rows: str, written: Path | None, *, diagnosed: bool) -> list[Action]:
+    """What follows from an identification, by its JSON.
 
-    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for;  allowed_for : the
-    library's effects are in the model, held by a prior;  better : than the geometry alone
-    mounted_anew : reflectors are elsewhere in some session, which the fit takes for the same
+    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
     """
     calibrated = str(written or "calibrated.toml")
-    if mounted_anew:
+    if any(warning.startswith(REMOUNTED) for warning in data["warnings"]):
         why = "Give these reflectors another name in those sessions, in the column marker, and fit again:"
         return [Action(why, identify_command(arm, rows, out=calibrated))]
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(arm, rows, calibrated)
-    if not allowed_for:
+    if "prior" not in data:
         return [*keep, *([] if diagnosed else [look]), *use]
-    if not better:
+    if not data.get("offered", {"better": True})["better"]:
         alone = "Leave --library-prior away, since the geometry alone predicts as well:"
         keep, use = [Action(alone, identify_command(arm, rows))], [correct("calibrated.toml")]
     why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
@@ -298,25 +266,26 @@ def calibrated_actions(arm: str, rows: str, calibrated: str) -> list[Action]:
     ]
 
 
-def validation_actions(better: bool, refit: str, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
-    """What to do with a model that predicts other measurements, or does not;  beyond : most of them at angles that it
-    has not seen"""
+def validation_actions(data: Data, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
+    """What to do with a model that predicts other measurements, or does not, by the JSON of `validate`;  beyond : most
+    of them at angles that it has not seen"""
     why = "Most rows are at angles that the calibration has not seen. A fit that reaches farther from its data:"
     far = [Action(why, identify_command("arm.toml", "data.csv", "library-prior"))] if beyond else []
-    if better:
+    if is_better(data):
         return [*far, correct(model)]
     asked = f"armcal validate {model} {rows} --refit offsets"
     moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
     zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")
-    return [*far, *([] if refit == "offsets" else [moved]), zeros]
+    return [*far, *([] if data["refit"] == "offsets" else [moved]), zeros]
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
 def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
     """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
     better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    rows = rows or ("the model's own measurements" if FITTED in data.get("notes", ()) else "other measurements")
-    which = ", which it was fitted to" if seen else ""
+    seen = seen or FITTED in data.get("notes", ())
+    which = ", which it was fitted to" if seen and rows else ""
+    rows = rows or ("the model's own measurements" if seen else "other measurements")
     unit = data.get("reading_unit", "mm")
     drawing = drawing_in_words(data["rms_nominal_mm"], data["refit"], unit)
     figures = f"from {drawing} to {in_a_sentence(data['rms_mm'])} {unit}"
@@ -324,6 +293,7 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, 
     gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
     worth = "no better than the drawing" if gain <= 0.0 else f"{100.0 * gain:.0f} % of the error is removed"
     worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
+    worth = "this says nothing about others" if seen else worth
     return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
 
 
@@ -355,35 +325,7 @@ def validation_sections(data: Data, points: str = "") -> list[Section]:
     return shown + ([Section(f"Validation, block by block, in {unit}", [Sheet(headings, blocks)])] if blocks else [])
 
 
-# -- armcal compensate -------------------------------------------------------------------------------------------------
-def compensation_document(result: Any) -> Document:
-    """How many targets are reached and which are not, and commands for the first ones;  result : `Compensation`"""
-    verdict = f"{np.count_nonzero(result.reached)} of {len(result.targets)} targets reached by the calibrated model"
-    if result.model_rms is not None:
-        verdict += f" (RMS {result.model_rms:.4g} mm on its own measurements)"
-    if result.angles is not None and result.reached.any():
-        miss = miss_text(result.to_json()["max_error_deg"])
-        verdict += f"; orientations are those wanted to {miss} deg, by the same model"
-    verdict += "."
-    if missed := (np.flatnonzero(~result.reached) + 1).tolist():
-        counts = {"out of reach": ~result.near, "barred by a constraint": result.near & ~result.reached}
-        why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
-        counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
-        have = "have" if len(missed) > 1 else "has"
-        verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
-    reasons = [f"target {k} ! {message}" for k, message in enumerate(result.messages, start=1) if message]
-    rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
-    types = result.joint_types or (REVOLUTE,) * result.commands.shape[1]
-    digits = 3 if len(types) + result.targets.shape[1] <= 6 else 2  # of more joints and axes than 80 columns have room
-    joints = [f"q{j}" if kind == REVOLUTE else f"q{j} [mm]" for j, kind in enumerate(types, start=1)]
-    commands = np.where(np.isnan(result.safe_commands), np.nan, result.commands_in_file_units)
-    rows = command_rows(result.targets, commands, result.left, digits)
-    headings = ["row", *"xyz"[: result.targets.shape[1]], *joints, "miss"]
-    table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
-    rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
-    return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=result.warnings)
-
-
+# -- commands, in a terminal and on a page -----------------------------------------------------------------------------
 def rows_listed(rows: Sequence[int]) -> str:
     """`row 3`, `rows 1, 5`; of many the first eight."""
     return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"

@@ -48,13 +48,12 @@ def library() -> Mapping[str, type[Effect]]:
     return MappingProxyType(_LIBRARY)
 
 
-def unknown_effect(name: str, besides: Sequence[str] = ()) -> InputError:
-    """The error about a name that the library has not; it has too many names to say them all.
-
-    besides : names that may be meant and are no effects
-    """
-    meant = suggestion(close_names(name, [*library(), *besides], OTHER_NAMES))
-    return InputError(f"effects: unknown name {name!r}, {meant}armcal effects lists them")
+def effect_named(name: str) -> type[Effect]:
+    """The class of an effect. Raises `InputError` for a name that the library has not; it has too many to say them."""
+    if name not in library():
+        meant = suggestion(close_names(name, library(), OTHER_NAMES))
+        raise InputError(f"effects: unknown name {name!r}, {meant}armcal effects lists them")
+    return library()[name]
 
 
 def of_dimension(dimension: int) -> Mapping[str, type[Effect]]:
@@ -83,9 +82,7 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
     Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter,
     and an effect not defined for arms of this dimension.
     """
-    if spec.name not in library():
-        raise unknown_effect(spec.name)
-    cls, joint = library()[spec.name], spec.joint
+    cls, joint = effect_named(spec.name), spec.joint
     if chain.dimension not in cls.dimensions:
         others = {2: "spatial", 3: "planar"}[chain.dimension]
         raise InputError(

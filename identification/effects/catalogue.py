@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.effects import library, unknown_effect
+from identification.effects import effect_named, library
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.parameters import Parameter
 
@@ -74,9 +74,7 @@ def entries() -> list[Entry]:
 
 def entry(name: str) -> Entry:
     """The effect with this name. Raises `InputError` for an unknown name."""
-    if name not in library():
-        raise unknown_effect(name)
-    cls = library()[name]
+    cls = effect_named(name)
     chosen = {key: int(value.low) if value.whole else value.low for key, value in cls.settings.items()}
     joint = max(cls.first_joint, 1) if cls.per_joint == "required" else None
     chain = planar_chain(np.ones(3))  # one parameter per joint is listed as the first

@@ -18,35 +18,16 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, Gravity
-from identification.arrays import Array
+from identification.arrays import Array, slices
 from identification.conditions import REMEMBERED
 from identification.effects.base import Effect
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame
-from identification.kinematics.parameters import REVOLUTE
+from identification.kinematics.parameters import LENGTH_ERROR, REVOLUTE
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
 BY_JOINT = ("joint_angles", "extensions", "deflections", "slopes", "joint_turns", "joint_shifts")
-
-
-def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Where each part of a vector stands, of parts in this order."""
-    ends = accumulate(sizes.values())
-    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
-
-
-def condition_slices(links: int, extra: Collection[str] = ()) -> dict[str, slice]:
-    """Where each condition of a model stands among its columns: those of `Conditions.table`, and of these in order what
-    the model has besides.
-
-    extra : `past` of the joints, if an effect has a memory; `marker`, where there are several; `reference`, measured
-        orientations column by column, with `missing`, 1 where there is none; `errors` of the joints by their curves,
-        with `off`, the share of the curves' geometry that does not hold
-    """
-    sizes = {"payload": 1, "temperature": 1, "time": 1, "session": 1, "directions": links}
-    further = {"past": links * REMEMBERED, "marker": 1, "reference": 9, "missing": 1, "errors": links, "off": 1}
-    return _slices(sizes | {name: size for name, size in further.items() if name in extra})
 
 
 @dataclass(frozen=True)
@@ -56,6 +37,8 @@ class Chain:
     geometry: KinematicChain
     gravity: Gravity | None
     q: ca.SX  # (n,) commanded joint angles [rad]
+    gravity_turn: ca.SX  # [rad] about the axes of the base that a frame may turn about
+    payload_shift: ca.SX  # (d,) of the payload from where the file says [mm], in the tip's frame
     payload: ca.SX  # [kg]
     temperature: ca.SX  # [K] above the mean
     time: ca.SX  # -0.5..0.5 over the session
@@ -63,20 +46,18 @@ class Chain:
     directions: ca.SX  # (n,) +1 or -1
     past: ca.SX | None = None  # (n, 12) turning points before (`past_from_order`) [rad], None: the posture itself
     marker: ca.SX | None = None  # number of the measured point, from 0
-    reference: ca.SX | None = None  # (9,) orientation to compare with, by columns, None: none is measured
-    missing: ca.SX | None = None  # 1 where the row has none
+    orientation: ca.SX | None = None  # (9,) to compare with, by rows, None: none is measured
     errors: ca.SX | None = None  # (n,) values of error curves at this posture [rad], None: there are none
     off: ca.SX | None = None  # the share of their geometry that does not hold
-    gravity_turn: ca.SX | None = None  # [rad] about the axes of the base that a frame may turn about
-    payload_shift: ca.SX | None = None  # of the payload from where the file says [mm], in the tip's frame; in space
 
     @classmethod
-    def of(cls, arm: Arm, q: ca.SX, c: ca.SX, extra: Collection[str] = ()) -> Chain:
-        """An arm at a posture q (n) under conditions c, whose columns are those of `condition_slices`."""
-        at = {name: c[place] for name, place in condition_slices(arm.links, extra).items()}
+    def of(cls, arm: Arm, q: ca.SX, c: ca.SX, columns: Mapping[str, slice]) -> Chain:
+        """An arm at a posture q (n) under conditions c in these columns (`condition_columns`)."""
+        at = {name: c[place] for name, place in columns.items()}
         if "past" in at:
             at["past"] = ca.reshape(at["past"], REMEMBERED, arm.links).T
-        return cls(arm.chain, arm.gravity, q, **at)
+        turned, shifted = ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension)
+        return cls(arm.chain, arm.gravity, q, turned, shifted, **at)
 
     @property
     def previous(self) -> ca.SX:
@@ -110,9 +91,9 @@ class Chain:
     def acceleration(self) -> ca.SX:
         """(3,) acceleration of gravity [m/s^2] in the frame of the base, rotated by `gravity_turn`."""
         gravity = in_space(ca.SX(ca.DM(self.required_gravity.acceleration)))
-        if (turn := self.gravity_turn) is None or turn.is_zero():
+        if self.gravity_turn.is_zero():
             return gravity
-        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, turn).axes, gravity)
+        return ca.mtimes(Frame.world().turned_about(self.geometry.turning, self.gravity_turn).axes, gravity)
 
     @cached_property
     def loads(self) -> list[tuple[ca.SX, int, ca.SX]]:
@@ -120,8 +101,7 @@ class Chain:
         as far along as the file says; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.geometry
         at = ca.SX(ca.DM(next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at))
-        hangs = at if self.payload_shift is None else at + in_space(self.payload_shift)
-        masses = [(self.payload, self.links - 1, self.frames[-1].point(hangs))]
+        masses = [(self.payload, self.links - 1, self.frames[-1].point(at + in_space(self.payload_shift)))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
             masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
         return masses
@@ -151,12 +131,8 @@ def widths(chain: KinematicChain) -> dict[str, int]:
     n, d, turns = len(chain), chain.dimension, len(chain.turning)
     loads = dict(zip(OF_LOAD, (1, turns, d), strict=True))
     frame = {"tool": d, "base_rotation": turns, "base_translation": d, "instrument": d}
-    return {**loads, "joint_angles": n, "extensions": n, **chain.bends, **frame}
-
-
-def by_place(vector: ca.SX, chain: KinematicChain) -> dict[str, ca.SX]:
-    """Place -> its elements of a vector over all places."""
-    return {place: vector[where] for place, where in _slices(widths(chain)).items()}
+    bends = {place: n * each for place, each in chain.bends.items()}
+    return {**loads, "joint_angles": n, "extensions": n, **bends, **frame}
 
 
 def state_slices(chain: KinematicChain) -> dict[str, slice]:
@@ -164,7 +140,7 @@ def state_slices(chain: KinematicChain) -> dict[str, slice]:
     rotation of gravity [rad], in space shift of the payload [mm], link lengths (n) [mm] without extensions, and the tip
     (d) [mm] before the instrument."""
     sizes = widths(chain)
-    return _slices({place: sizes[place] for place in OF_LOAD} | {"lengths": len(chain), "tip": chain.dimension})
+    return slices({place: sizes[place] for place in OF_LOAD} | {"lengths": len(chain), "tip": chain.dimension})
 
 
 def position_and_state(
@@ -179,7 +155,8 @@ def position_and_state(
     drawn, sizes = chain.geometry, widths(chain.geometry)
     counts = [len(effect.parameters) for effect in effects]
     geometry, *parts = ca.vertsplit(values, [*accumulate([0, values.numel() - sum(counts), *counts])])
-    additions = by_place(ca.SX.zeros(sum(sizes.values())) if added is None else added, drawn)
+    added = ca.SX.zeros(sum(sizes.values())) if added is None else added
+    additions = {place: added[where] for place, where in slices(sizes).items()}
 
     def add(places: Collection[str], chain: Chain, lengths: ca.SX | None = None, tip: ca.SX | None = None) -> None:
         for effect, part in zip(effects, parts, strict=True):
@@ -189,11 +166,13 @@ def position_and_state(
     add(OF_LOAD, chain)
     additions["payload"] += chain.payload
     loads: dict[str, Any] = {place: additions[place] for place in OF_LOAD}
-    lengths = drawn.link_lengths(geometry)
+    named = dict(zip(drawn.parameters().names, ca.vertsplit(geometry), strict=True))
+    errors = (named.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(drawn) + 1))
+    lengths = ca.DM(drawn.lengths) + ca.vertcat(*errors)
     add([place for place in sizes if place not in (*OF_LOAD, "instrument")], replace(chain, **loads), lengths)
-    tip, turned = drawn.tip(chain.q + additions["joint_angles"], geometry, additions, chain.marker, chain.reference)
+    tip, turned = drawn.tip(chain.q + additions["joint_angles"], named, additions, chain.marker, chain.orientation)
     add(["instrument"], chain, tip=tip)
-    settings = geometry[geometry.numel() - len(drawn.instrument.parameters) :]
+    settings = ca.vertcat(ca.SX(0, 1), *(named[p.name] for p in drawn.instrument.parameters))
     target = ca.SX(0) if chain.marker is None else chain.marker
     reading = drawn.instrument.reading(tip + additions["instrument"], settings, target)
     return ca.vertcat(reading, turned), ca.vertcat(*loads.values(), lengths, tip)

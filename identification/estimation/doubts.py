@@ -141,10 +141,14 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.b
     ]
 
 
+def rounding(measurements: Measurements) -> float:
+    """RMS distance [mm] that the sums of a fit to data without noise are rounded by, at most."""
+    return 1e-13 * float(np.max(np.abs(measurements.positions)))
+
+
 def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
     """Residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
-    left, largest = rms_distance(residual), float(np.max(np.abs(measurements.positions)))
-    if left > 1e-13 * largest:  # the sums of a fit to data without noise are rounded by less
+    if (left := rms_distance(residual)) > rounding(measurements):
         return []
     return [f"the fit leaves {left:.2g} mm RMS, which is rounding: data without noise, deviations mean nothing"]
 
@@ -184,9 +188,9 @@ def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
         form = PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True)
         solve = form.solver(measurements.postures, np.ones(len(measurements)), RANK_TOLERANCE)
         left.append(float(solve(measurements.positions[None])[1][0]))
-    if not worth_freeing(left[0], left[1], 2, spare, FALL**2):
-        return []
     before, after = (np.sqrt(squares / len(measurements)) for squares in left)
+    if before <= rounding(measurements) or not worth_freeing(left[0], left[1], 2, spare, FALL**2):
+        return []
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
 
@@ -295,9 +299,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     without deviations, and of other models than an arm's.
 
     Real postures fill no box of joint angles. What the fit is uncertain by at its own postures is less than at others
-    drawn as they were by 1 - p / N, the share of the N numbers that p parameters leave over (G. H. Golub, M. Heath,
-    G. Wahba, "Generalized cross-validation", 1979), repeats counted once; and in the box of the angles measured it is
-    hardly less, whatever few rows say.
+    drawn as they were, by `inside`; and in the box of the angles measured it is hardly less, whatever few rows say.
     """
     arm, postures = getattr(fit.model, "arm", None), fit.postures
     if not isinstance(arm, Arm) or fit.not_identifiable or not np.all(np.isfinite(fit.covariance)):
@@ -311,8 +313,7 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
 
     if not measured:
         return over(working_postures(arm.lower, arm.upper))
-    numbers = len(postures) * fit.residuals_after.shape[1]
-    among = over(postures[:: max(len(postures) // 1000, 1)], max(numbers - fit.determined, 1.0) / numbers)
+    among = over(postures[:: max(len(postures) // 1000, 1)], fit.inside)
     return min(among, over(working_postures(postures.min(axis=0), postures.max(axis=0))))
 
 

@@ -255,7 +255,7 @@ def _identification(
         doubts=(*sentences, *far_rows(after, outlier, structure)),
         flange_turns=None if arm is None or stands else flange_turns(arm.chain, data),
         postures=data.postures[first],
-        determined=float(m * d - round(rows.freedom)),
+        inside=rows.inside(decomposed.root),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
         unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
     )
@@ -287,15 +287,16 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
     if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
-    solution = _not_fitted(len(measured), model)
-    x, rss, status = solution.parameters, solution.rss, solution.status
+    x, rss = np.full((len(measured), len(model.names)), np.nan), np.full(len(measured), np.nan)
+    status = np.full(len(measured), Status.not_identifiable, dtype=object)
+    solution = Solution(x, rss, status)
     if (form := problem.exact_form) is not None:
         # one pseudo-inverse for all (identification/README.md, "Closed form")
         solve = form.solver(problem.postures, problem.weights, problem.tolerance)
         for part in _chunks(len(measured), m):
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
-        return solution.finished()
+        return solution
     # from the closed form, by the chord method with one matrix for all, then their own, last by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
@@ -315,7 +316,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
                 x[sets], rss[sets], stationary = chord_steps(problems, jacobians, x[sets])
                 status[sets[stationary]] = Status.converged
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
-    return solution.finished()
+    return solution
 
 
 def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -364,8 +365,3 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
 def _chunks(count: int, rows: int) -> Iterator[slice]:
     size = max(1, 20_000 // rows)  # rows of all data sets: the arrays of one pass stay in the processor's cache
     return (slice(start, min(start + size, count)) for start in range(0, count, size))
-
-
-def _not_fitted(count: int, model: Model) -> Solution:
-    status = np.full(count, Status.not_identifiable, dtype=object)
-    return Solution(np.full((count, len(model.names)), np.nan), np.full(count, np.nan), status)

@@ -7,6 +7,10 @@ Each step solves min |E s - r|^2 + damping |s|^2 over the columns E of the exact
 stiff the direction of the step is, however flat the valley. Parameters on a bound that the gradient or the step would
 leave on the wrong side are held (without the step's, a cut step need not descend); what a step takes beyond a bound
 from inside is cut off there. Combinations of parameters that the data do not determine get no step.
+
+Along a curved valley steps that must not climb its walls are as short as these are steep. A search that takes long
+tries undamped steps again, and may climb by one where the next one makes up for it (R. M. Chamberlain et al., "The
+watchdog technique for forcing convergence", 1982).
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from identification.running import Status
 
 GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine with the residuals above this
 ITERATIONS = 200
+PATIENCE = 16  # steps, more than most searches take: one that goes on is in a curved valley
 SMALL_FALL = 1e-8  # of a sum of squares, relative
 VANISHED = 1e-4  # of the length that a column had at the start: its parameter has no effect to speak of
 Index = NDArray[np.intp]
@@ -76,6 +81,13 @@ class Points(NamedTuple):
         """Some of them."""
         return self if rows.all() else Points._make(array[rows] for array in self)
 
+    def with_rows(self, rows: Index, others: Points) -> Points:
+        """With others in place of these."""
+        arrays = tuple(array.copy() for array in self)
+        for array, other in zip(arrays, others, strict=True):
+            array[rows] = other
+        return Points._make(arrays)
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -101,12 +113,6 @@ class Solution:
     def converged(self) -> NDArray[np.bool_]:
         """(K,) True where it is stationary; False for data that are not finite."""
         return np.asarray(self.status == Status.converged)
-
-    def finished(self) -> Solution:
-        """The same, read only."""
-        for array in (self.parameters, self.rss, self.status):
-            array.setflags(write=False)
-        return self
 
 
 def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
@@ -178,9 +184,10 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
     ends = []
     for iteration in range(problem.iterations + 1):
         last = iteration == problem.iterations
-        if last:
-            # a flat curved valley (nearly undetermined combination, few rows) is left slowly: what is missing is far
-            # below its standard deviation, where the next step explains less than 1e-4 sqrt(N) of those
+        # a flat curved valley (nearly undetermined combination, few rows) is left slowly, but by the whole step now and
+        # then. What is missing at last is far below its standard deviation, where the next step explains less than 1e-4
+        # sqrt(N) of those
+        if last or (iteration >= PATIENCE and iteration.bit_count() == 1):  # after 16, 32, 64 ....
             points = points._replace(damping=np.zeros(len(points.problems)))
         steps, stationary, active, explained, stiffness = _steps(problem, points)
         ended = np.ones(len(stationary), dtype=bool) if last else stationary | (points.damping > 1e12)
@@ -199,7 +206,7 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
         points = points.at(~ended)
         if len(points.problems) == 0:
             break
-        points = _moved(problem, points, steps[~ended], stiffness[~ended])
+        points = _moved(problem, points, steps[~ended], stiffness[~ended], watched=iteration >= PATIENCE)
     return Points._make(np.concatenate(arrays) for arrays in zip(*ends, strict=True)) if ends else points
 
 
@@ -307,12 +314,13 @@ def _stiffness(steps: Array, softer: Array) -> Array:
     return np.divide(lengths, softness, out=np.zeros_like(lengths), where=softness > 0.0)
 
 
-def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array) -> Points:
+def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array, *, watched: bool) -> Points:
     """The points after their steps, where those descend, elsewhere as before, with the damping with which a step would
     have ended at the minimum of a parabola along it (Hebden 1973).
 
     No more damping than before where the sum of squares falls nearly as the linear model predicts; where it falls by
-    less than a quarter of that, so much that a step half as long at most comes next (More 1978).
+    less than a quarter of that, so much that a step half as long at most comes next (More 1978). A search that is
+    `watched` may climb by one step if the next one makes up for it.
     """
     moved = Points.of(problem, points.problems, np.clip(points.parameters + steps, problem.lower, problem.upper))
     # rounding of residuals and of their sum may hide the descent of the last steps
@@ -333,6 +341,14 @@ def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array
     share = np.clip(np.where(np.isfinite(fall), share, 0.0), np.where(good, 1.0, 0.1), np.where(poor, 0.5, np.inf))
     damping = np.maximum(points.damping + (1.0 / share - 1.0) * stiffness, points.damping / 10.0)
     damping = np.where(damping > 0.1 * (stiffness - points.damping), damping, 0.0)  # less is none
+    # in a curved valley the next step takes back what this one climbs its walls by
+    if watched and (climbs := poor & np.isfinite(moved.squares)).any():
+        climbed = moved.at(climbs)
+        x = np.clip(climbed.parameters + _steps(problem, climbed)[0], problem.lower, problem.upper)
+        back, rows = Points.of(problem, climbed.problems, x), np.flatnonzero(climbs)
+        lower = back.squares <= (points.squares - 0.25 * predicted)[rows]
+        moved, rows = moved.with_rows(rows[lower], back.at(lower)), rows[lower]
+        better[rows], damping[rows] = True, points.damping[rows]
     if better.all():
         return moved._replace(damping=damping)
     chosen = (np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(moved, points, strict=True))

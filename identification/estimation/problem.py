@@ -152,7 +152,7 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
 class Problem:
     """min over the parameters of sum_i w_i |measured_i - position_i|^2 (eq. 3, with weights), for K data sets.
 
-    postures : (m, n) [rad] that all data sets share, with conditions (m,); or (K, m, n), each its own, and (K, m)
+    postures : (m, n) [rad] that all data sets share, with their conditions
     positions : (K, m, d) measured [mm]
     weights : (m,) of the rows, 1/sigma_i^2 where sigma is known
     sigma : root mean square over rows [mm] of the standard deviation that the weights are of; None: unknown
@@ -209,10 +209,7 @@ class Problem:
 
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
-        chosen = replace(self, positions=self.positions[index])
-        if self.postures.ndim == 2:
-            return chosen
-        return replace(chosen, postures=self.postures[index], conditions=self.conditions.rows(index))
+        return replace(self, positions=self.positions[index])
 
     @cached_property
     def root_weights(self) -> Array:
@@ -473,18 +470,18 @@ def starts(problem: Problem) -> Array:
     best_known = np.tile(problem.start, (len(problem.positions), 1))
     if isinstance(problem.model, Model):
         instrument = problem.model.arm.chain.instrument
-        names = {parameter.name for parameter in instrument.parameters}
-        if numbers := [k for k, name in enumerate(problem.model.names) if name in names]:
-            # those of the instrument as they explain the readings best, and all others as they fit best with those of
-            # them that the instrument holds first
-            settled, held = instrument.settled(best_known, problem.residuals, numbers)
+        own = {p.name for p in instrument.parameters if p.start is None}
+        of_instrument = np.array([name in own for name in problem.model.names])
+        # what is not known of the instrument, then all else, each by itself: an arm that shrinks with its sphere would
+        # explain any residual to first order, since heights above the sphere are homogeneous in all lengths
+        for held in (~of_instrument, of_instrument) if of_instrument.any() else ():
 
-            def linearize(parameters: Array, index: Index) -> tuple[Array, Array]:
+            def linearize(parameters: Array, index: Index, held: NDArray[np.bool_] = held) -> tuple[Array, Array]:
                 residuals, jacobian = compressed(*problem.linearize(parameters, index))
                 jacobian[..., held] = 0.0
                 return residuals, jacobian
 
-            return problem.minimized(settled, linearize).parameters if held else settled
+            best_known = problem.minimized(best_known, linearize).parameters
     form = problem.model.closed_form
     if form is None:
         return best_known

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, as_frame, readonly
+from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
@@ -70,8 +70,7 @@ class Identification(Documented):
     dof : d m equations minus the number of estimable combinations
     residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
-    postures : (k, n) measured [rad, mm], each once for every marker and session;  determined : how many combinations
-        the data determine, the effective number of parameters
+    postures : (k, n) measured [rad, mm], each once for every marker and session;  inside : `WhiteRows.inside`
     outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
@@ -95,7 +94,7 @@ class Identification(Documented):
     uncertainty: Uncertainty
     scatter: float | None
     postures: Array
-    determined: float
+    inside: float
     doubts: tuple[str, ...] = ()
     outlier_rows: tuple[int, ...] = ()
     unexplained_rows: tuple[int, ...] = ()
@@ -156,7 +155,16 @@ class Identification(Documented):
         """What chi2 says where it rejects the model or the sigma given, and what follows for the intervals."""
         if self.p_value is None or self.p_value >= LEVEL or self.scatter is None or not self.sigma:
             return None
-        return shown.misfit_sentence(self, self.p_value, self.scatter / self.sigma)
+        times = self.scatter / self.sigma
+        scatter = f"{shown.MISFIT} {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {self.sigma:.4g}"
+        figures = f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom, {shown.p_value_in_words(self.p_value)}"
+        cause, do = "the model is incomplete or sigma_mm too small", "armcal diagnose looks for what is missing"
+        if self.contradictions:
+            cause, do = f"the prior does not hold (above), {cause}", "settle the prior first"
+        follows = (
+            "rely on sigma_mm and are too narrow" if self.uncertainty.kind == "given" else "do not rely on sigma_mm"
+        )
+        return f"{scatter} ({figures}): {cause}. The intervals {follows}; {do}"
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -284,13 +292,9 @@ class Identification(Documented):
             for p, *figures in rows
         ]
 
-    def to_frame(self) -> Any:
-        """`corrected_values` as a frame."""
-        return as_frame([row.to_json() for row in self.corrected_values])
-
     def document(self) -> Document:
-        """The parameters with their intervals, and how well the model fits."""
-        return shown.parameters_document(self)
+        """What `armcal identify` says of it."""
+        return shown.identification_document(self)
 
 
 # -- corrected values --------------------------------------------------------------------------------------------------

@@ -94,6 +94,19 @@ class WhiteRows:
         squares = np.sum(sums**2, axis=(0, 1))
         return float(squares[0]), float(sums[:, :, 0].size - squares[1:].sum())
 
+    def inside(self, root: Array) -> float:
+        """Squared error expected of the fit at its own postures as a share of that at others drawn as they were.
+
+        What the leverages l leave of 1, by their own weighted mean: sum l (1 - l) / sum l. They are those of postures,
+        the eigenvalues of Q_g Q_g^T for the rows g of each (repeats and reflectors). Where all N are equal, 1 - p / N
+        (G. H. Golub, M. Heath, G. Wahba, "Generalized cross-validation", 1979).
+
+        root : (p, rank), as of `of_postures`
+        """
+        leverages = decomposed_groups(self.jacobian @ root, self.residual, self.postures)[0]
+        share = 1.0 - float(np.sum(leverages**2) / leverages.sum()) if leverages.any() else 1.0
+        return max(share, np.finfo(float).eps)  # of no equation more than unknowns it is rounding
+
 
 @dataclass(frozen=True)
 class Uncertainty:

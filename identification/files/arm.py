@@ -24,7 +24,7 @@ from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
 from identification.bodies import Cell
 from identification.error_curve import ErrorCurve
-from identification.errors import InputError, JobError, nearest
+from identification.errors import InputError, nearest
 from identification.files.bodies import GivenBody, Shape, ShapedBodies, pairs_apart, segment
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import (
@@ -40,7 +40,7 @@ from identification.files.schema import (
     validated_arm,
 )
 from identification.files.urdf import BASE_LINK, METER, TIP, Urdf, parse_urdf, read_urdf, urdf_text, with_origins
-from identification.instruments import kinds
+from identification.instruments import KINDS
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import before_errors, standing_in
 from identification.kinematics.counting import Counting, check_kinds
@@ -62,7 +62,6 @@ if TYPE_CHECKING:
 
 Plain = dict[str, Any]
 Effects = list[tuple[EffectSpec, "Effect"]]
-Names = Mapping[str, tuple[str, float]]  # name in files -> API name, factor from file unit to API; or API name -> ...
 COUNTED = (  # keys with a value for each joint
     *("gravity.link_masses_kg", "gravity.center_of_mass", "calibration.length_errors_mm"),
     *("calibration.joint_offsets_deg", "joints.sign", "joints.coupled_to", "joints.zero_deg", "gear_ratio"),
@@ -107,29 +106,19 @@ def _in_file(values: Any, factor: float = 1.0) -> Any:
     return values if isinstance(values, int) else float(values)
 
 
-def _names(geometry: Iterable[Parameter], effects: Effects, *, of_api: bool = False) -> Names:
-    """All parameters of a calibration by their names in files, or in the API: of the geometry, then of effects."""
-    names = [(p.name, p) for p in geometry]
-    names += [(f"{effect.key}.{p.toml_key}", p) for _, effect in effects for p in effect.parameters]
-    if of_api:
-        return {p.name: (name, p.to_file) for name, p in names}
-    return {name: (p.name, 1.0 / p.to_file) for name, p in names}
+def _named(
+    parameters: Iterable[Parameter], keys: Iterable[str], place: str, *, in_file: bool = True
+) -> list[Parameter]:
+    """The parameters of these names, in files or in the API. Raises `InputError` for another."""
+    names = {p.file_name if in_file else p.name: p for p in parameters}
+    for key in (key for key in keys if key not in names):
+        raise InputError.unknown(f"{place}: unknown parameter", key, names)
+    return [names[key] for key in keys]
 
 
-def _named(names: Names, keys: Iterable[str], place: str, points: float | None = None) -> Names:
-    """The parameters of these names. Raises `InputError` for another.
-
-    points : factor of the angles of measured points, of which any name is allowed
-    """
-    named: dict[str, tuple[str, float]] = {}
-    for key in keys:
-        if key in names:
-            named[key] = names[key]
-        elif points is not None and (point := MARKER.fullmatch(key)):
-            named[key] = key, points if point[1] else 1.0
-        else:
-            raise InputError.unknown(f"{place}: unknown parameter", key, names)
-    return named
+def _every(geometry: Iterable[Parameter], effects: Effects) -> list[Parameter]:
+    """All parameters of a calibration: of the geometry, then of effects."""
+    return [*geometry, *(p for _, effect in effects for p in effect.parameters)]
 
 
 def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
@@ -275,8 +264,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(str(file.base_link), str(file.tip_link), limited)
     else:
-        rows = [replace(_row(row), limits=(-np.pi, np.pi)) for row in file.dh]
-        chain = chain_of(rows, _convention(file))
+        chain = chain_of(*_dh_table(file))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -291,7 +279,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
             else:  # residuals of orientations weigh as much as those of positions
                 scale = sigma.sigma_mm / math.radians(sigma.sigma_deg)
         return replace(chain, angle_scale=scale)
-    instrument = kinds(chain.axes)[table.kind].of_table(table.model_dump(exclude_none=True))
+    instrument = KINDS[chain.axes][table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")
     if table.center_mm is not None and not instrument.own_targets:
@@ -301,12 +289,13 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     return replace(chain, instrument=instrument)
 
 
-def _row(table: Any) -> DHRow:
-    return DHRow(table.a_mm, math.radians(table.alpha_deg), table.d_mm, math.radians(table.offset_deg), table.joint)
-
-
-def _convention(file: Any) -> str:
-    return next((row.convention for row in file.dh if row.convention), STANDARD)
+def _dh_table(file: Any) -> tuple[list[DHRow], str]:
+    """Rows and convention of `[[dh]]`."""
+    rows = [
+        DHRow(row.a_mm, math.radians(row.alpha_deg), row.d_mm, math.radians(row.offset_deg), row.joint, (-np.pi, np.pi))
+        for row in file.dh
+    ]
+    return rows, next((row.convention for row in file.dh if row.convention), STANDARD)
 
 
 def _pose(table: Any) -> Array:
@@ -378,7 +367,7 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
             values[parameter.short] = value / parameter.to_file
         specs.append(EffectSpec(table.name, table.joint, MappingProxyType(values), curve))
     effects = _built(specs, chain)
-    names, offers = _names(chain.every_parameter, effects), chain.instrument.offers
+    offers = chain.instrument.offers
     state = f"an [instrument] of kind {chain.instrument.kind}" if file.instrument else "no [instrument] table"
     for k, ((spec, effect), table) in enumerate(zip(effects, file.effects, strict=True), start=1):
         for wrong, sentence in (
@@ -389,8 +378,8 @@ def _effects(file: Any, chain: KinematicChain) -> Effects:
             if wrong:
                 raise InputError(f"effects: {spec.key} {sentence}")
         if spec.curve is not None and table.geometry:  # that was fitted with it
-            fitted = _named(names, table.geometry, f"effects[{k}].geometry", points=math.radians(1.0))
-            values = {api: table.geometry[key] * factor for key, (api, factor) in fitted.items()}
+            fitted = _curve_parameters(chain, effects, table.geometry, f"effects[{k}].geometry")
+            values = {p.name: table.geometry[p.file_name] / p.to_file for p in fitted}
             effects[k - 1] = replace(spec, curve=replace(spec.curve, geometry=values)), effect
     return effects
 
@@ -407,19 +396,19 @@ def _calibration(
             raise InputError(f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
     if table.tools:  # which the file has where they are not known
         chain = _with_tools(chain, table.tools)
-    names = _names(chain.parameters(), effects)
+    parameters = _every(chain.parameters(), effects)
     lists = ((LENGTH_ERROR, table.length_errors_mm), (JOINT_OFFSET, table.joint_offsets_deg))
     given = {f"{kind}:{j}": value for kind, list_ in lists for j, value in enumerate(list_ or (), start=1)}
     given |= (table.values or {}) | table.effects
-    values = {api: given[key] * factor for key, (api, factor) in _named(names, given, "calibration").items()}
-    order = _named(names, table.parameters or (), "calibration.parameters").values()
-    covariance, factors = None, np.array([factor for _, factor in order])
+    values = {p.name: given[p.file_name] / p.to_file for p in _named(parameters, given, "calibration")}
+    order = _named(parameters, table.parameters or (), "calibration.parameters")
+    covariance, factors = None, np.array([1.0 / p.to_file for p in order])
     if table.covariance is not None:
         covariance = np.array(table.covariance).reshape(len(order), len(order)) * np.outer(factors, factors)
     base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
     axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
-    parameters = tuple(api for api, _ in order)
-    calibration = Calibration(values, parameters, covariance, MappingProxyType(dict(provenance)), base, tools, axes)
+    names = tuple(p.name for p in order)
+    calibration = Calibration(values, names, covariance, MappingProxyType(dict(provenance)), base, tools, axes)
     return calibration, before_errors(chain, values, base, tools, axes)
 
 
@@ -455,89 +444,89 @@ def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
 def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
     """Rows and convention of the `[[dh]]` table of an arm file; None where it has none."""
     file = validated_arm(read_toml(path))
-    return None if file.dh is None else (list(map(_row, file.dh)), _convention(file))
+    return None if file.dh is None else _dh_table(file)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
 def dump_arm(arm: Arm) -> str:
     """The text of an arm file for `arm`; `load_arm` reads the same arm from it, to rounding (1e-14).
 
-    That of a spatial arm has its drawing in it, as the text of a URDF file.
-    Raises `InputError` for a spatial arm with a chosen set of parameters, which no file can say.
+    That of a spatial arm has its drawing in it, as the text of a URDF file. Bodies are written as they are covered,
+    without what they look like. Raises `InputError` for a spatial arm with a chosen set of parameters, and limits of
+    coupled joints that are not the controller's, which no file can say.
     """
-    chain, calibration, tables = arm.chain, arm.calibration, Plain(name=arm.name)
+    chain, calibration, kind, degree = arm.chain, arm.calibration, "spatial", math.degrees(1.0)
     limits, sliding = np.stack(arm.column_limits), np.array(arm.joint_types) == PRISMATIC
-    kind = "planar" if chain.planar else "spatial"
-    if kind == "planar":
+    drawing: Plain = {"links_mm": arm.lengths}
+    if chain.planar:
+        kind = "planar"
         if not np.all(np.isfinite(limits)) and np.any(np.abs([arm.lower, arm.upper]) != np.pi):
             tied = "limits of coupled joints, none of which is the controller's"
             raise InputError(f"arm {arm.name}: found {tied}, allowed: with a constraint ColumnLimits for each")
-        tables["links_mm"] = _in_file(arm.lengths)
-    elif chain.fixed:
-        chosen = "has a chosen set of parameters"
-        raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
     else:
-        drawing = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
-        tables |= {"kind": kind, "urdf": drawing, "base_link": BASE_LINK, "tip_link": TIP}
-        tables |= {"base": pose_table(chain.base)} if BASE in chain.settled else {}
-        tables |= {"tool": tool_tables(chain.tools, chain.tool_axes)} if TOOL in chain.settled else {}
-    if arm.sigma is not None:
-        angle = (
-            {}
-            if chain.angle_scale is None
-            else {"sigma_deg": _in_file(arm.sigma / chain.angle_scale, math.degrees(1.0))}
-        )
-        tables["measurement"] = angle | {"sigma_mm": float(arm.sigma)}
-    tables |= {"instrument": chain.instrument.table()} if chain.instrument.kind else {}
-    for unit, joints, factor in (("deg", ~sliding, math.degrees(1.0)), ("mm", sliding, 1.0)):
+        if chain.fixed:
+            chosen = "has a chosen set of parameters"
+            raise InputError(f"arm {arm.name}: {chosen}, allowed: all of them; a file has no such key")
+        urdf = tomlkit.string(urdf_text(chain, arm.name), literal=True, multiline=True)
+        drawing = {"kind": kind, "urdf": urdf, "base_link": BASE_LINK, "tip_link": TIP}
+        drawing["base"] = pose_table(chain.base) if BASE in chain.settled else None
+        drawing["tool"] = tool_tables(chain.tools, chain.tool_axes) if TOOL in chain.settled else None
+    within = {}
+    for unit, joints, factor in (("deg", ~sliding, degree), ("mm", sliding, 1.0)):
         if joints.any() and np.all(np.isfinite(limits[:, joints])):  # else those of the drawing
             lower, upper = _in_file(limits[:, joints], factor)
-            tables[f"joint_limits_{unit}"] = {"lower": lower, "upper": upper}
-    tables |= {} if arm.gear_ratios is None else {"gear_ratio": _in_file(arm.gear_ratios)}
-    for key, keys, value in (
-        ("joints", JointsTable.model_fields, arm.counting),
-        ("machining", MachiningTable.model_fields, arm.machining if arm.machining != Machining() else None),
-        ("gravity", GravityTable.model_fields, arm.gravity),
-    ):
-        tables |= {} if value is None else {key: _in_table(keys, value)}
+            within[f"joint_limits_{unit}"] = {"lower": lower, "upper": upper}
+    constraints = []
     for constraint in (each for each in arm.constraints if not isinstance(each, ColumnLimits)):
         sphere = isinstance(constraint, KeepOutCircle) and kind == "spatial"
         which = "keep_out_sphere" if sphere else constraint.kind
         entries = _in_table(CONSTRAINTS[which][kind].replace("?", "").split(), constraint)
         if "facing" not in entries:
             entries.pop("acceptance_deg", None)
-        tables.setdefault("constraints", []).append({"kind": which, **entries})
-    if (cell := arm.cell) is not None:  # bodies as they are covered, without what they look like
-        bodies = list[Plain]()
-        for body in cell.bodies:
-            named: Plain = {"name": body.name} | ({"joint": body.joint} if body.joint else {})
-            for start, end, (radius,) in (np.split(capsule, [3, 6]) for capsule in body.capsules):
-                ends = {"start_mm": _in_file(start[: arm.dimension]), "end_mm": _in_file(end[: arm.dimension])}
-                bodies.append({"kind": "capsule", **named, **ends, "radius_mm": float(radius)})
-            for middle, turn, half in (np.split(box, [3, 12]) for box in body.boxes):
-                place = pose_table(pose(middle, turn.reshape(3, 3)))
-                place = {key: place[key] for key in POSE[kind].replace("?", "").split()}
-                bodies.append({"kind": "box", **named, "size_mm": _in_file(2.0 * half[: arm.dimension]), **place})
-        said: Plain = {} if cell.floor is None else {"floor_z_mm": float(cell.floor)}
-        said["clearance_mm"] = float(cell.clearance)
-        said |= {"apart": sorted(map(sorted, cell.apart))} if cell.apart else {}
-        tables["cell"] = said | ({"bodies": bodies} if bodies else {})
+        constraints.append({"kind": which, **entries})
+    bodies, axes = list[Plain](), slice(arm.dimension)
+    for body in () if arm.cell is None else arm.cell.bodies:
+        named = {"name": body.name, "joint": body.joint or None}
+        for start, end, (radius,) in (np.split(capsule, [3, 6]) for capsule in body.capsules):
+            ends = {"start_mm": start[axes], "end_mm": end[axes], "radius_mm": radius}
+            bodies.append({"kind": "capsule", **named, **ends})
+        for middle, turn, half in (np.split(box, [3, 12]) for box in body.boxes):
+            place = pose_table(pose(middle, turn.reshape(3, 3)))
+            place = {key: place[key] for key in POSE[kind].replace("?", "").split()}
+            bodies.append({"kind": "box", **named, "size_mm": 2.0 * half[axes], **place})
     # where base and measured points are if they are somewhere without being known
     somewhere = BASE not in chain.settled and not np.array_equal(chain.base, np.eye(4))
-    named_points = list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
-    named_points = named_points and TOOL not in chain.settled
-    if somewhere or named_points:
+    points = list(chain.tools) != ["1"] or bool(np.any(chain.tools["1"])) or bool(chain.tool_axes)
+    points = points and TOOL not in chain.settled
+    if somewhere or points:
         calibration = calibration or Calibration({})
         stands = standing_in(chain, calibration.values)
         calibration = replace(calibration, base=stands.base) if somewhere else calibration
-        if named_points:
-            calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes)
-    effects = _built(arm.effects, chain)
-    if effects:
-        tables["effects"] = _effect_tables(effects, _names(chain.every_parameter, effects, of_api=True))
-    if calibration is not None:
-        tables["calibration"] = _calibration_table(arm, effects, calibration)
-    return _toml(tables)
+        calibration = replace(calibration, tools=stands.tools, tool_axes=stands.tool_axes) if points else calibration
+    effects, scale = _built(arm.effects, chain), chain.angle_scale
+    sigma_deg = None if arm.sigma is None or scale is None else _in_file(arm.sigma / scale, degree)
+    cell = arm.cell and {
+        "floor_z_mm": arm.cell.floor,
+        "clearance_mm": arm.cell.clearance,
+        "apart": sorted(map(sorted, arm.cell.apart)) or None,
+        "bodies": bodies or None,
+    }
+    tables = {
+        "name": arm.name,
+        **drawing,
+        "measurement": {"sigma_deg": sigma_deg, "sigma_mm": arm.sigma},
+        "instrument": chain.instrument.table() if chain.instrument.kind else None,
+        **within,
+        "gear_ratio": arm.gear_ratios,
+        "joints": arm.counting and _in_table(JointsTable.model_fields, arm.counting),
+        "machining": _in_table(MachiningTable.model_fields, arm.machining) if arm.machining != Machining() else None,
+        "gravity": arm.gravity and _in_table(GravityTable.model_fields, arm.gravity),
+        "constraints": constraints,
+        "cell": cell,
+        "effects": _effect_tables(effects, chain, effects),
+        "calibration": None if calibration is None else _calibration_table(arm, effects, calibration),
+    }
+    return _toml({key: value for key, value in _plain(tables).items() if value not in ([], {})})
 
 
 def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".") -> str:
@@ -552,7 +541,7 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
     labels = {effect.label for _, effect in before}
     wanted = _built(specs, arm.chain)
     new = [(spec, effect) for spec, effect in wanted if effect.label not in labels]
-    tables = _effect_tables(new, _names(arm.chain.every_parameter, [*before, *wanted], of_api=True))
+    tables = _effect_tables(new, arm.chain, [*before, *wanted])
     return _with_tables(text, "effects", tables) if tables else text
 
 
@@ -578,56 +567,62 @@ def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm, Effects]:
     return text, tables, arm, _built(arm.effects, arm.chain)
 
 
-def _effect_tables(effects: Effects, names: Names) -> list[Plain]:
-    """Entries of `[[effects]]`;  names : of all parameters, by the API's"""
+def _curve_parameters(
+    chain: KinematicChain, effects: Effects, names: Iterable[str], place: str, *, in_file: bool = True
+) -> list[Parameter]:
+    """Parameters of these names that were fitted with an error curve, those of measured points of any name."""
+    points = [
+        Parameter(key, "rad" if point[1] else "mm", kind=TOOL) for key in names if (point := MARKER.fullmatch(key))
+    ]
+    return _named([*_every(chain.every_parameter, effects), *points], names, place, in_file=in_file)
+
+
+def _effect_tables(effects: Effects, chain: KinematicChain, every: Effects) -> list[Plain]:
+    """Entries of `[[effects]]`;  every : effect of the arm"""
     tables = []
     for spec, effect in effects:
-        table: Plain = {"name": spec.name} if spec.joint is None else {"name": spec.name, "joint": int(spec.joint)}
+        table: Plain = {"name": spec.name, "joint": spec.joint}
         parameters = {p.short: p for p in effect.parameters}
         for short, value in spec.values.items():
             if (parameter := parameters.get(short)) is not None:
                 table[parameter.toml_key] = _in_file(value, parameter.to_file)
             else:  # a setting
-                table[short] = int(value) if value == int(value) else float(value)
+                table[short] = int(value) if value == int(value) else value
         if (curve := spec.curve) is not None:
-            degree = math.degrees(1.0)
-            angles = (_in_file(angle, degree) for angle in (curve.start, curve.stop, curve.values))
-            table |= zip(CURVE_KEYS, angles, strict=True)
-            fitted = _named(names, curve.geometry, spec.key, points=degree)
-            geometry = {name: _in_file(curve.geometry[api], factor) for api, (name, factor) in fitted.items()}
-            table |= {"geometry": geometry} if geometry else {}
-        tables.append(table)
+            angles = (_in_file(angle, math.degrees(1.0)) for angle in (curve.start, curve.stop, curve.values))
+            fitted = _curve_parameters(chain, every, curve.geometry, spec.key, in_file=False)
+            geometry = {p.file_name: _in_file(curve.geometry[p.name], p.to_file) for p in fitted}
+            table |= dict(zip(CURVE_KEYS, angles, strict=True)) | {"geometry": geometry or None}
+        tables.append(_plain(table))
     return tables
 
 
 def _calibration_table(arm: Arm, effects: Effects, calibration: Calibration) -> Plain:
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
-    names = _names(chain.parameters(), effects, of_api=True)
+    parameters = _every(chain.parameters(), effects)
     values = calibration.values if chain.frame_kinds else calibration.effects
-    order = [*_named(names, calibration.parameter_names, "calibration").values()]
-    named = _named(names, values, "calibration")
-    in_file = {name: _in_file(values[api], factor) for api, (name, factor) in named.items()}
+    order = _named(parameters, calibration.parameter_names, "calibration", in_file=False)
+    named = _named(parameters, values, "calibration", in_file=False)
+    in_file = {p.file_name: _in_file(values[p.name], p.to_file) for p in named}
+    geometry = {name: in_file.pop(name) for name in [*in_file] if GEOMETRY.fullmatch(name)}
+    table: Plain = {"values": geometry}
     if chain.planar:
         held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
         offsets = _in_file(held.joint_offsets, math.degrees(1.0))
-        table: Plain = {"length_errors_mm": _in_file(held.length_errors), "joint_offsets_deg": offsets}
-    else:
-        table = {"values": {name: value for name, value in in_file.items() if GEOMETRY.fullmatch(name)}}
-    if calibration.base is not None:
-        table["base"] = pose_table(calibration.base)
-    if calibration.tools:
-        table["tools"] = tool_tables(calibration.tools, calibration.tool_axes)
-    if order:
-        table["parameters"] = [name for name, _ in order]
+        table = {"length_errors_mm": held.length_errors, "joint_offsets_deg": offsets}
+    factors, covariance = [p.to_file for p in order], None
     if calibration.covariance is not None:
-        factors = [factor for _, factor in order]
         rows = zip(factors, calibration.covariance, strict=True)
-        table["covariance"] = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
-    if calibration.effects:
-        table["effects"] = {name: value for name, value in in_file.items() if not GEOMETRY.fullmatch(name)}
-    if calibration.provenance:
-        table["provenance"] = _plain(calibration.provenance)
-    return table
+        covariance = [[_in_file(v, row * f) for f, v in zip(factors, line, strict=True)] for row, line in rows]
+    table |= {
+        "base": None if calibration.base is None else pose_table(calibration.base),
+        "tools": tool_tables(calibration.tools, calibration.tool_axes) or None,
+        "parameters": [p.file_name for p in order] or None,
+        "covariance": covariance,
+        "effects": in_file or None,
+        "provenance": calibration.provenance or None,
+    }
+    return dict(_plain(table))
 
 
 def _plain(value: Any) -> Any:
@@ -653,32 +648,23 @@ def _with_tables(text: str, key: str, entry: Plain | list[Plain]) -> str:
     """`text` with its table `[key]` replaced where it stands, or with entries added behind its others `[[key]]`; at the
     end where it has none. Blank lines and comments before the header that follows stay there.
 
-    A second parser has then read exactly the intended tables: a user's file is never damaged.
+    A parser has then read exactly the intended tables: a user's file is never damaged. A file whose layout does not
+    allow that is written anew, without its comments.
     """
     tables, new = tomllib.loads(text), _toml({key: entry})
     wanted = tables | {key: entry if isinstance(entry, dict) else [*tables.get(key, ()), *entry]}
     lines = [f"{line}\n" for line in text.removesuffix("\n").split("\n")]
     headers = {k: header[1] for k, line in enumerate(lines) if (header := HEADER.fullmatch(line.strip()))}
     start = end = len(lines)
-    if own := [k for k, name in headers.items() if name == key]:
-        start, end = own[0], next((k for k in headers if k > own[-1]), len(lines))
+    if of_key := [k for k, name in headers.items() if name == key]:
+        start, end = of_key[0], next((k for k in headers if k > of_key[-1]), len(lines))
         while not lines[end - 1].strip() or lines[end - 1].lstrip().startswith("#"):
             end -= 1
-    if isinstance(entry, list) or not own:
+    if isinstance(entry, list) or not of_key:
         start, new = end, f"\n{new}"
     spliced = "".join([*lines[:start], new, *lines[end:]])
     try:
-        if tomllib.loads(spliced) == wanted:
-            return spliced
+        kept = tomllib.loads(spliced) == wanted
     except tomllib.TOMLDecodeError:  # it stands in one line, or in several places
-        pass
-    document = tomlkit.parse(text)
-    if isinstance(entry, list):
-        document[key].extend(entry)
-    else:
-        document.remove(key)
-        document[key] = entry
-    if tomllib.loads(rewritten := tomlkit.dumps(document)) != wanted:
-        message = "write its tables as [table] and [[table]], each in one place"
-        raise JobError(f"the TOML file's layout is too unusual to be extended: {message}")
-    return rewritten
+        kept = False
+    return spliced if kept else _toml(wanted)

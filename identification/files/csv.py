@@ -119,14 +119,14 @@ class Table:
             cell = repr(text) if text and text.strip() else "an empty cell"
             raise InputError(f"{self.place(row, column)}: found {cell}, allowed: {allowed}")
 
-    def warn_unused(self, known: Iterable[str] = (), hint: str = "") -> None:
-        """One `UserWarning` for all columns that were not asked for, with the nearest `known` one where there is one;
-        these may be there without a word.
+    def warn_unused(self, expected: Iterable[str] = (), hint: str = "") -> None:
+        """One `UserWarning` for all columns that were not asked for, with the nearest `expected` one where there is
+        one; these may be there without a word.
 
         hint : what else to say
         """
-        free, unused = [column for column in known if column not in self], []
-        for column in (column for column in self.columns if column not in {*self.used, *known}):
+        free, unused = [column for column in expected if column not in self], []
+        for column in (column for column in self.columns if column not in {*self.used, *expected}):
             near = "" if KNOWN.fullmatch(column) else suggestion(close_names(column, free)).strip()
             unused.append(f"{column!r} ({near})" if near else f"{column!r}")
         if unused:
@@ -158,43 +158,38 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
     if content.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):  # .xlsx and .ods, or .xls
         raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
     content, line, fit = content.removeprefix(codecs.BOM_UTF8), 1, ""
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     # a spreadsheet makes cells of a comment: it may come back in quotation marks and with separators at its end
-    while content.lstrip(b'"').startswith(b"#"):
-        comment, _, content = content.partition(b"\n")
-        if asked := re.match(r"#\s*fit\s*:\s*(.*)", decode(path, comment).strip('"\r,;\t ')):
+    while (above := re.match(rb'[^\S\n]*\n|"?#.*\n?', content)) is not None:
+        if asked := re.match(r"#\s*fit\s*:\s*(.*)", decode(path, above[0]).strip('"\n,;\t ')):
             fit = " ".join(asked[1].split())
             if not FITS.fullmatch(fit):
                 allowed = "library-prior, or library-prior --missing NAMES"
                 raise InputError(f"{path}: line {line}: fit {fit!r}, allowed: {allowed}")
-        line += 1
-    first = decode(path, content.split(b"\n", 1)[0]).rstrip("\r")
-    if "\r" in first:
-        raise InputError(f"{path}: lines end with a bare carriage return, allowed: line feeds (LF or CRLF)")
+        content, line = content[above.end() :], line + 1
+    first = decode(path, content.partition(b"\n")[0])
     separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
     try:
-        header = [cell.strip() for cell in next(csv.reader([first], delimiter=separator, strict=True), [])]
-    except csv.Error as error:  # a quotation mark that never ends, a name of 131,072 characters
-        raise InputError(f"{path}: line {line}: {error}, allowed: the names of the columns, {QUOTED}") from None
-    number = next((cell for cell in header if re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", cell)), None)
-    if number is not None or not any(header):
-        state = "is blank" if number is None else f"has the number {number!r}"
-        raise InputError(f"{path}: line {line} {state}, allowed: the names of the columns")
-    for cell in filter(None, header):
-        if header.count(cell) > 1:
-            raise InputError(f"{path}: column {cell!r} is there {header.count(cell)} times, allowed: once")
-    try:
-        frame, wrong = pl.read_csv(io.BytesIO(content), infer_schema=False, separator=separator), ""
+        frame = pl.read_csv(content, infer_schema=False, separator=separator)
     except pl.exceptions.PolarsError as error:
-        frame, wrong = pl.DataFrame(), f"not a valid CSV file: {str(error).splitlines()[0]}, allowed: {QUOTED}"
+        _raise_for_ragged_row(path, content, line, separator)
+        state = f"not a valid CSV file: {str(error).splitlines()[0]}"
+        raise InputError(f"{path}: {state}, allowed: the names of the columns, {QUOTED}") from None
+    header = [re.sub(r"_duplicated_\d+$", "", name).strip() for name in frame.columns]
+    for name in filter(None, header):
+        if re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", name):
+            raise InputError(f"{path}: line {line} has the number {name!r}, allowed: the names of the columns")
+        if header.count(name) > 1:
+            raise InputError(f"{path}: column {name!r} is there {header.count(name)} times, allowed: once")
     # short rows are filled up with nulls: a null in the last column asks for a closer look
-    if wrong or frame.width != len(header) or (frame.width > 1 and frame.to_series(-1).null_count()):
-        _raise_for_ragged_row(path, content, line, len(header), separator)
-    if wrong:
-        raise InputError(f"{path}: {wrong}")
+    if frame.width > 1 and frame.to_series(-1).null_count():
+        _raise_for_ragged_row(path, content, line, separator)
     frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]  # a name that no header can have
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
     frame, lines = frame.filter(filled), np.flatnonzero(filled.to_numpy()) + line + 1
     if frame.height == 0:
+        _raise_for_ragged_row(path, content, line, separator)
         raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
     for k in (k for k, name in enumerate(header) if not name):  # empty ones are what spreadsheets leave behind
         if frame[f"\n{k}"].null_count() < frame.height:
@@ -252,16 +247,16 @@ def _measured(table: Table, vias: bool) -> Table:
     return replace(table, frame=table.frame.filter(rows), lines=table.lines[rows] if len(table.lines) else table.lines)
 
 
-def _raise_for_ragged_row(path: PathLike, content: bytes, header: int, columns: int, separator: str) -> None:
+def _raise_for_ragged_row(path: PathLike, content: bytes, header: int, separator: str) -> None:
     """Raises `InputError` for a row of another length, or with quotation marks that do not enclose a whole cell.
 
     header : its line
     """
     reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator, strict=True)
-    row, line = -1, header - 1
+    row, line, columns = -1, header - 1, 0
     try:
         for cells in (cells for cells in reader if any(cell.strip() for cell in cells)):
-            row, line = row + 1, header - 1 + reader.line_num
+            row, line, columns = row + 1, header - 1 + reader.line_num, columns or len(cells)
             if len(cells) != columns:
                 allowed = f"{columns} separated by {SEPARATORS[separator]}, as in the header"
                 raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")

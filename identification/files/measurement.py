@@ -60,7 +60,7 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
-    touched = np.full((len(table), instrument.dimension), instrument.touched)
+    touched = np.zeros((len(table), instrument.dimension))
     has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
     fields: dict[str, Any] = {
         "postures": postures,

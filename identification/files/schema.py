@@ -29,7 +29,7 @@ from pydantic_core import PydanticCustomError
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
 from identification.bodies import CLEARANCE
 from identification.errors import InputError, nearest
-from identification.instruments import KINDS, kinds
+from identification.instruments import KINDS
 
 AXES = {"planar": "xy", "spatial": "xyz"}  # kind of an arm -> of its points
 CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg")
@@ -168,21 +168,22 @@ def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None,
 
 def _has_keys_of_its_kind(table: Any, info: ValidationInfo) -> Any:
     """Refuses a kind that there is not, keys that it does not have or lacks, and those that need or exclude others."""
-    arm, keys = _kind(info), dict[str, list[str]]()
+    arm, keys = _kind(info), dict[str, dict[str, bool]]()  # kind -> key -> whether it is needed
     if isinstance(table, InstrumentTable):
-        keys = {kind: [f"{key}?" for key in each.keys] for kind, each in kinds(AXES[arm]).items()}
+        keys = {kind: dict.fromkeys(each.keys, False) for kind, each in KINDS[AXES[arm]].items()}
     else:
         tables, more = (BODIES, " name? joint?") if isinstance(table, BodyTable) else (CONSTRAINTS, "")
-        keys = {kind: f"{of[arm]}{more}".split() for kind, of in tables.items() if arm in of}
+        words = {kind: f"{of[arm]}{more}".split() for kind, of in tables.items() if arm in of}
+        keys = {kind: {word.rstrip("?"): word[-1] != "?" for word in of} for kind, of in words.items()}
     if table.kind not in keys:
         _refuse("kind", f"found {table.kind!r} for a {arm} arm, {nearest(table.kind, keys)}")
     present = {key for key, value in table if value is not None and key != "kind"}
-    for key in type(table).model_fields.keys() - {"kind"}:
-        if key in present and not {key, f"{key}?"} & {*keys[table.kind]}:
-            owners = sorted(kind for kind, words in keys.items() if {key, f"{key}?"} & {*words})
+    for key in type(table).model_fields:
+        if key in present and key not in keys[table.kind]:
+            owners = sorted(kind for kind, of in keys.items() if key in of)
             allowed = f"for {', '.join(owners)}" if owners else "left out"
             _refuse(key, f"found for kind {table.kind}, allowed: {allowed}")
-        if key not in present and key in keys[table.kind]:
+        if key not in present and keys[table.kind].get(key):
             _refuse(key, missing(key))
     for key, other in (("end_mm", "start_mm"), ("toward_mm", "tracker_mm")):
         if {key, other} <= present and table.kind != "capsule" and getattr(table, key) == getattr(table, other):
@@ -190,7 +191,7 @@ def _has_keys_of_its_kind(table: Any, info: ValidationInfo) -> Any:
     if "acceptance_deg" in present and "facing" not in present:
         _refuse("acceptance_deg", "found without facing, allowed: with facing")
     for key, other in (("normal", "center_mm"), ("center_mm", "normal")):
-        if "normal?" in keys[table.kind] and key not in present and other in present:
+        if "normal" in keys[table.kind] and key not in present and other in present:
             _refuse(key, f"is missing beside {other}, allowed: both or none")
     return table
 
@@ -207,13 +208,10 @@ def _covariance(table: Any) -> Any:
     matrix, rounded = np.array(table.covariance).reshape(len(names), len(names)), 1e-5  # written with six digits
     deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     largest = np.outer(deviations, deviations)  # at a correlation of one
-    wrong = (np.abs(matrix) > (1.0 + rounded) * largest) | (np.abs(matrix - matrix.T) > rounded * largest)
-    if wrong.any():
-        i, j = np.argwhere(wrong)[0].tolist()
-        pair = f"{matrix[i, j]:g} and {matrix[j, i]:g} of {names[i]} and {names[j]}"
-        _refuse("covariance", f"found {pair}, allowed: a symmetric matrix, correlations of -1 to 1")
-    least = np.linalg.eigvalsh(matrix / np.where(largest > 0.0, largest, 1.0)).min(initial=0.0)
-    if least < -rounded * len(matrix):
+    correlations = matrix / np.where(largest > 0.0, largest, 1.0)
+    if not np.allclose(correlations, correlations.T, rtol=0.0, atol=rounded):
+        _refuse("covariance", "found values that differ from those across the diagonal, allowed: a symmetric matrix")
+    if (least := np.linalg.eigvalsh(correlations).min(initial=0.0)) < -rounded * len(matrix):
         _refuse("covariance", f"found correlations with eigenvalue {least:.3g}, allowed: positive semidefinite")
     return table
 
@@ -351,7 +349,7 @@ InstrumentTable = _table(
     "InstrumentTable",
     "kind",
     _has_keys_of_its_kind,
-    kind=Annotated[str, Field(json_schema_extra={"enum": [*KINDS]})],
+    kind=Annotated[str, Field(json_schema_extra={"enum": [*KINDS["xyz"]]})],
     radius_mm=Positive,
     center_mm=Point,
     normal=Direction,

@@ -236,6 +236,8 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     if root.tag != "robot":
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
     links = tuple(str(link.get("name")) for link in root.findall("link"))
+    if not links:
+        raise InputError(f"{path}: there is no <link>, allowed: at least 1")
     by_child: dict[str, ElementTree.Element] = {}
     urdf = Urdf(str(path), text, by_child, links, root)
     for joint in root.findall("joint"):

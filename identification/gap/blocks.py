@@ -20,10 +20,10 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
-from identification.arrays import Array
-from identification.conditions import BY_ORDER, FOLLOWING
+from identification.arrays import Array, slices
+from identification.conditions import BY_ORDER, FOLLOWING, condition_columns
 from identification.effects import Effect, Scope, build, build_all, of_dimension
-from identification.effects.chain import OF_LOAD, Chain, condition_slices, contribution, state_slices, widths
+from identification.effects.chain import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.error_curve import local_splines
 from identification.gap.fit import At, Rows
@@ -147,11 +147,11 @@ class Library:
     def columns(self, at: At) -> list[Array]:
         """For each member the (m, d, size) derivative of the position with respect to its parameters, at their neutral
         values."""
-        q, conditions, gravity = at.rows.postures, at.rows.conditions, self.arm.gravity
+        q, conditions = at.rows.postures, at.rows.conditions
         levers, state = at.model.place_levers(q, at.values, conditions)
         effects = [block.effect for block in self.members if block.effect is not None]
-        remembers, payload = any("past" in e.needs for e in effects), 0.0 if gravity is None else gravity.payload
-        given = q[:, None], conditions.table(len(q), self.arm.links, payload, q if remembers else None)[:, None]
+        remembers = any("past" in e.needs for e in effects)
+        table = conditions.table(_columns(self.arm, remembers), q, self.arm.payload)
         groups: dict[type[Effect] | None, list[tuple[Key, int]]] = {}
         for number, e in enumerate(effects):  # the settings of a scan are arguments of one function
             symbolic = bool(e.chosen) and all(setting.symbolic for setting in e.settings.values())
@@ -161,9 +161,10 @@ class Library:
         for group, members in groups.items():
             tried = [tuple(effects[k].chosen.values()) if group else () for _, k in members]
             settings, keys = {values: k for k, values in enumerate(dict.fromkeys(tried))}, [key for key, _ in members]
-            arm = Arm(self.arm.chain, gravity=gravity)  # all that the formulas have in them
+            arm = Arm(self.arm.chain, gravity=self.arm.gravity)  # all that the formulas have in them
             function, places = _slopes(arm, remembers, tuple(dict.fromkeys(keys)))
-            slopes = function(*given, state[:, None], np.array([*settings])[None])[0][..., 0]  # (m, K, Z)
+            rows = (each[:, None] for each in (q, table, state))
+            slopes = function(*rows, np.array([*settings])[None])[0][..., 0]  # (m, K, Z)
             for key, values, (_, number) in zip(keys, tried, members, strict=True):
                 for column, place, nonzero in places[key]:
                     columns[number][:, :, column] += levers[:, :, place] * slopes[:, settings[values], nonzero, None]
@@ -174,14 +175,17 @@ class Library:
 Key = tuple[type[Effect], int | None, tuple[Any, ...]]
 
 
+def _columns(arm: Arm, remembers: bool) -> dict[str, slice]:
+    return condition_columns(arm.links, ("past",) * remembers)
+
+
 @lru_cache(maxsize=8)
 def _chains(arm: Arm, remembers: bool) -> tuple[tuple[ca.SX, ca.SX, ca.SX], Chain, Chain]:
     """CasADi symbols of posture (n), conditions and state, and the nominal chain, without and with loads."""
-    extra = ("past",) * remembers
-    where = state_slices(arm.chain)
-    ends = (max(p.stop for p in s.values()) for s in (condition_slices(arm.links, extra), where))
+    columns, where = _columns(arm, remembers), state_slices(arm.chain)
+    ends = (max(place.stop for place in places.values()) for places in (columns, where))
     q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
-    chain = Chain.of(arm, q, c, extra)
+    chain = Chain.of(arm, q, c, columns)
     loads: dict[str, Any] = {place: state[where[place]] for place in OF_LOAD}
     return (q, c, state), chain, replace(chain, **loads)
 
@@ -388,8 +392,7 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
     # at a joint: functions (m, w) that are added to its angle; in space, an axis that tilts and shifts
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
     few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
-    sizes = widths(chain)
-    ends = dict(zip(sizes, np.cumsum([*sizes.values()]).tolist(), strict=True))
+    places = slices(widths(chain))
     levers = model.place_levers(q, at.values, conditions)[0]
     for j in (j for j in turning if j + 1 not in unseen):
         place, lever, angle, weight = f"joint:{j + 1}", at.levers[:, :, j, None], q[:, j], n**-0.5
@@ -413,7 +416,7 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
             yield block(f"load:{j + 1}", place, 0.3 * weight, times(lever, loads))
         if "joint_turns" in chain.bends and chain.joints[j].type == REVOLUTE:  # tilts and shifts move the point alike
             plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T  # across the axis
-            parts = [levers[:, :, ends[kind] - 3 * n + 3 * j :][:, :, :3] @ plane for kind in chain.bends]
+            parts = [levers[:, :, places[kind]][:, :, 3 * j : 3 * j + 3] @ plane for kind in chain.bends]
             parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
             turns = np.column_stack([f(k * angle) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)])
             yield block(f"wobble:{j + 1}", place, 0.3 * weight, times(np.concatenate(parts, axis=2), turns))

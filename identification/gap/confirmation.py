@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
-from identification.arrays import Array
+from identification.arrays import Array, slices
 from identification.effects.chain import widths
 from identification.errors import InputError
 from identification.estimation.doubts import FALL
@@ -266,10 +266,8 @@ def placed_residuals(
     for one in (base, model):
         left, chain, axes = one.residuals(holdout, conditions)[:, POINT], one.model.arm.chain, None
         if chain.frame_kinds and chain.instrument.reads_positions:
-            sizes = widths(chain)
-            first = sum([*sizes.values()][: [*sizes].index("tool")])
             levers = one.model.place_levers(holdout.postures, one.values, conditions)[0]
-            axes = levers[:, POINT, first : first + left.shape[1]]
+            axes = levers[:, POINT, slices(widths(chain))["tool"]]
         names = np.full(len(holdout), "") if holdout.marker is None else np.asarray(holdout.marker)
         measured = holdout.positions[:, POINT]
         both.append(Placed(measured - left, axes, measured, names))

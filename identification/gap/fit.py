@@ -1,7 +1,7 @@
 """The rows of a diagnosis with their noise made white, and models fitted to them within physical bounds.
 
 Only relative values of sigma matter here: every test divides by a scale estimated from the residuals, since a data
-sheet's sigma that is 1.5 times too small would make every test significant (identification/README.md, "Lessons").
+sheet's sigma that is 1.5 times too small would make every test significant.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class At:
     @cached_property
     def torques(self) -> Array:
         """(m, n) moments of gravity about the joints, their mean square 1."""
-        torques = self.model.on_chain(lambda chain: chain.torques)(self.rows.postures, self.rows.conditions)
+        torques = self.model.torques(self.rows.postures, self.rows.conditions)
         return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
 
     @property

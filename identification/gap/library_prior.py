@@ -18,7 +18,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
-from identification.effects import Effect, library, unknown_effect
+from identification.effects import Effect, effect_named
 from identification.errors import InputError
 from identification.estimation.problem import Prior
 from identification.gap.blocks import EFFECT, ORDER, hypotheses, slope_by_angle
@@ -76,8 +76,7 @@ def library_prior(
     Raises `InputError` for names that are not in the library, or if no effect remains.
     """
     for name in names or ():
-        if name not in library():
-            raise unknown_effect(name)
+        effect_named(name)  # raises for an unknown one
     every = hypotheses(arm, given)
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}

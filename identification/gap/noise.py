@@ -1,6 +1,6 @@
 """The noise: its components, each with a marginal likelihood, and what is known of it without a model.
 
-A sigma from a data sheet may be too small (identification/README.md, "Lessons"), so that only a sigma of the rows and
+A sigma from a data sheet may be too small, so that only a sigma of the rows and
 repeats have a say in the verdict.
 """
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,9 +36,6 @@ from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import FILE_UNITS
 from identification.measurements import Measurements, repeats_of
 from identification.model import Model
-
-if TYPE_CHECKING:
-    from identification.validate import Offered
 
 Names = tuple[str, ...]
 
@@ -263,7 +260,7 @@ class Residuals(NamedTuple):
         against: dict[str, Array] = {f"joint {j + 1} [rad]": q for j, q in enumerate(measurements.postures.T)}
         against["time"] = np.zeros(m) if conditions.time is None else conditions.time
         if arm.gravity is not None:
-            torques = Model(arm).on_chain(lambda chain: chain.torques)(measurements.postures, conditions)
+            torques = Model(arm).torques(measurements.postures, conditions)
             against |= {f"torque {j + 1} [N m]": torque for j, torque in enumerate(torques.T)}
         if measurements.temperature is not None:
             against["temperature [C]"] = measurements.temperature
@@ -314,7 +311,7 @@ class Diagnosis(Documented):
     curves: tuple[Curve, ...] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
     unexplained_rows: tuple[int, ...] = ()
-    offered: Offered | None = None
+    offered: Mapping[str, Any] | None = None
 
     @property
     def effects(self) -> Names:
@@ -391,7 +388,7 @@ class Diagnosis(Documented):
     def calibration_of(self, chosen: Candidate) -> Calibration:
         """All estimates of a model, with the verdict, its rivals and its confirmation as provenance."""
         entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
-        better = None if self.offered is None else self.offered.better
+        better = None if self.offered is None else self.offered["better"]
         optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
         entries |= {name: value for name, value in optional.items() if value is not None}
         entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
@@ -424,7 +421,7 @@ class Diagnosis(Documented):
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "excluded": {name: size._asdict() for name, size in self.excluded.items()},
             "gap": self.gap.to_json(),
-            "offered": self.offered and self.offered.to_json(),
+            "offered": self.offered,
             "confirmation": self.confirmation and self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
             "misfit": self.misfit and self.misfit._asdict() | {"significant": self.misfit.significant},

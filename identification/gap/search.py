@@ -4,7 +4,8 @@ from there, under each likely noise.
 A step takes a block x, or nothing, out of a set A of k blocks and puts one back, size included, or none. The climb
 takes the likeliest, as long as that is likelier. The walk takes each out with probability 1 / (k + 1) and draws with
 odds in proportion to p(A' + x) / (|A' + x| + 1), A' = A - x: a Gibbs step of the joint distribution of A and x, so that
-A is drawn from its posterior; what is counted is not the draw but the probabilities it was drawn with.
+A is drawn from its posterior; what is counted is not the draw but the probabilities it was drawn with
+("Rao-Blackwellization", A. E. Gelfand, A. F. M. Smith, 1990).
 """
 
 from __future__ import annotations

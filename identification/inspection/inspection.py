@@ -20,6 +20,7 @@ from identification.arrays import Array
 from identification.document import Document, Documented, Sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
+from identification.effects import build_all
 from identification.errors import InputError
 from identification.estimation import Identification, doubts, estimate
 from identification.estimation.uncertainty import gained_squares
@@ -30,7 +31,6 @@ from identification.inspection.readings import (
     Readings,
     data_warnings,
     gap_notes,
-    joints_of_unseen_sign,
     read_differently,
 )
 from identification.kinematics.chain import BASE
@@ -54,16 +54,13 @@ class Inspection(Documented):
 
     data : keys of `check` (identification/files/README.md, "JSON keys")
     fit : of the geometry, None with too few rows;  few : these rows are few for one
-    facts, ranges : what is said of each, and the rows of the table of joints
-    counting : lines for an arm file whose controller counts as the better reading says; empty: there is none to offer
+    parts : what is said of the data besides problems, for a document
     """
 
     data: dict[str, Any]
     fit: Identification | None
     few: bool
-    facts: Sequence[tuple[str, str | None]]
-    ranges: Sequence[Sequence[str]]
-    counting: Sequence[str]
+    parts: Sequence[Any]
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -84,16 +81,7 @@ class Inspection(Documented):
 
         arm, rows : names of the files
         """
-        parts: list[Any] = [f"  - {sentence}" for sentence in self.problems]
-        if self.counting:
-            parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
-            parts += [f"    {line}" for line in self.counting]
-        parts.append(Sheet.facts(self.facts))
-        if self.ranges:
-            headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
-            parts += [Sheet(headings, self.ranges, "Joints"), *(f"note: {note}" for note in self.notes)]
-        if (gravity := self.data["gravity"]) is not None and gravity["recommended"]:
-            parts.append("\n".join(["", *gravity["lines"], ""]))
+        parts: list[Any] = [*(f"  - {sentence}" for sentence in self.problems), *self.parts]
         if self.problems:
             return Document("Inspection", ["Fix these first:"], parts)
         verdict = f"No problems found in these data{', but they are few for a fit' if self.few else ''}."
@@ -104,10 +92,19 @@ class Inspection(Documented):
 def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
     """Look at measurements of an arm: nothing is changed, nothing is believed.
 
+    Effects of which the arm's calibration has values and no deviations, as those of the library that a prior held, are
+    left out: without the prior no rows determine them.
+
     masses : (n,) of the links [kg], of an arm whose file leaves gravity out, None: not known
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
+    calibration = arm.calibration
+    if calibration is not None and calibration.covariance is not None:
+        held = {*calibration.effects} - {*calibration.parameter_names}
+        built = zip(arm.effects, build_all(arm.effects, arm.chain), strict=True)
+        free = [spec for spec, effect in built if not held & {p.name for p in effect.parameters}]
+        arm = replace(arm, effects=tuple(free))
     readings = read_differently(arm, measurements)
     units = data_warnings(measurements, arm) if readings.other_units else []
     fit = None if units else _fit(arm, measurements)
@@ -133,9 +130,6 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     if still and not units:
         hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
         notes = [f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen", *notes]
-    why = "the measured point is on its axis, or so near that the drawing's errors hide it"
-    for j in (j for j in joints_of_unseen_sign(arm, measurements) if j not in still):
-        notes.append(f"which way joint {j} turns and where its zero is do not show in these data: {why}")
     if fit is not None and commanded is not None:  # which angles explain the positions better
         read = rms_distance(fit.residuals_after)
         figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
@@ -158,13 +152,17 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     if untested:
         notes.append(f"effects of {' and '.join(untested)} are not tested without {' and '.join(untested.values())}")
     enough, words, few = ({}, [], False) if fit is None else sufficiency(fit, measurements, floor)
+    # what a row touches is a session or a measured point of its own here; its column has a name of its own
+    instrument, touched = arm.chain.instrument, "marker" if arm.chain.instrument.own_targets else "session"
+    column = instrument.target or ("session" if instrument.own_targets else touched)
+    given = tuple(sorted(column if name == touched else name for name in measurements.optional_columns))
     fitted = None if fit is None else rms_distance(fit.residuals_after)
     data = {
         "rows": len(measurements),
         "postures": len(np.unique(measurements.posture_numbers)),
         "sessions": measurements.sessions,
         "markers": measurements.marker_names,
-        "given": tuple(sorted(measurements.optional_columns)),
+        "given": given,
         "joints": joints,
         "repeats_mm": floor.repeats,
         "close_repeats_mm": floor.close_repeats,
@@ -181,18 +179,26 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     }
     facts = [
         ("rows", f"{data['rows']} rows, {data['postures']} postures"),
-        ("columns besides", ", ".join(measurements.optional_columns and data["given"]) or "none"),
-        ("sessions", ", ".join(measurements.sessions)),
-        ("measured points", ", ".join(measurements.marker_names)),
+        ("columns besides", ", ".join(given) or "none"),
+        ("sessions" if touched == "marker" else f"{column}s", ", ".join(measurements.sessions)),
+        (f"{column}s" if touched == "marker" else "measured points", ", ".join(measurements.marker_names)),
         ("repeats scatter by", None if floor.value is None else f"{floor.value:.4g} mm"),
     ]
     if not units:
         facts.append(("drawing", f"{number(drawing)} mm RMS, {DRAWING_IN_WORDS['base']}"))
         facts.append(("a fit leaves", f"{number(fitted)} mm RMS"))
         facts += words[:1] if problems else words  # data that are to be put right are not judged
-    offered = readings.counting is not None and set(readings.sentences) & set(problems)
-    lines = readings.counting.toml.splitlines() if readings.counting is not None and offered else []
-    return Inspection(data, fit, few, facts, [] if units else ranges, lines)
+    parts = list[Any]()
+    if readings.counting is not None and set(readings.sentences) & set(problems):
+        parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
+        parts += [f"    {line}" for line in readings.counting.toml.splitlines()]
+    parts.append(Sheet.facts(facts))
+    if not units:
+        headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
+        parts += [Sheet(headings, ranges, "Joints"), *(f"note: {note}" for note in notes)]
+    if gravity is not None and gravity["recommended"]:
+        parts.append("\n".join(["", *gravity["lines"], ""]))
+    return Inspection(data, fit, few, parts)
 
 
 def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
@@ -252,9 +258,9 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
         unit, factor = ("deg", 180.0 / np.pi) if kind == REVOLUTE else ("mm", 1.0)
         low, high = float(shown[:, j - 1].min()) * factor, float(shown[:, j - 1].max()) * factor
         lower, upper = (limits[:, j - 1] * factor).tolist()
-        ends = {"limit_low": lower, "limit_high": upper}
-        known = {name: None if np.isnan(x) else x for name, x in ends.items()}
-        entries.append({"joint": j, "unit": unit, "low": low, "high": high, **known, "rows_outside": outside[j - 1]})
+        ends = {"low": low, "high": high, "limit_low": lower, "limit_high": upper}
+        given = {name: None if np.isnan(x) else x for name, x in ends.items()}
+        entries.append({"joint": j, "unit": unit, **given, "rows_outside": outside[j - 1]})
         # none where it may turn all the way round, and readings of several turns do not matter
         has_limits = np.isfinite(lower) and (doubts.limited(arm)[j - 1] or j in tied)
         shown_limits = (f"{x:.2f}" if has_limits else "none" for x in (lower, upper))
@@ -274,8 +280,8 @@ def other_frame(arm: Arm, written: Reading) -> list[str]:
     written : the columns as they are
     """
     chain, base = arm.chain, written.base
-    known = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
-    if base is None or not known or written.rms > DRAWN * arm.reach:
+    placed = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
+    if base is None or not placed or written.rms > DRAWN * arm.reach:
         return []
     relative = chain.base[:3, :3].T @ base[:3, :3]
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))
@@ -394,7 +400,7 @@ def sag(
     kilograms, down = np.ones(arm.links) if masses is None else np.asarray(masses, dtype=float), np.zeros(arm.dimension)
     down[-1] = -9.81  # [m/s^2]
     heavy = replace(arm, gravity=Gravity(down, kilograms, np.full(arm.links, 0.5)))
-    torques = Model(heavy).on_chain(lambda chain: chain.torques)(measurements.postures, measurements.conditions)
+    torques = Model(heavy).torques(measurements.postures, measurements.conditions)
     sizes = np.sqrt(np.mean(torques**2, axis=0))
     modelled = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
     # an upright first axis has no torque but rounding

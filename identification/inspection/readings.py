@@ -191,11 +191,15 @@ class Reading:
         if self.scaled != 1.0:
             times, larger = max(self.scaled, 1.0 / self.scaled), self.scaled > 1.0
             small, large = ("measurements", "arm file") if larger else ("arm file", "measurements")
-            # to 2 %
-            unit = next((unit for factor, unit in UNITS.items() if abs(times / factor - 1.0) <= 0.02), "")
-            how = f"as if the {'positions' if larger else 'arm file'} had {unit} for millimetres"
-            how = how if unit else "which is the factor of no unit: another arm, or a length that is mistyped?"
-            sentences.append(f"the lengths of the {large} are {times:.4g} times those of the {small}, {how}")
+            lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
+            names = [name for factor, name in UNITS.items() if abs(times / factor - 1.0) <= 0.02]
+            if names:
+                whose = "positions" if larger else "lengths of the arm file"
+                columns = ", whose columns end in _m" if larger and names == ["metres"] else ""
+                lengths = f"the {whose} are in {names[0]}{columns} ({lengths})"
+            else:
+                lengths += ", which is the factor of no unit (another arm, or a length that is mistyped)"
+            sentences.append(lengths)
         if self.late:
             when = "late" if self.late > 0 else "early"
             sentences.append(f"each position stands one row too {when}, beside another posture")
@@ -289,11 +293,13 @@ def _read_differently(arm: Arm, rows: SomeRows, search: bool) -> Readings:
         base, _, rms = reading.placed(rows, _place(arm))
         return replace(reading, rms=rms, base=base)
 
-    written = placed(Reading.as_written(arm.links))
-    if rows.few(arm):
+    written = Reading.as_written(arm.links)
+    units = None if rows.few(arm) else _other_units(arm, rows)
+    if units is None and not search:
         return Readings(written)
-    if (better := _other_units(arm, rows, written)) is not None or not search:
-        return better or Readings(written)
+    written = placed(written)
+    if units is not None or rows.few(arm):
+        return replace(units or Readings(written), written=written)
     place = _place(arm, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
     tried = {written: written.rms}
     kinds = arm.joint_types
@@ -413,7 +419,7 @@ def _without_far_rows(arm: Arm, q: Array, x: Array) -> tuple[float, NDArray[np.b
     return place(q[near], x[near]).rms, near
 
 
-def _other_units(arm: Arm, rows: SomeRows, written: Reading) -> Readings | None:
+def _other_units(arm: Arm, rows: SomeRows) -> Readings | None:
     """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
     where that fits the arm clearly better for how far apart the positions then are. Rows far from all others do not
     count. Angles are suspected only where all are below 7 deg, or one is above 7 rad; how many times the lengths of one
@@ -453,6 +459,7 @@ def _other_units(arm: Arm, rows: SomeRows, written: Reading) -> Readings | None:
     if CLEARLY * share >= as_written:
         return None
     rms = share * drawn[turned]
+    written = Reading.as_written(arm.links)
     better = replace(written, turned=turned, scaled=scaled, rms=rms)
     explained = rms <= DRAWN * arm.reach
     return Readings(written, better, explained=explained, certain=explained and as_written > 10.0 * share)
@@ -550,28 +557,6 @@ def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
 
 
 # -- what else the drawing tells ---------------------------------------------------------------------------------------
-def joints_of_unseen_sign(arm: Arm, measurements: Measurements) -> tuple[int, ...]:
-    """Turning joints (from 1) whose sign and zero no measured point shows: reversed and a quarter or half turn away the
-    drawing leaves no more; none with orientations, few rows, or where the drawing leaves much as it is."""
-    if measurements.orientations is not None:
-        return ()
-    arm, plain = anywhere(arm), Reading.as_written(arm.links)
-    place, numbers = _place(arm), measurements.marker_numbers
-    points = [np.ones(len(measurements), dtype=bool)] if numbers is None else (numbers == k for k in np.unique(numbers))
-    unseen = {j for j, kind in enumerate(arm.joint_types) if kind != PRISMATIC}
-    for point in points:
-        rows = SomeRows.of(measurements.rows(np.flatnonzero(point)))
-        written = plain.placed(rows, place).rms
-        if rows.few(arm) or written > DRAWN * arm.reach:
-            return ()
-        most = ALIKE * max(written, float(np.sqrt(np.finfo(float).eps)) * arm.reach)  # rounded, of data without noise
-        for j in tuple(unseen):
-            others = [plain.flipped([j]), *(plain.with_quarters(j, k) for k in (1, 2, 3))]
-            if any(other.placed(rows, place).rms > most for other in others):
-                unseen.remove(j)
-    return tuple(j + 1 for j in sorted(unseen))
-
-
 def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, dict[str, float]]:
     """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
     the drawing: far from them a fit may end with frames turned over."""

@@ -1,17 +1,15 @@
 # ruff: noqa: F401 - the names of this package
 """Instruments: what is measured of an arm, one class each.
 
-`KINDS` maps the words of arm files to classes (identification/README.md, "How to add an instrument").
+`KINDS` maps axes of arms, then words of arm files to classes (identification/README.md, "How to add an instrument").
 """
 
 from identification.instruments.base import (
-    IN_PLANE,
     KINDS,
     Coordinate,
     Guide,
     Instrument,
     OwnValue,
-    kinds,
     register_instrument,
 )
 from identification.instruments.library import (

@@ -7,7 +7,7 @@ base of the arm stands in that frame, as with a tracker.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
@@ -74,12 +74,8 @@ class Instrument:
     # of the base and rows name them as they name measured points (`Measurements.marker`); empty: they count as
     # sessions, each of which has a base
     own_targets: ClassVar[str] = ""
-    unsaid: ClassVar[float] = 0.0  # number of the target where nothing is said of it
     offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
     reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
-    # names of those parameters of the base that move arm and instrument together, or turn the frame of the instrument
-    # about what it reads: no reading depends on them
-    hides: ClassVar[frozenset[str]] = frozenset()
     guide: ClassVar[Guide]  # what the first files say of it, where it has a `kind`
     size_is_open: ClassVar[Any] = ("", "")  # what reads so of an arm twice as large, and what to do about it
 
@@ -104,13 +100,8 @@ class Instrument:
 
     @property
     def contact(self) -> bool:
-        """Whether it reads nothing but the joints."""
+        """Whether it reads nothing but the joints: the reading of what is touched is zero."""
         return not self.coordinates
-
-    @property
-    def touched(self) -> float:
-        """What a contact stands for, as if it had been read [mm]."""
-        return 0.0
 
     # -- what it does not show, and what is to be found besides the arm --------------------------------------------
     @property
@@ -125,8 +116,9 @@ class Instrument:
             yield OwnValue(p.name, p.name, value, {p.name: p.to_file}, p.file_unit, self.kind)
 
     def hidden(self, base: Array) -> frozenset[str]:
-        """`hides` of a base (4, 4) that stands about there in the frame of the instrument."""
-        return self.hides
+        """Names of parameters on which no reading depends: those that move arm and instrument together, or turn the
+        frame of the instrument about what it reads;  base : (4, 4) about where that stands in the frame"""
+        return frozenset()
 
     @property
     def places(self) -> bool:
@@ -138,22 +130,12 @@ class Instrument:
         a shift along the axes of the instrument and rotations about its own; and those on which no reading depends."""
         shift, turn = base[:3, 3] - first[:3, 3], to_angles(first[:3, :3].T @ base[:3, :3])
         movement = dict(zip(["x", "y", "z", "wx", "wy", "wz"], [*shift.tolist(), *turn.tolist()], strict=True))
-        return movement, frozenset(name.partition(".")[2].replace("r", "w") for name in self.hides)
+        return movement, frozenset(name.partition(".")[2].replace("r", "w") for name in self.hidden(base))
 
     # -- where a fit starts ----------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:
         """Base and measured point that explain readings best, from nothing."""
         return searched(self, rows, random_starts(self, rows))
-
-    def settled(
-        self, starts: Array, residuals: Callable[[Array], Array], numbers: list[int]
-    ) -> tuple[Array, list[int]]:
-        """Starts (K, p) with its own parameters, of these numbers, as they explain the readings best, and the
-        numbers of those that a first fit of the others is to hold.
-
-        residuals : of parameters (K, p) what is left, readings minus model (K, m, d)
-        """
-        return starts, []
 
     def with_targets(
         self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
@@ -176,18 +158,9 @@ class Instrument:
         return {}
 
     # -- postures that touch, for plans --------------------------------------------------------------------------------
-    def stands(self, base: Array) -> bool:
-        """Whether what is measured from, or touched, has a place, where that of the base (4, 4) is not known."""
-        return bool(self.targets) if self.own_targets else not np.array_equal(base, np.eye(4))
-
-    def unknown(self, values: Mapping[str, float]) -> str:
-        """The key of arm files without which no plan can say where it touches; empty: all is known."""
-        return ""
-
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
         """(m,) True where points (m, k, 3) in its frame are outside of what is touched, but for `near` [mm]."""
-        above = self.linearized(points, values, np.zeros(1))[0][..., 0] - self.touched
-        return np.asarray(np.all(above > -near, axis=1))
+        return np.asarray(np.all(self.linearized(points, values, np.zeros(1))[0][..., 0] > -near, axis=1))
 
     # -- files -----------------------------------------------------------------------------------------------------
     @classmethod
@@ -210,13 +183,7 @@ def _linearized(instrument: Instrument) -> Evaluate:
     return vectorize(ca.Function("reading", [point, values, target], ca.cse(outputs)))
 
 
-KINDS: dict[str, type[Instrument]] = {}  # word of files of arms in space -> class
-IN_PLANE: dict[str, type[Instrument]] = {}  # the same of planar arms
-
-
-def kinds(axes: str) -> dict[str, type[Instrument]]:
-    """Those of arms with these axes."""
-    return KINDS if axes == Instrument.axes else IN_PLANE
+KINDS: dict[str, dict[str, type[Instrument]]] = {"xyz": {}, "xy": {}}  # axes of an arm -> word of its files -> class
 
 
 def register_instrument(cls: type[Instrument]) -> type[Instrument]:
@@ -224,7 +191,7 @@ def register_instrument(cls: type[Instrument]) -> type[Instrument]:
 
     A user's own class may be defined again, as in notebooks. Raises `InputError` for a word that is taken.
     """
-    of_axes = kinds(cls.axes)
+    of_axes = KINDS[cls.axes]
     taken = of_axes.get(cls.kind)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
         raise InputError(f"instrument: the kind {cls.kind!r} is taken, allowed: another word")

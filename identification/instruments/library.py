@@ -8,7 +8,7 @@ For a given measured point t the sphere about c is linear in c and |c|^2 (algebr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -22,13 +22,12 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement, Starts, Unplaced, followed, placed, random_starts, searched
+from identification.instruments.search import Placement, Starts, Unplaced, placed, searched
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
+from identification.workspace import circle_across
 
 RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
-# rounds, after which the best start of 99 of 100 wrong readings leaves at most 1.5 times what its end leaves
-PATIENCE = 3
 TOUCHES = 1e-6  # [mm] by which these are kept
 DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
 
@@ -65,7 +64,6 @@ class Distance(Instrument):
     keys = frozenset({"center_mm"})
     coordinates: ClassVar[tuple[Coordinate, ...]] = (Coordinate("distance", positive=True),)
     offers = frozenset({"distance"})
-    hides = frozenset(error_names(PLACE)[3:])
     guide = Guide(
         about="a ball bar, a draw wire, a laser distance: how far the measured point is from a fixed center",
         table='kind = "distance"\n'
@@ -78,9 +76,12 @@ class Distance(Instrument):
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         return distance_to_center(point)
 
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset(error_names(PLACE)[3:])
+
     def place(self, rows: Unplaced) -> Placement:
         """What the lengths leave open of the base is along the arm's own axes."""
-        return searched(self, rows, _about_centers(rows, rows.readings[:, 0]), slice(0, 3), PATIENCE)
+        return searched(self, rows, _about_centers(rows, rows.readings[:, 0]))
 
 
 def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
@@ -102,7 +103,7 @@ def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
 class Sphere(Distance):
     """A touch probe on a ball, wherever that stands. Its frame has the origin at the center of the ball.
 
-    radius : [mm] of ball and stylus tip together; None: a parameter, and read are heights above the surface
+    radius : [mm] of ball and stylus tip together; None: a parameter
     """
 
     kind = "sphere"
@@ -124,11 +125,8 @@ class Sphere(Distance):
     radius: float | None = None
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        return distance_to_center(point) - (values[0] if self.radius is None else 0.0)
-
-    @property
-    def touched(self) -> float:
-        return self.radius or 0.0
+        """The height above the surface."""
+        return distance_to_center(point) - (values[0] if self.radius is None else self.radius)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -139,36 +137,20 @@ class Sphere(Distance):
             text = "of ball and stylus tip together; known as well as the size of the arm"
             yield value._replace(name="sphere radius", convention=text)
 
-    def unknown(self, values: Mapping[str, float]) -> str:
-        return "radius_mm" if self.radius is None and values.get(RADIUS, 0.0) <= 0.0 else ""
-
     @property
     def size_is_open(self) -> tuple[str, str]:
         return ("contacts with spheres of unknown radius", "give radius_mm") if self.radius is None else ("", "")
 
     def place(self, rows: Unplaced) -> Placement:
         """From far away an unknown radius would grow without end, with a tool as long: its starts are what fits of some
-        known radii end at. Readings may then be any constant: they are heights above the ball."""
-        if self.radius is not None:
-            return super().place(rows)
-        rows = rows._replace(readings=np.zeros((len(rows.frames), 1)))
+        known radii end at."""
         one = _about_centers(rows, np.zeros(len(rows.frames)))  # the algebraic fits are those of any radius
+        if self.radius is not None:
+            return searched(self, rows, one)
         radii = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
         turns, shifts, tools = (np.concatenate([part] * len(radii)) for part in one[:3])
         starts = Starts(turns, shifts, tools, np.repeat(radii * rows.reach, len(one.tools))[:, None])
-        # effort: the radius is not right
-        starts, squares = followed(self, rows, starts, slice(0, 3), PATIENCE, rounds=10, hold=True)
-        best = np.argmin(squares.reshape(len(radii), -1), axis=1) + len(one.tools) * np.arange(len(radii))
-        return searched(self, rows, Starts(*(part[best] for part in starts)), slice(0, 3), PATIENCE)
-
-    def settled(
-        self, starts: Array, residuals: Callable[[Array], Array], numbers: list[int]
-    ) -> tuple[Array, list[int]]:
-        """An unknown radius is the mean distance from the center. An arm that shrinks with its sphere would explain any
-        residual to first order, since heights above the sphere are homogeneous in all lengths, so the radius is held
-        first; where nothing but noise is left, the arm explains no more than that."""
-        starts[:, numbers] -= residuals(starts).mean(axis=(1, 2))[:, None]
-        return starts, numbers
+        return searched(self, rows, starts)
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
@@ -224,14 +206,14 @@ class Plane(Instrument):
     def place(self, rows: Unplaced) -> Placement:
         """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
         if rows.base is not None:
-            return searched(self, rows, random_starts(self, rows), patience=PATIENCE)
+            return super().place(rows)
         bases = []
         for points in rows.points(rows.tools):
             about = points - points.mean(axis=0)
             normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
             bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
         turns, shifts = np.array(bases)[:, :3, :3], np.array(bases)[:, :3, 3]
-        best = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)), slice(2, 5), PATIENCE)
+        best = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)))
         return best._replace(base=_standing_above(rows.points(best.tool[None])[0], best.base[2, :3], -best.base[2, 3]))
 
 
@@ -239,10 +221,8 @@ def _standing_above(points: Array, normal: Array, height: float) -> Array:
     """(4, 4) base, in the frame of a plane, of an arm above it;  points : (m, 3) in the frame of the base"""
     if height > 0.0:
         normal, height = -normal, -height
-    along = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    along = along - normal * (normal @ along)
-    along /= np.linalg.norm(along)
-    axes = np.array([along, np.cross(normal, along), normal])
+    one, other = circle_across(normal)
+    axes = np.array([-other, one, normal])
     middle = axes @ points.mean(axis=0)
     return pose([-middle[0], -middle[1], -height], axes)
 
@@ -306,7 +286,6 @@ class PlanarDistance(AtTargets):
     keys = frozenset({"center_mm"})
     coordinates = Distance.coordinates
     own_targets = "center"
-    hides = frozenset({f"{JOINT_OFFSET}:1"})
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         centers = [values[2 * k : 2 * k + 2] for k in range(len(self.at))] or [ca.SX.zeros(2)]
@@ -316,6 +295,9 @@ class PlanarDistance(AtTargets):
         for value in super().own_values(values):
             name = f"center {value.name.removeprefix('center[').replace(']', '').replace('.', ' ')}"
             yield value._replace(name=name, convention="of the distances, in the frame of the base")
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset({f"{JOINT_OFFSET}:1"})
 
     def place(self, rows: Unplaced) -> Placement:
         """The center alone is to be found, and is the origin of the base that is found."""
@@ -359,8 +341,6 @@ class Socket(AtTargets):
     keys = frozenset({"cups", "distances_mm"})
     target = "cup"
     own_targets = "cup"
-    unsaid = -1.0
-    hides = frozenset(error_names(PLACE))
     guide = Guide(
         about="a ball at the tool, seated in cups that stand anywhere",
         table='kind = "socket"\n'
@@ -418,6 +398,9 @@ class Socket(AtTargets):
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
         """Of a cup nothing is known but its center."""
         return np.ones(len(points), dtype=bool)
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset(error_names(PLACE))
 
     # -- where a fit starts --------------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:

@@ -46,14 +46,13 @@ from identification.kinematics.parameters import (
     chain_parameters,
     error_names,
 )
-from identification.vectorized import Evaluate, vectorize
+from identification.vectorized import vectorize
 
 DIMENSION = 3  # of space
 TRANSLATION_ERROR, ROTATION_ERROR, BASE, TOOL = "translation_error", "rotation_error", "base", "tool"
 Values = Mapping[str, ca.SX | float]  # parameter name -> value [mm, rad]; what is not there is zero
 Numbers = Mapping[str, float]
 NOTHING: Mapping[str, Any] = MappingProxyType({})
-Complex = NDArray[np.complex128]
 Solver = Callable[[Array], tuple[Array, Array]]
 
 
@@ -115,6 +114,9 @@ class KinematicChain(ByValue):
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
     # kinds of the parameters that say where it stands and what is measured on it, each a frame
     frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
+    # how effects bend it: place (identification/effects/chain.py) -> its elements for each joint. In space the joint's
+    # frame after it moved; in the plane each link's end to its left
+    bends: ClassVar[Mapping[str, int]] = MappingProxyType({"joint_turns": 3, "joint_shifts": 3})
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
     planar: ClassVar[bool] = False  # a `PlanarChain`
 
@@ -140,12 +142,6 @@ class KinematicChain(ByValue):
     def dimension(self) -> int:
         """d, coordinates of a position: 3 in space, 2 in the plane."""
         return len(self.axes)
-
-    @property
-    def bends(self) -> dict[str, int]:
-        """How effects bend it: place (identification/effects/chain.py) -> its number of elements. In space each joint's
-        frame after it moved, by three turns and three shifts; in the plane each link's end to its left."""
-        return {"joint_turns": 3 * len(self.joints), "joint_shifts": 3 * len(self.joints)}
 
     @property
     def redundant(self) -> bool:
@@ -272,10 +268,6 @@ class KinematicChain(ByValue):
         return ca.DM(self.base[:3, :3])
 
     # -- symbols -------------------------------------------------------------------------------------------------------
-    def link_lengths(self, values: ca.SX) -> ca.SX:
-        """(n,) `lengths` with their errors, where values of the parameters have some."""
-        return ca.SX(ca.DM(self.lengths))
-
     def frames(self, q: ca.SX, values: Values, added: Mapping[str, ca.SX] = NOTHING) -> list[Frame]:
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
 
@@ -327,31 +319,24 @@ class KinematicChain(ByValue):
         return frames
 
     def tip(
-        self,
-        q: ca.SX,
-        values: ca.SX,
-        added: Mapping[str, ca.SX],
-        marker: ca.SX | None = None,
-        reference: ca.SX | None = None,
+        self, q: ca.SX, values: Values, added: Mapping[str, ca.SX], marker: ca.SX | None, reference: ca.SX | None
     ) -> tuple[ca.SX, ca.SX]:
         """(d,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument, and (3,)
         how far the measured frame is turned against its reference [mm], (0,) where only points are measured.
 
-        values : those of `parameters`;  marker : number of the measured point from 0, None: the first
-        reference : (9,) orientation to compare with, by columns
+        values, added : as of `frames`;  marker : number of the measured point from 0, None: the first
+        reference : (9,) orientation to compare with, by rows
         """
-        named = {name: values[k] for k, name in enumerate(self.parameters().names)}
-        measured = self.measured(self.frames(q, named, added)[-1], named, in_space(added["tool"]))
+        measured = self.measured(self.frames(q, values, added)[-1], values, in_space(added["tool"]))
         point = _of_marker([frame.point(ca.SX(3, 1)) for frame in measured], marker)[: self.dimension]
         if self.angle_scale is None or reference is None:
             return point, ca.SX(0, 1)
-        axes = ca.reshape(_of_marker([ca.vec(frame.axes) for frame in measured], marker), 3, 3)
-        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3).T))
+        axes = _of_marker([frame.axes for frame in measured], marker)
+        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3)))
 
     def orientation(self, q: ca.SX, values: Values, marker: ca.SX | None = None) -> ca.SX:
-        """(9,) axes of the measured frame, by columns, for the instrument; arguments as of `frames` and `tip`."""
-        measured = self.measured(self.frames(q, values)[-1], values)
-        return _of_marker([ca.vec(frame.axes) for frame in measured], marker)
+        """(3, 3) axes of the measured frame for the instrument, as columns; arguments as of `frames` and `tip`."""
+        return _of_marker([frame.axes for frame in self.measured(self.frames(q, values)[-1], values)], marker)
 
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
@@ -366,8 +351,8 @@ class KinematicChain(ByValue):
 
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
-        """(..., n + 2, d) the same at postures (..., n), n + 1 of a planar arm."""
-        return np.swapaxes(_points(self, tuple(values.items()))(postures)[0], -1, -2)
+        """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
+        return np.delete(self.frames_at(values)(postures)[..., :3, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
@@ -376,30 +361,22 @@ class KinematicChain(ByValue):
     def frames_at(self, values: Numbers) -> Callable[[Array], Array]:
         """What gives the frames (..., n + 3, 4, 4) [mm] at postures (..., n), in that of the base: base, each joint
         after it moved, tip, and the first measured point or frame."""
-        compiled = _frames(self, tuple(values.items()))
-
-        def at(postures: Array) -> Array:
-            placed = compiled(postures)[0]
-            frames = np.zeros((*placed.shape[:-2], len(self) + 3, 4, 4))
-            frames[..., 3, 3] = 1.0
-            frames[..., :3, :] = np.moveaxis(placed.reshape(*placed.shape[:-1], len(self) + 3, 4), -3, -2)
-            return frames
-
-        return at
+        return _frames_at(self, tuple(values.items()))
 
 
-@lru_cache(maxsize=32)  # compiled once, used in every search; without axes a fifth of the time of `_frames`
-def _points(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
-    q = ca.SX.sym("q", len(chain))
-    points = ca.horzcat(*(ca.SX(point) for point in chain.symbolic_points(q, dict(values))))
-    return vectorize(ca.Function("points", [q], [ca.cse(ca.densify(points))]))
-
-
-@lru_cache(maxsize=32)
-def _frames(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Evaluate:
+@lru_cache(maxsize=32)  # compiled once, used in every search
+def _frames_at(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> Callable[[Array], Array]:
     q = ca.SX.sym("q", len(chain))
     placed = [ca.horzcat(frame.axes, frame.origin) for frame in chain._in_base(q, dict(values))]
-    return vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.horzcat(*placed)))]))
+    evaluate = vectorize(ca.Function("frames", [q], [ca.cse(ca.densify(ca.vertcat(*placed)))]))
+
+    def at(postures: Array) -> Array:
+        frames = np.zeros((*postures.shape[:-1], len(placed), 4, 4))
+        frames[..., 3, 3] = 1.0
+        frames[..., :3, :] = evaluate(postures)[0].reshape(*frames.shape[:-2], 3, 4)
+        return frames
+
+    return at
 
 
 def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
@@ -426,12 +403,9 @@ class PlanarChain(KinematicChain):
     turn_names = ("w",)
     base_shift = ("base_offset.x0", "base_offset.y0")
     frame_kinds = ()
+    bends = MappingProxyType({"deflections": 1, "slopes": 1})
     projection = None
     planar = True
-
-    @property
-    def bends(self) -> dict[str, int]:
-        return {"deflections": len(self.joints), "slopes": len(self.joints)}
 
     @property
     def held(self) -> frozenset[str]:
@@ -465,12 +439,12 @@ class PlanarChain(KinematicChain):
     def _base_axes(self, values: Values) -> Any:
         return Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
 
-    def link_lengths(self, values: ca.SX) -> ca.SX:
-        return super().link_lengths(values) + values[: len(self)]
-
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 1 points (2,), since joint 1 is the base."""
         return [point[:2] for point in super().symbolic_points(q, values)[1:]]
+
+    def points(self, postures: Array, values: Numbers) -> Array:
+        return super().points(postures, values)[..., 1:, :2]
 
 
 def planar_chain(lengths: ArrayLike) -> KinematicChain:
@@ -545,23 +519,23 @@ class PlanarClosedForm:
     def solver(self, postures: Array, weights: Array, tolerance: float) -> Solver:
         """Function of positions (K, m, 2) [mm] -> (K, q) parameters and (K,) weighted sums of squares.
 
-        postures : (m, n) [rad] for all data sets, or (K, m, n) for each its own;  weights : (m,) of the rows
+        postures : (m, n) [rad] for all data sets;  weights : (m,) of the rows
         tolerance : singular values below this share of the largest are zero; the columns have equal lengths
         """
-        columns, root = np.exp(1j * np.cumsum(postures, axis=-1)), np.sqrt(weights)  # exp(i theta_j)
+        columns, root = np.exp(1j * np.cumsum(postures, axis=1)), np.sqrt(weights)  # exp(i theta_j)
         n, nominal = len(self.lengths), np.r_[self.lengths, np.zeros(int(self.offset))].astype(complex)
         if self.offset:
-            columns = np.concatenate([columns, np.ones((*columns.shape[:-1], 1))], axis=-1)
-        back = _pseudo_inverse(root[:, None] * columns, tolerance) * root
-        back, forth = (np.ascontiguousarray(np.swapaxes(a, -1, -2)) for a in (back, columns))
+            columns = np.column_stack([columns, np.ones(len(columns))])
+        back = np.asarray(np.linalg.pinv(root[:, None] * columns, rcond=tolerance)) * root
+        back, forth = (np.ascontiguousarray(a.T) for a in (back, columns))
 
         def solve(positions: Array) -> tuple[Array, Array]:
             # x + iy, without a copy where memory allows
             measured = np.ascontiguousarray(positions, dtype=float).view(np.complex128)[..., 0]
             # differences to the nominal arm: the sum of squares then loses no digits
             rest = measured - columns @ nominal
-            change = _times(rest, back)
-            residuals = (rest - _times(change, forth)) * root
+            change = rest @ back
+            residuals = (rest - change @ forth) * root
             squares = residuals.view(np.float64)
             unknowns = nominal + change
             u, shift = unknowns[..., :n], unknowns[..., n:]
@@ -571,28 +545,3 @@ class PlanarClosedForm:
             return np.concatenate(parts, axis=-1), np.einsum("ki,ki->k", squares, squares)
 
         return solve
-
-
-def _times(rows: Complex, matrix: Complex) -> Complex:
-    """(K, b) rows (K, a) times one matrix (a, b), or each times its own (K, a, b)."""
-    return rows @ matrix if matrix.ndim == 2 else (rows[:, None, :] @ matrix)[:, 0, :]
-
-
-def _pseudo_inverse(columns: Complex, tolerance: float) -> Complex:
-    """(..., u, m) of columns (m, u) or (K, m, u).
-
-    Of many, by the inverse of the normal matrix, which squares the condition, where that costs no digits that matter.
-    """
-    if columns.ndim == 2:
-        return np.asarray(np.linalg.pinv(columns, rcond=tolerance))
-    across = np.swapaxes(columns.conj(), -1, -2)
-    normal = across @ columns
-    inverse = np.asarray(
-        np.linalg.inv(normal + np.finfo(float).eps * normal[:, :1, :1].real * np.eye(normal.shape[-1])), dtype=complex
-    )
-    pseudo_inverses = inverse @ across
-    condition = np.linalg.norm(normal, 1, axis=(-2, -1)) * np.linalg.norm(inverse, 1, axis=(-2, -1))
-    # from a condition (1-norm) of 1e6 on the inverse is not used
-    ill = np.flatnonzero(~(condition < min(1e6, tolerance**-2)))
-    pseudo_inverses[ill] = np.linalg.pinv(columns[ill], rcond=tolerance)
-    return pseudo_inverses

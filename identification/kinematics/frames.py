@@ -113,12 +113,6 @@ def displacement(values: Mapping[str, float], names: Sequence[str]) -> tuple[Arr
     return np.array(errors[:3]), from_angles(errors[3:])
 
 
-def displaced_by(frame: Array, other: Array, names: Sequence[str]) -> dict[str, float]:
-    """The six errors of these names of a frame (4, 4) that make it another."""
-    relative: Array = np.linalg.inv(frame) @ other
-    return dict(zip(names, [*relative[:3, 3].tolist(), *to_angles(relative[:3, :3]).tolist()], strict=True))
-
-
 def point_table(place: Array) -> dict[str, float]:
     """(3,) [mm] as files and JSON have it."""
     return {f"{axis}_mm": float(x) for axis, x in zip(AXES, place, strict=True)}
@@ -158,22 +152,20 @@ def rotation_vector(rotation: ca.SX) -> ca.SX:
 @dataclass(frozen=True)
 class Frame:
     """A frame in CasADi symbols, by its pose in the frame before it:  shift : (3,);  rotation : (3, 3), its columns the
-    x, y and z axes;  about_z : [rad] by which it is turned in the world, None where it is turned about other axes, too.
+    x, y and z axes.
 
     A point goes back through the frames one by one, three numbers each time where frames from the base on have twelve,
-    which makes positions and their derivatives (by reverse mode) cost half as much. Where all turns were about z, as in
-    the plane, they add up to one angle, which costs half as much again.
+    which makes positions and their derivatives (by reverse mode) cost half as much.
     """
 
     before: Frame | None
     shift: ca.SX
     rotation: ca.SX
-    about_z: ca.SX | None
 
     @classmethod
     def world(cls) -> Frame:
         """The frame that everything is measured in."""
-        return cls(None, ca.SX(3, 1), ca.SX.eye(3), ca.SX(0))
+        return cls(None, ca.SX(3, 1), ca.SX.eye(3))
 
     @cached_property
     def origin(self) -> ca.SX:
@@ -188,13 +180,13 @@ class Frame:
     def point(self, place: ca.SX) -> ca.SX:
         """(3,) position in the world of a point (3,) that is given in this frame."""
         frame: Frame | None = self
-        while frame is not None and frame.about_z is None:
+        while frame is not None:
             place, frame = frame.shift + ca.mtimes(frame.rotation, place), frame.before
-        return place if frame is None else frame.origin + ca.mtimes(frame.axes, place)
+        return place
 
     def shifted(self, shift: ca.SX) -> Frame:
         """Shifted by a vector (3,) of this frame."""
-        return self._followed(shift, ca.SX.eye(3), self.about_z)
+        return Frame(self, shift, ca.SX.eye(3))
 
     def moved(self, axis: int, distance: ca.SX | float) -> Frame:
         """Shifted along an own axis."""
@@ -202,11 +194,12 @@ class Frame:
 
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
-        rotation = _turn(axis, angle)
-        if self.about_z is None or axis != 2:
-            return self._followed(ca.SX(3, 1), rotation)
-        about_z = self.about_z + angle
-        return self._followed(ca.SX(3, 1), rotation, about_z, _turn(2, about_z))
+        rotation = ca.SX.eye(3)
+        if not ca.SX(angle).is_zero():
+            first, second, cosine, sine = (axis + 1) % 3, (axis + 2) % 3, ca.cos(angle), ca.sin(angle)
+            rotation[first, first], rotation[second, first] = cosine, sine
+            rotation[first, second], rotation[second, second] = -sine, cosine
+        return Frame(self, ca.SX(3, 1), rotation)
 
     def turned_about(self, axes: Sequence[int], angles: Any) -> Frame:
         """Turned by angles [rad] about own axes of these numbers, one after the other."""
@@ -227,26 +220,4 @@ class Frame:
     def placed(self, matrix: Array) -> Frame:
         """A frame whose pose (4, 4) in this one is constant."""
         placed = ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
-        straight = np.array_equal(matrix[:3, :3], np.eye(3))
-        return self._followed(placed[:3, 3], placed[:3, :3], self.about_z if straight else None)
-
-    def _followed(
-        self, shift: ca.SX, rotation: ca.SX, about_z: ca.SX | None = None, axes: ca.SX | None = None
-    ) -> Frame:
-        """The frame after this one; where all turns were about z its axes and its origin follow at once, and not
-        through all frames at the end;  axes : None: as of this one."""
-        frame = Frame(self, shift, rotation, about_z)
-        if about_z is not None:
-            before = self.axes
-            vars(frame).update(axes=before if axes is None else axes, origin=self.origin + ca.mtimes(before, shift))
-        return frame
-
-
-def _turn(axis: int, angle: ca.SX | float) -> ca.SX:
-    """(3, 3) rotation by an angle [rad] about an axis."""
-    rotation = ca.SX.eye(3)
-    if not ca.SX(angle).is_zero():
-        first, second, cosine, sine = (axis + 1) % 3, (axis + 2) % 3, ca.cos(angle), ca.sin(angle)
-        rotation[first, first], rotation[second, first] = cosine, sine
-        rotation[first, second], rotation[second, second] = -sine, cosine
-    return rotation
+        return Frame(self, placed[:3, 3], placed[:3, :3])

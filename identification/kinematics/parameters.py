@@ -95,6 +95,11 @@ class Parameter:
         return FILE_UNITS[self.unit][1]
 
     @property
+    def file_name(self) -> str:
+        """`name` as files have it: `base_offset.x0_mm`."""
+        return self.name.removesuffix(self.short) + self.toml_key if self.of_effect else self.name
+
+    @property
     def toml_key(self) -> str:
         """Key in an arm file: `a_deg`."""
         return self.short + FILE_UNITS[self.unit][2]
@@ -131,15 +136,8 @@ class ParameterSet(tuple[Parameter, ...]):
         """Places of all parameters of a kind, in order."""
         return np.array([k for k, p in enumerate(self) if p.kind == kind], dtype=np.int64)
 
-    @property
-    def length_errors(self) -> NDArray[np.int64]:
-        """Places of the errors of lengths, of a planar chain."""
-        return self.indices(LENGTH_ERROR)
-
-    @property
-    def joint_offsets(self) -> NDArray[np.int64]:
-        """Places of the joint offsets."""
-        return self.indices(JOINT_OFFSET)
+    length_errors = property(lambda self: self.indices(LENGTH_ERROR))  # places of the errors of lengths, in the plane
+    joint_offsets = property(lambda self: self.indices(JOINT_OFFSET))  # places of the joint offsets
 
     @property
     def by_link(self) -> bool:

@@ -14,8 +14,8 @@ most uses, and searches ask for hundreds of models, so models that have the same
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import Any
@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arm import Arm, EffectSpec
-from identification.arrays import Array
-from identification.conditions import Conditions
+from identification.arrays import Array, slices
+from identification.conditions import Conditions, condition_columns
 from identification.effects import Chain, Effect, build_all
-from identification.effects.chain import by_place, condition_slices, position_and_state, widths
+from identification.effects.chain import position_and_state, widths
 from identification.error_curve import ErrorCurve, all_hold
 from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
@@ -153,11 +153,6 @@ class Model:
         """What the effects need of arm and data: gravity, directions, temperature, time, past."""
         return frozenset().union(*(effect.needs for effect in self.effects))
 
-    @property
-    def remembers(self) -> bool:
-        """True if an effect depends on the postures measured before."""
-        return "past" in self.needs
-
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:
         """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
@@ -174,8 +169,7 @@ class Model:
         effects the class is, as users can redefine one, and what it was made with."""
         effects = ((type(e), e.joint, e.tagged, e.curve, *e.chosen.items()) for e in self.effects)
         names = self.all_parameters.names, self.names, *self.fixed.items()
-        best = tuple(self.best_known.items()) if "missing" in self._columns else ()
-        alike = _first((self.arm.chain, self.arm.gravity, *effects, names, tuple(self._columns), best))
+        alike = _first((self.arm.chain, self.arm.gravity, *effects, names, tuple(self._columns)))
         alike += [] if alike else [self]
         return alike[0]
 
@@ -184,9 +178,9 @@ class Model:
         """Where each condition stands among the columns of the table."""
         chain = self.arm.chain
         several = max(len(chain.tools), len(chain.instrument.targets)) > 1  # reflectors, or targets
-        extra = ("past",) * self.remembers + ("marker",) * several
-        extra += ("reference", "missing") * (chain.angle_scale is not None) + ("errors", "off") * bool(self._curves)
-        return condition_slices(self.arm.links, extra)
+        further = ("past",) * ("past" in self.needs) + ("marker",) * several
+        further += ("orientation",) * (chain.angle_scale is not None) + ("errors", "off") * bool(self._curves)
+        return condition_columns(self.joints, further)
 
     @cached_property
     def _curves(self) -> list[tuple[int, ErrorCurve]]:
@@ -214,11 +208,7 @@ class Model:
 
     def chain_at(self, q: ca.SX, c: ca.SX) -> Chain:
         """The nominal chain at the symbols of a posture and its conditions."""
-        chain = Chain.of(self.arm, q, c, tuple(self._columns))
-        if chain.reference is None or chain.missing is None:
-            return chain
-        best = self.arm.chain.orientation(q, self.best_known, chain.marker)
-        return replace(chain, reference=chain.reference + chain.missing * best)
+        return Chain.of(self.arm, q, c, self._columns)
 
     def values_at(self, c: ca.SX, p: ca.SX) -> ca.SX:
         """Values of every parameter, where p has those of the estimated ones; where error curves do not hold, without
@@ -260,29 +250,22 @@ class Model:
         q, _, _, position = self.symbols
         return vectorize(self._function([position, ca.jacobian(position, q)]))
 
-    def _by_added(self, place: str | None = None) -> Evaluate:
-        """Derivative of the position by what is added at a place of the chain, None: at all, where nothing is; and the
-        state."""
+    @cached_property
+    def _place_levers(self) -> Evaluate:
+        """Derivative of the position by what is added at all places of the chain, where nothing is; and the state."""
         q, c, p, _ = self.symbols
         added = ca.SX.sym("added", sum(widths(self.arm.chain).values()))
         position, state = position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p), added)
-        slopes = ca.jacobian(position, added if place is None else by_place(added, self.arm.chain)[place])
-        return vectorize(self._function(ca.substitute([slopes, state], [added], [ca.SX.zeros(added.numel())])))
+        outputs = [ca.jacobian(position, added), state]
+        return vectorize(self._function(ca.substitute(outputs, [added], [ca.SX.zeros(added.numel())])))
 
     @cached_property
-    def _joint_levers(self) -> Evaluate:
-        return self._by_added("joint_angles")
-
-    @cached_property
-    def _place_levers(self) -> Evaluate:
-        return self._by_added()
-
-    @cached_property
-    def _best_orientation(self) -> Evaluate:
-        """Of arrays (q, marker): the orientation of the arm as best known, (9,) by columns."""
-        q, marker = ca.SX.sym("q", self.arm.links), ca.SX.sym("marker")
-        orientation = self.arm.chain.orientation(q, self.best_known, marker if "marker" in self._columns else None)
-        return vectorize(ca.Function("orientation", [q, marker], [ca.cse(ca.densify(orientation))]))
+    def _orientation(self) -> Evaluate:
+        """Of arrays (q, marker, values of the geometry): the measured frame's axes for the instrument, (3, 3)."""
+        q, marker, names = ca.SX.sym("q", self.joints), ca.SX.sym("marker"), self.geometry_parameters.names
+        values = ca.SX.sym("values", len(names))
+        axes = self.arm.chain.orientation(q, dict(zip(names, ca.vertsplit(values), strict=True)), marker)
+        return vectorize(ca.Function("orientation", [q, marker, values], [ca.cse(axes)]))
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
         """Points (d,) of base, joints and tip [mm] at a posture (n,) [rad], as `points` gives them."""
@@ -296,10 +279,7 @@ class Model:
 
     # -- batches ---------------------------------------------------------------------------------------------------
     def position(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
-        """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets.
-
-        Postures (K, m, n), with conditions (K, m), are K plans, each with its own parameter set or all with one.
-        """
+        """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets."""
         return self.expressions._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
     def linearize(
@@ -319,8 +299,8 @@ class Model:
         if (scale := self.arm.chain.angle_scale) is None:
             raise InputError("orientations: the arm measures none, allowed: with sigma_mm and sigma_deg in its file")
         arguments = self._arguments(postures, None, conditions)
-        columns = arguments[1][..., self._columns["reference"]]
-        nominal = np.swapaxes(columns.reshape(*columns.shape[:-1], 3, 3), -1, -2)
+        nominal = arguments[1][..., self._columns["orientation"]]
+        nominal = nominal.reshape(*nominal.shape[:-1], 3, 3)
         return turned(self.expressions._position(*arguments)[0][..., 3:, 0] / scale) @ nominal
 
     def joint_levers(
@@ -331,7 +311,8 @@ class Model:
         offsets = self.parameters.indices(JOINT_OFFSET)
         if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
             return self.linearize(postures, parameters, conditions)[1][..., offsets]
-        return self.expressions._joint_levers(*self._arguments(postures, parameters, conditions))[0]
+        at_joints = slices(widths(self.arm.chain))["joint_angles"]
+        return self.place_levers(postures, parameters, conditions)[0][..., at_joints]
 
     def place_levers(
         self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
@@ -349,16 +330,15 @@ class Model:
         """
         return self.arm.chain.points(self._postures(postures), self.geometry)
 
-    def on_chain(self, expression: Callable[[Chain], ca.SX]) -> Callable[[ArrayLike, Conditions | None], Array]:
-        """Numpy function of (m, n) postures and conditions that gives an expression of the nominal chain, (m, rows)."""
+    def torques(self, postures: ArrayLike, conditions: When = None) -> Array:
+        """(m, n) gravity torques of the nominal arm (`Chain.torques`). Raises `InputError` for one without gravity."""
         q, c = self.expressions.symbols[:2]
-        value = ca.cse(ca.densify(expression(self.chain_at(q, c))))
-        evaluate = vectorize(ca.Function("expression", [q, c], [value]))
-        return lambda postures, conditions: evaluate(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
+        torques = ca.Function("torques", [q, c], [ca.cse(ca.densify(self.chain_at(q, c).torques))])
+        return vectorize(torques)(*self._arguments(postures, None, conditions)[:2])[0][..., 0]
 
     def _postures(self, postures: ArrayLike) -> Array:
         q = np.atleast_2d(np.asarray(postures, dtype=float))
-        if q.ndim not in (2, 3) or q.shape[-1] != self.joints:
+        if q.ndim != 2 or q.shape[1] != self.joints:
             raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.joints})")
         return q
 
@@ -372,29 +352,17 @@ class Model:
         return q, self.condition_table(q, conditions or Conditions()), p[..., None, :]
 
     def condition_table(self, postures: Array, conditions: Conditions) -> Array:
-        """(..., m, C) values of the symbols for conditions, in the columns of `condition_slices`. Of which nothing is
-        said is neutral: the arm's payload, mean temperature, the middle of session 1, approach +1, of joints that
-        remember the posture itself, of several markers the first."""
-        arm, at, shape = self.arm, self._columns, postures.shape[:-1]
-        payload = 0.0 if arm.gravity is None else arm.gravity.payload
-        plain = conditions.table(shape, arm.links, payload, postures if "past" in at else None)
-        if {"marker", "reference", "errors"}.isdisjoint(at):
-            return plain
-        table = np.zeros((*shape, max(place.stop for place in at.values())))
-        table[..., : plain.shape[-1]] = plain
-        unsaid = arm.chain.instrument.unsaid if conditions.marker is None else conditions.marker
-        marker = np.broadcast_to(unsaid, shape)[..., None]
-        if "marker" in at:
-            table[..., at["marker"]] = marker
-        if "reference" in at:  # orientations by columns, None: those of the arm as best known
-            if (orientation := conditions.orientation) is not None:
-                reference = np.swapaxes(orientation, -1, -2).reshape(*orientation.shape[:-2], 9)
-            else:
-                reference = self.expressions._best_orientation(postures, marker)[0][..., 0]
-            table[..., at["reference"]] = reference
-        if "errors" in at:  # tables are looked up here: as formulas they would be thousands of terms
-            errors, hold = table[..., at["errors"]], all_hold(self._curves, postures) if self._tied else np.ones(shape)
-            for joint, curve in self._curves:
-                errors[..., joint] = hold * curve.at(postures[..., joint])  # they hold together
+        """(..., m, C) values of the symbols for conditions (`Conditions.table`); orientations that are not measured are
+        those of the arm as best known, and tables are looked up here: as formulas they would be thousands of terms."""
+        at = self._columns
+        table = conditions.table(at, postures, self.arm.payload)
+        if "orientation" in at and conditions.orientation is None:
+            marker, values = table[..., at["marker"]] if "marker" in at else np.zeros(1), [*self.geometry.values()]
+            axes = self.expressions._orientation(postures, marker, values)[0]
+            table[..., at["orientation"]] = axes.reshape(*axes.shape[:-2], 9)
+        if "errors" in at:
+            hold = all_hold(self._curves, postures) if self._tied else np.ones(postures.shape[:-1])
+            for joint, curve in self._curves:  # they hold together
+                table[..., at["errors"].start + joint] = hold * curve.at(postures[..., joint])
             table[..., at["off"]] = 1.0 - hold[..., None]  # the share of their geometry that is off
         return table

@@ -27,15 +27,13 @@ DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
 
 
-def minimal(
-    model: Model, least: float = DISTINCT, postures: Array | None = None, conditions: Conditions | None = None
-) -> Model:
+def minimal(model: Model, least: float = DISTINCT, rows: Measurements | None = None) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
 
     least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
-    postures : (m, n) that a surface is touched at, which show less than those inside the limits; None: any of these
-    conditions : of these postures, where they tell which target each touches; None: every measured point at each
+    rows : at which something is touched, which show less than postures inside the limits; None: every measured point at
+        any of these
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     arm, parameters = model.arm, model.parameters
@@ -44,11 +42,11 @@ def minimal(
     first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
     order = [k for kind in first for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
-    if postures is None:  # three equations each for some forty parameters
+    if rows is None:  # three equations each for some forty parameters
         postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (100, arm.links))
-    each = [conditions or Conditions()]
-    if conditions is None and len(arm.chain.tools) > 1:
         each = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(arm.chain.tools))]
+    else:
+        postures, each = rows.postures, [rows.conditions]
     columns = np.concatenate([model.jacobian(postures, None, at) for at in each]).reshape(-1, len(parameters))
     kept = {order[k] for k in independent(columns[:, order] * sizes, least)}
     return _fixing(model, (parameters[k].name for k in order if k not in kept))
@@ -74,9 +72,9 @@ def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT
         return minimal(placed, least)
     if not instrument.own_targets:
         longest = measurements.rows(max(measurements.session_rows, key=len))
-        shown = minimal(placed_model(model, longest), least, longest.postures)
+        shown = minimal(placed_model(model, longest), least, longest)
         return _fixing(placed, shown.arm.chain.fixed - placed.arm.chain.fixed)
-    shown = minimal(placed, least, measurements.postures, measurements.conditions)
+    shown = minimal(placed, least, measurements)
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
     # next to nothing: the longest step that is a parameter stays as drawn
     steps: dict[str, float] = {}

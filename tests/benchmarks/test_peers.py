@@ -24,7 +24,7 @@ from identification.measurements import load_measurements
 from identification.model import Model
 from identification.model.minimal import minimal
 from tests.benchmarks.peers.arms import ARMS, AXES, FOUR, Planar, Screws
-from tests.benchmarks.peers.fits import TRUTH, placed
+from tests.benchmarks.peers.fits import placed
 from tests.benchmarks.peers.plans import symbolic_rows
 from tests.benchmarks.peers.table import Answer, answer_of, compared
 from tests.benchmarks.test_ur10 import halves
@@ -93,21 +93,6 @@ def test_approximate_design(levels: int, tmp_path: Path) -> None:
 
     title = f"Weights on {len(candidates):,} candidates, 4 links"
     nobody_better(compared(tmp_path, title, "plans.WEIGHTS", judged, levels=levels), MARGIN * FOUR.parameters)
-
-
-@pytest.mark.benchmark
-def test_planar_identification(tmp_path: Path) -> None:
-    """RMS over fresh postures and data sets of the distance to the true arm."""
-    postures = FOUR.random(200, np.random.default_rng(2))
-    exact = FOUR.positions(postures, TRUTH)
-
-    def judged(answer: Answer) -> tuple[float, str, str]:
-        missed = [FOUR.positions(postures, values) - exact for values in answer["parameters"]]
-        left = rms(np.concatenate(missed))
-        return left, f"{left:.5f} mm left", f"{answer['seconds']:.3f} s"
-
-    errors = compared(tmp_path, "1,000 data sets of 20 rows, 4 links", "fits.PLANAR", judged, sets=1000)
-    nobody_better(errors, MARGIN * errors[0])
 
 
 @pytest.mark.benchmark

@@ -309,7 +309,7 @@ def study(bar: float, replications: int) -> tuple[float, str]:
     general = loop(q, positions, "lm")[1]
     result, seconds = timed(lambda: run_study(studies[1]))
     gain = replications * general / seconds
-    assert result.cells["fits"][0] == replications
+    assert result["cells"]["fits"][0] == replications
     assert gain >= bar
     return seconds, f"{replications:,} data sets, {gain:.0f} x one general fit at a time (bar {bar:g})"
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from doe.bounds.certificate import Bound
-from doe.criteria import criterion
 from doe.plan.accuracy import tip_beside_random
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import robust_problem
@@ -162,43 +161,6 @@ def rows_of(data: Measurements, postures: Array) -> Array:
     assert distance.min(axis=0).max() < 1e-9  # it chose from the list
     assert len(set(rows.tolist())) == len(postures)
     return rows
-
-
-def test_chosen_postures_against_random_ones() -> None:
-    """20 of the 2,773 of series C; fits by the closed form (identification/README.md, "Closed form"), written here:
-    least squares for u_j = (l_j + dl_j) exp(i dtheta_j) and base, complex, as numbers of one unit [mm]."""
-    data, generator = load_measurements(PLANAR["C"], 3), np.random.default_rng(0)
-    columns = np.hstack([np.exp(1j * np.cumsum(data.postures, axis=1)), np.ones((len(data), 1))])
-    measured = data.positions @ [1.0, 1.0j]
-
-    def fit(rows: Array, positions: Array = measured) -> Array:
-        return np.linalg.lstsq(columns[rows], positions[rows], rcond=None)[0]
-
-    def error(rows: Array, positions: Array = measured) -> float:
-        return float(np.linalg.norm(fit(rows, positions) - full))
-
-    def at_tip(rows: Array) -> float:
-        return float(np.sqrt(np.mean(np.abs(columns @ (fit(rows) - full)) ** 2)))
-
-    full = fit(np.arange(len(data)))
-    random = [generator.choice(len(data), 20, replace=False) for _ in range(1000)]
-    errors, tips = np.array([error(rows) for rows in random]), np.array([at_tip(rows) for rows in random])
-    sigma = np.std(np.stack([(measured - columns @ full).real, (measured - columns @ full).imag]))
-    white = sigma * generator.standard_normal((100, len(data), 2)) @ [1.0, 1.0j]
-    print(f"\n20 of 2,773 UR10 postures; error of a random choice: median {np.median(errors):.3f} mm", end="")
-    plain = DesignProblem.of(Model(ARM), choices=data.postures)
-    for name in ("D", "A", "I"):
-        chosen = criterion(name, test_jacobians=plain.scaled_jacobians(data.postures[::10]))
-        plan = solve(DesignProblem.of(Model(ARM), choices=data.postures, criterion=chosen), 20).plan.postures
-        rows = rows_of(data, plan)
-        shares = np.mean(errors > error(rows)), np.mean(tips > at_tip(rows))
-        drawn = (columns @ full + noise for noise in white)  # as if the model were right and the noise white
-        ideal = [np.mean([error(each, y) > error(rows, y) for each in random[:50]]) for y in drawn]
-        print(f"\n{name}: error {error(rows):.3f} mm, better than {shares[0]:.0%}, at the tip {shares[1]:.0%}", end="")
-        print(
-            f"; {np.mean(ideal):.0%} were the model right, less than {np.quantile(ideal, 0.1):.0%} once in ten", end=""
-        )
-        assert shares[0] > 0.5
 
 
 SHEET = replace(ARM, sigma=0.1)  # [mm], the repeatability of its data sheet

@@ -21,11 +21,6 @@ from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 
-KEYS = {
-    "criterion", "runs", "links", "log_det", "bound", "efficiency", "certified_optimal", "postures_deg",
-    "table_1_max_residual", "std", "solver", "status", "starts", "seconds",
-}  # fmt: skip
-
 
 def some_plan(runs: int = 8) -> np.ndarray:
     return np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (runs, 4))
@@ -35,7 +30,6 @@ def test_figures() -> None:
     """Of a plan; nulls where there is no sigma for the deviations and no bound was asked for; weights count."""
     plan = some_plan()
     data = score_plan(problem(FOUR), plan).to_json()
-    assert data.keys() >= KEYS
     assert data["log_det"] == pytest.approx(complex_log_det(plan))
     assert data["bound"]["source"] == "closed_form"
     assert data["efficiency"] == pytest.approx(np.exp((data["log_det"] + 0.0612353259) / 8))

@@ -127,7 +127,7 @@ def test_the_best_weights_and_a_plan_below_their_bound() -> None:
     assert sensitivities(matrix, random_postures(400, 7)).max() <= 12.0 + 1e-4
     assert not best.bound.rigorous  # a sliding joint's positions are no trigonometric polynomial
     assert best.bound.value == pytest.approx(best.value, abs=1e-6)
-    design = solve(PROBLEM, 8, "exchange_ipopt", starts=3, seed=1, bound=best.bound)
+    design = solve(PROBLEM, 8, "exchange", starts=3, seed=1, bound=best.bound)
     q = design.plan.postures
     assert np.all((q >= PROBLEM.lower) & (q <= PROBLEM.upper))
     assert not len(too_near(PROBLEM, q))

@@ -44,7 +44,7 @@ VALUES = {
     "compare.runs": "8 12 3",
     "relax.runs": "12 20",
     "discriminate.runs": "2 4",
-    "solver": "exchange random fedorov ipopt analytic exchange_ipopt none",
+    "solver": "exchange random ipopt analytic none",
     "relax.solver": "column_generation clarabel none",
     "solvers": "random exchange,random none",
     "criterion": "D A E I Ds Dstar d",
@@ -183,7 +183,7 @@ def cases(draw: st.DrawFn, verbs: frozenset[str] = frozenset(main.commands)) -> 
     if "init" not in line or one_in(draw, 6):  # which writes it
         files["arm.toml"] = draw(mostly_valid(arm.text))
     if arm.urdf or "robot.urdf" in line:
-        files["robot.urdf"] = arm.urdf or draw(mostly_valid(draw(urdfs(3))[0]))
+        files["robot.urdf"] = arm.urdf or draw(mostly_valid(draw(urdfs(3))))
     for name in sorted(MAKERS.keys() & needed):
         files[name] = draw(mostly_valid(draw(MAKERS[name](arm))))
     if "truth.toml" in needed:

@@ -91,23 +91,6 @@ LOAD = "\npayload_at_mm = [10.0, 0.0, 80.0]\npayload_kg = 5"
 LOADS = ("", "\npayload_kg = 5.0", "\npayload_at_mm = [0, 0, 80]", LOAD, f"{LOAD}e300")
 ELBOW = ((0.0, 90.0, 400.0), (-600.0, 0.0, 0.0), (-500.0, 0.0, 0.0), (0.0, 90.0, 150.0), (0.0, -90.0, 120.0))
 LAUGHS = '<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>\n'
-X, Z = np.eye(3)[0], np.eye(3)[2]
-
-
-def turn(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """(m, 4, 4) rotations about a direction by angles (m,) [rad], by Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned = np.tile(np.eye(4), (len(angles), 1, 1))
-    turned[:, :3, :3] += np.sin(angles)[:, None, None] * cross + (1 - np.cos(angles))[:, None, None] * cross @ cross
-    return turned
-
-
-def moved(places: np.ndarray) -> np.ndarray:
-    """(m, 4, 4) translations by (m, 3)."""
-    poses = np.tile(np.eye(4), (len(places), 1, 1))
-    poses[:, :3, 3] = places
-    return poses
 
 
 @dataclass(frozen=True)
@@ -115,14 +98,15 @@ class ArmText:
     """A file, the URDF file beside it, and what is known of the arm.
 
     kinds : of the joints, "deg" or "mm";  lower, upper : (n,) limits in these units
-    joints : of each the pose (1, 4, 4) before it, its axis, and the pose after it
+    lengths : (n,) of the links of a planar arm [mm];  reach : [mm]
     """
 
     text: str
     kinds: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
-    joints: list[tuple[np.ndarray, np.ndarray, np.ndarray]]
+    lengths: np.ndarray
+    reach: float
     urdf: str = ""
 
     @property
@@ -136,11 +120,11 @@ class ArmText:
         return table[1] if table and self.spatial else ""
 
     def positions(self, postures: np.ndarray) -> np.ndarray:
-        """(m, d) of the tip [mm] at (m, n) [deg, mm], in plain numpy."""
-        pose = np.eye(4)[None]
-        for q, kind, (before, axis, after) in zip(postures.T, self.kinds, self.joints, strict=True):
-            pose = pose @ before @ (moved(np.outer(q, axis)) if kind == "mm" else turn(axis, np.radians(q))) @ after
-        return pose[:, : 3 if self.spatial else 2, 3]
+        """(m, d) [mm] of a planar arm's tip at (m, n) [deg]; in space of anything within reach."""
+        if self.spatial:
+            return np.random.default_rng(len(postures)).uniform(-0.5 * self.reach, 0.5 * self.reach, (len(postures), 3))
+        z = np.exp(1j * np.radians(np.cumsum(postures, axis=1))) @ self.lengths
+        return np.column_stack([z.real, z.imag])
 
 
 def numbers(values: object) -> str:
@@ -154,25 +138,21 @@ def arms(draw: st.DrawFn) -> ArmText:
     n = pick(draw, [2, 3, 3, 4, 1, 12] if kind == "planar" else [3, 2, 4, 5, 1])
     width, middle = pick(draw, [180.0, 100.0, 60.0, 20.0, 1e-6, 5e5]), pick(draw, [0.0, 30.0])
     lower, upper = np.full(n, middle - width), np.full(n, middle + width)
-    kinds, urdf, none = ["deg"] * n, "", np.eye(4)[None]
+    kinds, urdf, lengths, reach = ["deg"] * n, "", np.zeros(n), 1500.0
     parts, rows = [f'name = "{pick(draw, NAMES)}"', *([] if kind == "planar" else ['kind = "spatial"'])], []
     if kind == "planar":
         odd = [pick(draw, [300.0, 150.0, 80.0, 500.0, 1e-6, 1e-3, 1e6, 1e9]) for _ in range(n)]
         lengths = np.array(odd) if one_in(draw, 5) else 300.0 * 0.8 ** np.arange(n)
         parts.append(f"links_mm = {numbers(lengths)}")
-        joints = [(none, Z, moved(length * X[None])) for length in lengths]
         reach = float(lengths.sum())
     elif kind == "dh":
-        reach = 1500.0
-        joints = [(none, Z, moved(np.array([[a, 0, d]])) @ turn(X, np.radians([alpha]))) for a, alpha, d in ELBOW[:n]]
         rows = [f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}" for a, alpha, d in ELBOW[:n]]
         if (slide := pick(draw, [-1, -1, -1, 0, n - 1])) >= 0:
             rows[slide] += '\njoint = "prismatic"'
             kinds[slide], lower[slide], upper[slide] = "mm", 0.0, 400.0
     else:
-        reach, lower, upper = 1500.0, np.full(n, -100.0), np.full(n, 100.0)
-        urdf, axes = draw(urdfs(n))
-        joints = [(moved(np.array([[100.0, 0.0, 300.0]])), axis, none) for axis in axes]
+        lower, upper = np.full(n, -100.0), np.full(n, 100.0)
+        urdf = draw(urdfs(n))
         where = pick(draw, ['"robot.urdf"'] * 8 + [f"'''{urdf}'''"] * 4 + ['"../../../etc/passwd"'])
         parts += [f"urdf = {where}", 'base_link = "link_0"', f'tip_link = "link_{n}"']
         urdf = LAUGHS + urdf if one_in(draw, 20) else draw(mostly_valid(urdf))
@@ -182,7 +162,7 @@ def arms(draw: st.DrawFn) -> ArmText:
             bounds = f"lower = {numbers(lower[of_unit])}\nupper = {numbers(upper[of_unit])}"
             parts.append(f"[joint_limits_{unit}]\n{bounds}")
     text = "\n".join([*parts, *rows, *draw(tables_of_arm(n, reach, kind != "planar"))]) + "\n"
-    return ArmText(text, tuple(kinds), lower, upper, joints, urdf)
+    return ArmText(text, tuple(kinds), lower, upper, lengths, reach, urdf)
 
 
 @st.composite
@@ -237,8 +217,8 @@ def constraints(draw: st.DrawFn, reach: float, dimension: int) -> str:
 
 
 @st.composite
-def urdfs(draw: st.DrawFn, n: int) -> tuple[str, list[np.ndarray]]:
-    """A chain of n joints that turn, and their axes; masses and a fixed joint now and then."""
+def urdfs(draw: st.DrawFn, n: int) -> str:
+    """A chain of n joints that turn; masses and a fixed joint now and then."""
     axes = [np.eye(3)[pick(draw, [2, 1, 0])] for _ in range(n)]
     mass = '<inertial><mass value="2.5"/></inertial>' if draw(st.booleans()) else ""
     lines = ["<?xml version='1.0'?>", '<robot name="r">', '<link name="link_0"/>']
@@ -250,7 +230,7 @@ def urdfs(draw: st.DrawFn, n: int) -> tuple[str, list[np.ndarray]]:
     if draw(st.booleans()):
         lines.append('<link name="tool0"/><joint name="end" type="fixed">')
         lines.append(f'<parent link="link_{n}"/><child link="tool0"/></joint>')
-    return "\n".join([*lines, "</robot>"]) + "\n", axes
+    return "\n".join([*lines, "</robot>"]) + "\n"
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------
@@ -297,29 +277,10 @@ def plans(draw: st.DrawFn, arm: ArmText) -> str:
     return csv(draw, {"run": np.arange(1, rows + 1), **postures, **conditions(draw, arm, rows), **weight})
 
 
-CENTER = np.array([700.0, -200.0, 300.0])
-
-
-def gaps(kind: str, places: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """(m,) how far places (m, 3) are outside of the surface of number (m,) [mm]."""
-    if kind == "plane":
-        return places[:, 2] - 250.0 - 100.0 * surface
-    return np.linalg.norm(places - CENTER * np.where(surface, -1.0, 1.0)[:, None], axis=1) - 30.0
-
-
-def touching(arm: ArmText, postures: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """(m, n) postures moved, by Newton's steps of differences, to where most of them touch a surface of number (m,)."""
-    for _ in range(12):
-        steps = 1e-4 * np.vstack([np.eye(postures.shape[1]), np.zeros(postures.shape[1])])
-        ends = np.array([gaps(arm.instrument, arm.positions(postures + step), surface) for step in steps])
-        slopes, gap = (ends[:-1] - ends[-1]).T / 1e-4, ends[-1][:, None]
-        postures = postures - np.clip(slopes * gap / np.maximum(np.sum(slopes**2, axis=1), 1e-9)[:, None], -20.0, 20.0)
-    return postures
-
-
 @st.composite
 def measurements(draw: st.DrawFn, arm: ArmText) -> str:
-    """Positions that the arm has, with noise and some offsets, or lengths, or contacts; and columns of any kind."""
+    """Positions, of planar arms those that they have, with noise and an offset, or lengths, or contacts; and columns
+    of any kind."""
     rows = pick(draw, [20, 40, 60, 8, 2])
     angles, rng, number = drawn_postures(draw, arm, rows), np.random.default_rng(rows), np.arange(rows)
     exact = arm.positions(angles + pick(draw, [0.0, 0.1]))
@@ -327,12 +288,11 @@ def measurements(draw: st.DrawFn, arm: ArmText) -> str:
     columns: dict = named(arm, angles) | {f"{axis}_mm": column for axis, column in zip("xyz", places.T, strict=False)}
     if arm.instrument == "distance" and not one_in(draw, 20):
         unit, size = ("m", 1e-3) if one_in(draw, 12) else ("mm", 1.0)
-        columns = named(arm, angles) | {f"distance_{unit}": size * np.linalg.norm(places - CENTER, axis=1)}
+        columns = named(arm, angles) | {f"distance_{unit}": size * np.linalg.norm(places, axis=1)}
     elif arm.instrument and not one_in(draw, 20):
-        surface = number % (1 + draw(st.booleans()))
-        columns = named(arm, touching(arm, angles, surface))
-        if surface.any() or one_in(draw, 2):
-            columns["surface"] = [f"side {k}" for k in surface]
+        columns = named(arm, angles)
+        if draw(st.booleans()):
+            columns["surface"] = [f"side {k % 2}" for k in number]
     every: dict[str, dict] = {
         "order": {"order": number},
         "time": {"time_s": number * 7.5},
@@ -369,7 +329,7 @@ def targets(draw: st.DrawFn, arm: ArmText) -> str:
 def studies(draw: st.DrawFn, arm: ArmText) -> str:
     """A small study of one or two plans."""
     plan = ["random", "best_of_random", "plan.csv", "exchange", *(() if arm.spatial else ("dft",))]
-    plan = ["fedorov", "none", "../plan.csv"] if one_in(draw, 12) else plan
+    plan = ["none", "../plan.csv"] if one_in(draw, 12) else plan
     chosen = [f'"{pick(draw, plan)}"' for _ in range(draw(st.integers(1, 2)))]
     few = 3 if arm.spatial else 1  # equations of a row make up for the parameters
     runs = ["[1]", "[]"] if one_in(draw, 12) else [f"[{12 * few}]", f"[{10 * few}, {20 * few}]", f"[{8 * few}]"]

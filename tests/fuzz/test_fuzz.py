@@ -6,12 +6,14 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from doe.studies.monte_carlo import load_study
 from identification import Plan
+from identification.arm import Arm
 from identification.errors import InputError
 from identification.files.arm import dump_arm, load_arm
 from identification.files.csv import read_table
@@ -57,7 +59,7 @@ def test_arm_files(tmp_path_factory: pytest.TempPathFactory, arm: ArmText, data:
 READERS = {
     "plan": (plans, lambda path, types: Plan.load(path, types)),
     "measurements": (measurements, load_measurements),
-    "targets": (targets, load_targets),
+    "targets": (targets, lambda path, links: load_targets(path, Arm(np.ones(links)))),
     "study": (studies, lambda path, _: load_study(path)),
     "table": (measurements, lambda path, _: read_table(path)),
 }

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.conditions import REMEMBERED, past_from_order
+from identification.conditions import REMEMBERED, condition_columns, past_from_order
 from identification.errors import InputError
 from identification.measurements import Measurements, directions_from_order, session_time
 
@@ -141,8 +141,6 @@ def test_the_past_follows_the_order_and_stays_with_its_rows() -> None:
     some = data.rows([0, 2])
     np.testing.assert_array_equal(np.asarray(some.conditions.past), past[[0, 2]])
     np.testing.assert_array_equal(np.asarray(some.rows([1]).conditions.past), past[[2]])
-    both = past_from_order(np.stack([q, 2.0 * q]))  # two sessions at once
-    np.testing.assert_array_equal(both[1], 2.0 * past_from_order(q))
 
 
 def test_the_past_is_worked_out_only_where_an_effect_asks_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,9 +148,9 @@ def test_the_past_is_worked_out_only_where_an_effect_asks_for_it(monkeypatch: py
     data = Measurements(Q, X)
     monkeypatch.setattr("identification.measurements.past_from_order", asked := Mock(side_effect=past_from_order))
     conditions = data.rows(slice(None, None, 2)).conditions
-    conditions.table(10, 4, 1.0)
+    conditions.table(condition_columns(4), Q[::2], 1.0)
     assert not asked.called
-    wide = conditions.table(10, 4, 1.0, Q[::2])
+    wide = conditions.table(condition_columns(4, {"past"}), Q[::2], 1.0)
     assert asked.call_count == 1
     np.testing.assert_array_equal(wide[:, 8:], past_from_order(Q)[::2].reshape(10, -1))
     assert conditions == data.rows(np.arange(0, 20, 2)).conditions

@@ -18,7 +18,6 @@ from identification.workflow import (
     identify_files,
     load_sessions,
     validate_files,
-    words_in,
 )
 
 LENGTHS = [300.0, 200.0]
@@ -84,7 +83,3 @@ def test_every_verb_says_what_it_is_for() -> None:
                 everywhere = "seed progress page constraints force package_dir"
                 provided = parameter.name in everywhere.split()
                 assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)
-
-
-def test_words_of_a_list() -> None:
-    assert words_in("a, b,c ,") == ["a", "b", "c"]

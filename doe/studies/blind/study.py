@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, sqrt
 from pathlib import Path
@@ -58,39 +57,6 @@ FOLLOWING = {  # where an effect of the library is that has no joint
 Judged = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class BlindStudy:
-    """What the blind study found.
-
-    tables : what is written as NAME.parquet: `cells` (cell, measure, value, standard_error, count); `bars` (the same
-        rows with what is asked and how it came out); `confusion` (hidden, named: classes of effects, joints left out,
-        count); `reliability` (from, to, said, right, count: bins of the probability with which something was said)
-    sets : data sets that were diagnosed;  failures : batches that could not be done
-    """
-
-    tables: dict[str, pl.DataFrame]
-    sets: int
-    failures: int
-
-    @property
-    def passed(self) -> bool:
-        """Whether every set could be diagnosed."""
-        return self.failures == 0
-
-    def value(self, cell: str, measure: str) -> float:
-        """One figure. Raises `KeyError` if the cell has no such measure."""
-        return {(row[0], row[1]): float(row[2]) for row in self.tables["cells"].iter_rows()}[cell, measure]
-
-    def __str__(self) -> str:
-        bars = self.tables["bars"]
-        counts = Counter(bars["outcome"]) if len(bars) else Counter[str]()
-        outcomes = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
-        failed = f"; {self.failures} batches failed" if self.failures else ""
-        return f"{self.sets} blind data sets; bars: {outcomes or 'none'}{failed}"
-
-    __repr__ = __str__
-
-
 def blind_study(
     cells: Sequence[str] | None = None,
     count: int | None = None,
@@ -101,13 +67,14 @@ def blind_study(
     resume: bool = False,
     force: bool = False,
     progress: Progress = Progress(),
-) -> BlindStudy:
-    """Diagnose data sets with hidden effects and compare with the truth afterwards.
+) -> dict[str, pl.DataFrame]:
+    """Diagnose data sets with hidden effects and compare with the truth afterwards: `sets` (what is hidden in each, and
+    what the diagnosis says of it, see `examine`) and the tables of `scored`.
 
     cells : names of the simulators' cells, default those of the full study in the plane
     count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200; in space
         100
-    folder : where sets.parquet and the tables of the result go
+    folder : where NAME.parquet of each goes
 
     Raises `InputError` for an unknown cell.
     """
@@ -124,11 +91,12 @@ def blind_study(
             for first in range(0, total, BATCH)
         ]
     with RowTable(folder and folder / ROWS, resume=resume, force=force) as table:
-        score = scored(run_tasks(examine, keys, table, workers, seed=seed, progress=progress))
+        sets = run_tasks(examine, keys, table, workers, seed=seed, progress=progress)
+        score = scored(sets)
         if folder is not None:
-            files = {folder / f"{name}.parquet": parquet(table) for name, table in score.tables.items()}
+            files = {folder / f"{name}.parquet": parquet(frame) for name, frame in score.items()}
             write_together(files, force=True)
-    return score
+    return {"sets": sets, **score}
 
 
 def reported_cells(space: bool) -> list[str]:
@@ -314,8 +282,10 @@ def classes(keys: Sequence[str], besides: str | None) -> str:
 
 
 # -- all of them -------------------------------------------------------------------------------------------------------
-def scored(rows: pl.DataFrame) -> BlindStudy:
-    """The score of the rows of all sets."""
+def scored(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """The score of the rows of all sets: `cells` (cell, measure, value, standard_error, count); `bars` (the same rows
+    with what is asked and how it came out); `confusion` (hidden, named: classes of effects, joints left out, count);
+    `reliability` (from, to, said, right, count: bins of the probability with which something was said)."""
     sets = [scored_set(row) for row in rows.iter_rows(named=True) if row["status"] == "done"]
     of_cells: dict[str, list[Judged]] = {}
     for judged in sets:
@@ -335,7 +305,7 @@ def scored(rows: pl.DataFrame) -> BlindStudy:
     pairs = Counter((s["hidden"], s["named"]) for s in sets)
     confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
     tables = {"cells": cells, "bars": bars, "confusion": confusion, "reliability": reliability(sets)}
-    return BlindStudy({name: frame_of(table) for name, table in tables.items()}, len(sets), len(rows) - len(sets))
+    return {name: frame_of(table) for name, table in tables.items()}
 
 
 def outcome_of(value: float, error: float, sign: str, asked: float) -> str:

@@ -130,7 +130,7 @@ def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: A
     """The files of an arm with joints of these types, measured by this kind of instrument, filled in."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    n, instrument, arm_kind = len(types), KINDS[kind]() if kind else TRACKER, "spatial" if spatial else "planar"
+    n, instrument, arm_kind = len(types), KINDS["xyz"][kind]() if kind else TRACKER, "spatial" if spatial else "planar"
     axes = instrument.coordinates[: 3 if spatial else 2]
     # its readings, or what is touched
     measured = tuple(column_of(name, quantity) for name, quantity, _ in axes) or (instrument.target,)

@@ -63,11 +63,6 @@ class Planar(Designed):
     def parameters(self) -> int:  # type: ignore[override]
         return 2 * len(self.lengths)
 
-    def positions(self, q: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """(m, 2) [mm] with length errors [mm] and joint offsets [rad], (2n,)."""
-        theta, lengths = np.cumsum(q + values[len(self.lengths) :], axis=1), self.lengths + values[: len(self.lengths)]
-        return np.stack([np.cos(theta) @ lengths, np.sin(theta) @ lengths], axis=1)
-
     def rows(self, q: np.ndarray) -> np.ndarray:
         theta = np.cumsum(q, axis=1)
         cosine, sine = np.cos(theta), np.sin(theta)

@@ -1,9 +1,8 @@
 """Arms identified by armcal and by what people use instead, from the same rows.
 
-PLANAR: many data sets of one planar arm with 4 links and 8 parameters, at the same 20 postures. SPACE: one data set of
-a six-axis arm. There every tool gets the nominal table; those that find base and reflector themselves start from
-nothing, the others from `placed`, which is not timed. Each answers with the axes of the joints as lines in space at
-q = 0, and the measured point there: whoever judges them needs nothing else (arms.Screws).
+SPACE: one data set of a six-axis arm. Every tool gets the nominal table; those that find base and reflector themselves
+start from nothing, the others from `placed`, which is not timed. Each answers with the axes of the joints as lines in
+space at q = 0, and the measured point there: whoever judges them needs nothing else (arms.Screws).
 """
 
 from __future__ import annotations
@@ -15,51 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.peers.arms import FOUR, TABLE, Screws, dh_matrix, rotations, ur10
+from tests.benchmarks.peers.arms import TABLE, Screws, dh_matrix, rotations, ur10
 from tests.benchmarks.peers.table import Answer, Tool, processor_seconds
 
-TRUTH = np.r_[1.5, -0.6, -0.4, 0.7, np.radians([0.5, -0.5, 0.7, -0.3])]  # length errors [mm], joint offsets [rad]
-SIGMA, RUNS = 0.1, 20
 ARM_FILE = Path(__file__).parents[2] / "data/ur10/ur10.toml"
 REPEATED = 5.0  # [s] below which a fit is made again, in the same process
 CALLS = 10  # of a solver that stops at the first step that makes it worse, and goes on where it is called again
 X, Z = np.eye(3)[0], np.eye(3)[2]
 
 
-def planar(sets: int, fit: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Answer:
-    """A fit of (sets, m, 2) measurements [mm] at (m, 4) postures."""
-    generator = np.random.default_rng(1)
-    q = FOUR.random(RUNS, generator)
-    x = FOUR.positions(q, TRUTH) + SIGMA * generator.standard_normal((sets, RUNS, 2))
-    return {"parameters": fit(q, x)}
-
-
-def batch(q: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """armcal's `estimate_batch`."""
-    from identification import Arm, Model
-    from identification.estimation import estimate_batch
-
-    return estimate_batch(Model(Arm(FOUR.lengths)), q, x).parameters
-
-
-def one_by_one(q: np.ndarray, x: np.ndarray, **options: object) -> np.ndarray:
-    """SciPy's `least_squares`, one data set after the other."""
-    from scipy.optimize import least_squares
-
-    def residuals(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
-        return (FOUR.positions(q, values) - measured).ravel()
-
-    return np.array([least_squares(residuals, np.zeros(8), args=(one,), **options).x for one in x])
-
-
-PLANAR = {
-    "armcal": Tool(partial(planar, fit=batch), ("identification.estimation",)),
-    "SciPy least_squares, defaults": Tool(partial(planar, fit=one_by_one), ("scipy.optimize",)),
-    "SciPy least_squares, lm": Tool(partial(planar, fit=partial(one_by_one, method="lm")), ("scipy.optimize",)),
-}
-
-
-# -- in space ----------------------------------------------------------------------------------------------------------
 def spatial(rows: str, fit: Callable[[np.ndarray, np.ndarray], Answer]) -> Answer:
     """A fit of the rows `q` [rad] and `x` [mm] of a file, with its processor time, less what it says is not its own."""
     with np.load(rows) as data:

@@ -76,7 +76,7 @@ def test_files_of_an_instrument_of_lengths(folder: Folder, words: str, kind: str
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # of columns that are not used
         measured = load_measurements(folder.path / "data.csv", arm)
-    readings = {"distance": [500.0], "sphere": [15.0], "plane": [0.0], "socket": [0.0, 0.0, 0.0]}
+    readings = {"distance": [500.0], "sphere": [0.0], "plane": [0.0], "socket": [0.0, 0.0, 0.0]}
     assert measured.positions.tolist() == [readings[kind]]
     steps = (home / "README.md").read_text()
     column = {"distance": "distance_mm", "socket": "cup"}.get(kind, "surface")
@@ -111,7 +111,7 @@ def test_the_schema_accepts_the_arm_and_refuses_a_misspelt_key() -> None:
         assert not validator(schema).is_valid({**tables, "link_mm": [1.0]})
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.lists(st.floats(*LENGTH_RANGE), min_size=1, max_size=12))
 @example([13.0])
 @example([0.00001, 612.34567891234, 1e9])

@@ -63,19 +63,6 @@ def test_not_identifiable_is_named_and_exits_1(folder: Folder) -> None:
     assert all(parameter["std"] is None or parameter["std"] < 10.0 for parameter in done.data["parameters"])
 
 
-def test_score_gives_the_observability_indices(folder: Folder) -> None:
-    """Singular values of the chain's Jacobian, lengths in mm and joint offsets times their link's length."""
-    scored = folder.said("score arm.toml plan.csv")
-    links = np.exp(1j * np.cumsum(np.radians(scored["postures_deg"]), axis=1))
-    levers = 1j * np.cumsum((links * LENGTHS)[:, ::-1], axis=1)[:, ::-1]
-    columns = np.hstack([links, levers / LENGTHS])
-    s = np.linalg.svd(np.vstack([columns.real, columns.imag]), compute_uv=False)
-    expected = [np.prod(s) ** (1 / 8) / np.sqrt(len(links)), s[-1] / s[0], s[-1], s[-1] ** 2 / s[0], 1 / np.sum(1 / s)]
-    assert list(scored["observability"]) == ["o1", "o2", "o3", "o4", "o5"]
-    assert list(scored["observability"].values()) == pytest.approx(expected)
-    assert f"O2 {s[-1] / s[0]:.4g}" in folder.armcal("score arm.toml plan.csv").out
-
-
 def test_conditions_in_the_plan_reach_the_measurements(folder: Folder) -> None:
     plan = pl.read_csv(folder.path / "plan.csv")
     plan.with_columns(temperature_C=20.0 + 0.5 * pl.int_range(12)).write_csv(folder.path / "warm.csv")
@@ -88,15 +75,6 @@ def test_conditions_in_the_plan_reach_the_measurements(folder: Folder) -> None:
     tip = (LENGTHS * np.exp(1j * theta)).sum(axis=1) * (1.0 + 0.001 * warmer)
     np.testing.assert_allclose(data["x_mm"].to_numpy(), tip.real, atol=1e-6)
     folder.refused("simulate arm.toml plan.csv --truth truth.toml --out cold.csv", "temperature_C")
-
-
-def test_two_ripples_of_one_joint_in_a_design(folder: Folder) -> None:
-    effects = "".join(f'[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = {k}\n' for k in (3, 4))
-    folder.write("two.toml", "links_mm = [300, 200]\n" + effects)
-    line = "design two.toml --runs 8 --criterion Ds --solver random --seconds 0.3 --subset"
-    found = folder.said(f"{line} transmission_ripple:1[k=4].a,transmission_ripple:1[k=4].b")
-    assert np.shape(found["postures_deg"]) == (8, 2)
-    assert folder.armcal(f"{line} transmission_ripple:1.a").code == 2
 
 
 def test_targets_beyond_the_identified_angles_are_said(folder: Folder) -> None:
@@ -121,6 +99,6 @@ def test_validate_on_another_session_and_on_the_own_data(folder: Folder) -> None
     (note,) = own.data["notes"]
     assert f"warning: data.csv: {note}" in own.err
     shown = folder.armcal("validate calibrated.toml data.csv")
-    assert (note in shown.flat, note in shown.err) == (True, False)  # once
+    assert (shown.flat.count("this says nothing about others"), shown.err) == (1, "")
     (refit,) = (parameter for parameter in main.commands["validate"].params if parameter.name == "refit")
     assert tuple(refit.type.choices) == REFITS

@@ -152,7 +152,7 @@ def test_validate_where_the_arm_stands_elsewhere(spatial: Folder) -> None:
     assert refitted["tool[front].y"] == pytest.approx(-90.0, abs=3.0)
     assert (len(refitted), len(offsets["refitted"])) == (6 + 2 * 3, 6 + 2 * 3 + 4)
     placed = spatial.said("identify calibrated.toml other.csv --only base,tool")
-    assert placed["rms_nominal_mm"] == pytest.approx(base["rms_nominal_mm"])
+    assert placed["rms_drawing_mm"] == pytest.approx(base["rms_nominal_mm"])
     assert placed["rms_before_mm"] == pytest.approx(placed["rms_after_mm"], rel=1e-4)  # the file has other reflectors
     assert spatial.said("validate calibrated.toml data.csv --refit none")["rms_mm"] < 0.05
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -12,7 +11,6 @@ import tomllib
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import version
-from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -71,6 +69,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         size: Size,
         in_all: float | None = None,
         seed: int = 0,
+        progress: Progress,
     ) -> Answer:
         """Paint a wall.
 
@@ -83,6 +82,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         in_all : Sum.
         """
         got.update(arm=arm, data=data, runs=runs, color=color, only=only, check=check, size=size, in_all=in_all)
+        progress(1.0, 2.0, "")
         got["seed"] = seed
         return Answer({"here": arm}, ["transmission_ripple:1[k=20] and [red]"])
 
@@ -126,17 +126,6 @@ def test_the_help_of_a_verb_has_an_example_and_fits_a_terminal(folder: Folder, n
     shown = folder.armcal(name, "--help").out
     assert max(map(len, shown.splitlines())) <= 80
     assert shown.replace("\n", "").isprintable()
-
-
-def test_the_list_of_effects_and_one_of_them(folder: Folder) -> None:
-    by_name = {found["name"]: found for found in folder.said("effects ")["effects"]}
-    assert by_name["thermal_growth"]["parameters"] == [{"key": "a_per_K", "unit": "1/K", "typical": 2e-5}]
-    assert by_name["link_bending"]["arms"] == ["planar"]
-    shown = folder.armcal("effects transmission_ripple:2").out
-    assert 'name = "transmission_ripple"' in shown
-    assert "0.25 to 2000" in shown
-    everything = folder.armcal("effects").out
-    assert [name for name in by_name if f"  {name}" not in everything] == []
 
 
 # -- files -------------------------------------------------------------------------------------------------------------
@@ -232,23 +221,6 @@ def test_a_line_now_and_then_also_from_a_silent_job(capfd: pytest.CaptureFixture
     assert capfd.readouterr().err == ""
     with shown_progress("design", quiet=True) as report:
         assert report == Progress()
-
-
-@pytest.mark.parametrize("width", [60, 120])
-def test_the_times_are_whole_in_a_narrow_terminal(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The longest that diagnose says: the clock, which is all that tells that it goes on, is never cut."""
-    said, clock = "step 2 of 4: scatter 2 of 3, further orders, other shapes 10 of 12, workspace", iter([0.0])
-    terminal = StringIO()
-    monkeypatch.setattr(terminal, "isatty", lambda: True)
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setenv("COLUMNS", str(width))
-    monkeypatch.setattr(time, "monotonic", lambda: next(clock, 3725.5))
-    with shown_progress("diagnose", quiet=False) as report:
-        report(5.0, 10.0, said)
-    plain = re.sub(r"\x1b\[[\d;?]*\w", "", terminal.getvalue())
-    (line,) = {text for text in re.split(r"[\r\n]", plain) if text.startswith("step 2")}
-    assert re.match(re.escape(said[: width - 28]), line)
-    assert re.search(r" \d:\d\d:\d\d (-:--:--|\d:\d\d:\d\d)$", line.rstrip())
 
 
 # -- signals -----------------------------------------------------------------------------------------------------------

@@ -55,12 +55,12 @@ def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Pa
     """With random postures: the search for better ones takes a quarter of a minute."""
     with pytest.warns(UserWarning, match="the measured point is not known"):
         demo: Demo = run_demo(tmp_path, replace(spatial(), effort={"solver": "random", "starts": 1}))
-    gaps, hidden = demo.gaps, demo.hidden
-    room, way = room_of(demo.problem.constraints), Plan.load(tmp_path / "plan.csv").postures
+    gaps, hidden, diagnosis = demo.data["fresh_gap_mm"], demo.data["hidden"], demo.diagnosed.result
+    room, way = room_of(demo.design.problem.constraints), Plan.load(tmp_path / "plan.csv").postures
     assert room is not None
     assert sampled(room, way, 300) > 0.0  # of every move
-    assert demo.diagnosis.effects == ("encoder_eccentricity:2",)
-    assert demo.diagnosis.confirmed is True
+    assert diagnosis.effects == ("encoder_eccentricity:2",)
+    assert diagnosis.confirmed is True
     assert gaps["drawing"] > 2.0 > 4.0 * gaps["identified"] > 4.0 * gaps["extended"]
     # 27 combinations of geometry and 2 parameters of the effect, from 108 equations at postures of this efficiency
     share = 29.0 / 108.0 / (demo.design.efficiency or np.nan)
@@ -73,8 +73,8 @@ def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Pa
     assert hidden["targets_reached"] == 50
     assert [row["name"] for row in hidden["parameters"]] == ["encoder_eccentricity:2.a", "encoder_eccentricity:2.b"]
     assert all(abs(row["value"] - row["hidden"]) < 4.0 * row["std"] for row in hidden["parameters"])
-    assert "corrected.urdf" in demo.to_json(tmp_path)["files"]
-    assert all((tmp_path / name).stat().st_size for name in demo.files)
+    assert "corrected.urdf" in demo.data["files"]
+    assert all((tmp_path / name).stat().st_size for name in demo.data["files"])
     written = read_urdf(tmp_path / "corrected.urdf").chain("base_link", "flange")
     assert demo.identified.result.geometry is not None
     for joint, real in zip(written.joints, demo.identified.result.geometry.real.joints, strict=True):

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from doe.discrimination import design
 from doe.discrimination.design import (
     LAMBDA,
     DiscriminationDesign,
@@ -21,12 +20,10 @@ from doe.discrimination.design import (
     discrimination_design,
 )
 from doe.problem.problem import DesignProblem
-from doe.report import design as report
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import arm_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
 from identification.arm import Arm
-from identification.errors import InputError
 from identification.model import Model
 from identification.running import Status
 from identification.workspace import WorkspaceBox
@@ -143,21 +140,6 @@ def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:
     assert found.design.status is Status.interrupted
     assert found.wrong < found.best_wrong
     assert found.relative_efficiency >= 0.95 - 1e-9
-
-
-def test_what_a_very_long_plan_can_detect_is_not_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor silently so."""
-    monkeypatch.setattr(design, "MOST_SEEN", 19)
-    found = designed([-180, -120], [180, 120], 20, starts=1, seconds=0.1)
-    assert found.sees is None
-    assert found.best_sees is None
-    lines = [str(line) for line in report.discriminating_parts(found)]
-    assert lines[-1] == "what a plan of more than 19 runs can detect is not worked out"
-
-
-def test_bad_loss() -> None:
-    with pytest.raises(InputError, match="loss"):
-        designed([-180] * 4, [180] * 4, 12, loss=1.0)
 
 
 def test_out_of_a_list_of_postures_only_those() -> None:

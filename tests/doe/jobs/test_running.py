@@ -295,12 +295,15 @@ def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPat
 # -- one call in a process of its own ----------------------------------------------------------------------------------
 def test_ends_of_calls_are_told_apart() -> None:
     """Python's own signals and timers would wait for the interpreter, which compiled code does not give back."""
-    done = call(work.hang, 0.1, seconds=60.0)
-    assert done[:3] == ("awake", "done", None)
-    assert 0.1 < done.seconds < 30.0
-    assert call(work.hang_in_compiled_code, seconds=0.5)[:3] == (None, "timeout", "killed after 0.5 s")
-    assert call(work.fail, seconds=10.0)[:3] == (None, "failed", "ArithmeticError: no answer")
-    assert call(work.crash, seconds=10.0)[:3] == (None, "crashed", "signal 11")
+    value, row = call(work.hang, 0.1, seconds=60.0)
+    assert (value, row["status"], row["error"], 0.1 < row["seconds"] < 30.0) == ("awake", "done", None, True)
+    for function, seconds, status, error in (
+        (work.hang_in_compiled_code, 0.5, "timeout", "killed after 0.5 s"),
+        (work.fail, 10.0, "failed", "ArithmeticError: no answer"),
+        (work.crash, 10.0, "crashed", "signal 11"),
+    ):
+        value, row = call(function, seconds=seconds)
+        assert (value, row["status"], row["error"]) == (None, status, error)
 
 
 def test_call_from_a_daemon() -> None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from doe.plan.plan import check_order, shortest_path
+from doe.plan.plan import shortest_path
 from identification import Plan
 from identification.errors import InputError
 
@@ -40,11 +40,6 @@ def test_reading(tmp_path: Path) -> None:
     plan = load(tmp_path, "q1_rad,weight\n3,0\n1.5,1\n")
     np.testing.assert_array_equal(plan.postures, [[3], [1.5]])
     np.testing.assert_array_equal(plan.weights, [0, 1])
-
-
-def test_unknown_columns_are_named_once(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match=r"plan.csv: columns are not used: 'wieght' \(did you mean 'weight'\?\), 'z'$"):
-        assert load(tmp_path, "q1_deg,wieght,z\n1,1,1\n").weights is None
 
 
 @pytest.mark.parametrize(
@@ -115,8 +110,3 @@ def test_long_plans_have_no_exchange_left_and_gain() -> None:
     for i, k in combinations(range(1, 60), 2):
         other = np.vstack([found[:i], found[i:k][::-1], found[k:]])
         assert by_hand(other) >= by_hand(found) - 1e-9
-
-
-def test_an_unknown_order_is_named() -> None:
-    with pytest.raises(InputError, match="did you mean 'travel'"):
-        check_order("travl")

@@ -41,18 +41,6 @@ def test_measured_postures_need_the_number_of_runs() -> None:
             case.prior.per_new_run(runs)
 
 
-def test_no_measured_postures_are_an_empty_array_and_tell_nothing() -> None:
-    new = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (6, 4))
-    for kept in (None, np.empty((0, 4)), []):
-        case = problem(FOUR, kept=kept)
-        assert case.kept.shape == (0, 4)
-        assert case.prior.empty
-        assert case.prior.per_new_run(None) is case.prior
-        assert np.array_equal(case.information(new), problem(FOUR).information(new))
-    with pytest.raises(InputError, match=r"kept: shape \(2, 3\), allowed: \(k, 4\)"):
-        problem(FOUR, kept=np.zeros((2, 3)))
-
-
 def test_a_prior_without_runs_adds_to_the_sum_and_leaves_the_number_of_runs() -> None:
     """A calibration's covariance C, as it would be added: inverse of C times sigma^2, no run of this plan."""
     case = problem(FOUR, OFFSET)

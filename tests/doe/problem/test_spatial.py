@@ -11,7 +11,7 @@ import pytest
 from doe.bounds.certificate import Bound
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import tip_jacobians
-from doe.solvers import Gradient, solve
+from doe.solvers import solve
 from identification.arm import Arm
 from identification.errors import InputError
 from identification.for_design import ArmModel, with_points
@@ -121,7 +121,7 @@ def test_a_center_is_assumed_before_the_base() -> None:
 def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
     """By the covariance: the volume of the 36 parameters' ellipsoid, and the error of the tip."""
     problem = DesignProblem.of(Model(bar(base=pose([-700.0, 200.0, -300.0]))))
-    found = solve(problem, 40, Gradient(batch=2), starts=2, bound=Bound(np.inf, "continuous"))
+    found = solve(problem, 40, starts=2, bound=Bound(np.inf, "continuous"))
     anyhow = np.random.default_rng(0).uniform(-2.0, 2.0, (20, 40, 6))
     best = max(problem.objective(plan) for plan in anyhow)
     assert found.value > best + 10.0  # each parameter of 36 by a quarter better

@@ -22,7 +22,7 @@ def browser() -> Iterator[Any]:
         pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed")
     with playwright.sync_playwright() as started:
         try:
-            opened = launched(started.chromium)
+            opened = started.chromium.launch(executable_path=path(), args=QUIET)
         except playwright.Error as error:
             pytest.skip(f"{path()} does not start: {str(error).splitlines()[0]}")
         yield opened
@@ -34,19 +34,16 @@ def path() -> str | None:
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
-def launched(kind: Any, *more: str) -> Any:
-    """A browser of Playwright's `kind`, with more flags."""
-    return kind.launch(executable_path=path(), args=[*QUIET, *more])
-
-
 class Watched:
     """A page whose messages, errors and requests are kept."""
 
-    def __init__(self, opened: Any, address: str, **context: Any) -> None:
+    def __init__(self, opened: Any, address: str, first: str = "", **context: Any) -> None:
+        """first : a script that runs before those of the page"""
         self.said: list[str] = []
         self.requests: list[str] = []
         self.context = opened.new_context(offline=True, **context)
         self.page = self.context.new_page()
+        self.page.add_init_script(first)
         self.page.on("console", lambda message: self.said.append(message.text))
         self.page.on("pageerror", lambda error: self.said.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))

@@ -17,7 +17,6 @@ from doe.discrimination.t_optimal import NextPostures
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import missing_effects, robust_problem
 from doe.report.design import (
-    design_document,
     design_facts,
     design_verdict,
     next_document,
@@ -131,16 +130,6 @@ def test_long_and_weighted_plans_are_drawn_only() -> None:
     (pictures,) = drawn.parts
     assert isinstance(pictures, Pictures)
     assert len(pictures.draw()) == 2
-
-
-@pytest.mark.parametrize("plan", [np.ones((4, 2)), np.random.default_rng(2).uniform(-1.0, 1.0, (30, 2))])
-def test_a_plan_is_shown_with_everything_that_is_known_of_it(plan: np.ndarray) -> None:
-    design = score(problem(ARM), plan)
-    text = as_text(design_document(design), 80)
-    assert max(map(len, text.splitlines())) <= 80
-    assert ("first 24 of 30; --out writes all" in text) is (len(plan) > 24)
-    assert ("no log det" in text) is (len(plan) == 4)
-    assert ("Expected standard deviations" in text) is (len(plan) > 4)
 
 
 def test_weights_that_would_print_as_zero_are_counted() -> None:

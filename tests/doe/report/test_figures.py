@@ -32,15 +32,6 @@ def test_outlines_lie_on_what_they_show() -> None:
     np.testing.assert_allclose(rim[0] @ axis, 3000.0 * np.cos(SIGHT.half_angle))
 
 
-def test_a_plan_is_seen_from_two_sides() -> None:
-    figure = plan_figure(ARM, POSTURES[:5])
-    views = [axes for axes in figure.axes if axes.name == "3d"]
-    assert len(views) == 2
-    assert len(figure.axes) == 3
-    skeletons = [line for line in views[0].lines if len(line.get_xdata()) == 8]
-    assert len(skeletons) == 5
-
-
 def test_the_bodies_of_a_cell_are_drawn_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the arm at the first posture and of the cell, seen from where the page shows them; the floor below."""
     start, end, radius = np.array([0.0, 0.0, 100.0]), np.array([0.0, 0.0, 400.0]), 50.0

@@ -30,7 +30,7 @@ from identification.measurements import Measurements
 from identification.model import Model
 from identification.validate import Validation
 from identification.workspace import LineOfSight
-from tests.doe.report.browser import Watched, browser, launched
+from tests.doe.report.browser import Watched, browser
 
 RANDOM = np.random.default_rng(31)
 TURN = np.pi / 2.0
@@ -361,12 +361,10 @@ def test_the_drawing_stands_in_in_print_and_no_other_script_runs(opened: Any, ad
 
 
 def test_without_webgl_the_drawing_stands_in(opened: Any, address: str) -> None:
-    plain = launched(opened.browser_type, "--disable-3d-apis")
-    seen = Watched(plain, address, viewport=SMALL)
+    seen = Watched(opened, address, "HTMLCanvasElement.prototype.getContext = () => null", viewport=SMALL)
     assert seen.page.locator("svg.still").is_visible()
     assert seen.page.locator("canvas").count() == 0
     assert seen.page.get_by_role("button", name="Play").count() == 0
     seen.page.get_by_role("button", name="Step").click()
     assert seen.page.locator(".where").inner_text() == "Run 2, place 2 of 14"
     seen.close(address)
-    plain.close()

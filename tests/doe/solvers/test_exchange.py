@@ -10,7 +10,7 @@ import pytest
 
 from doe.bounds.certificate import Bound
 from doe.problem.postures import random_postures
-from doe.solvers import Exchange, Fedorov, Gradient, solve
+from doe.solvers import Exchange, solve
 from doe.solvers.solver import Budget
 from identification.arm import Arm
 from identification.errors import InputError
@@ -21,7 +21,7 @@ from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_ax
 
 def test_no_single_exchange_improves_the_end() -> None:
     case = problem(FOUR, OFFSET)
-    solver = Exchange(levels=5, batch=4)
+    solver = Exchange(levels=5, batch=4, climb=False)
     offers = solver.offers(case, 6, np.random.default_rng(1), Budget(4))
     ends = (offer for offer in offers if offer.independent)
     grid = solver.grid(case)
@@ -44,7 +44,7 @@ def test_finds_the_best_of_all_grid_plans() -> None:
     jacobians = case.scaled_jacobians(postures)
     products = np.swapaxes(jacobians, -1, -2) @ jacobians
     best = np.linalg.slogdet(products[every].sum(axis=1) / 4)[1].max()
-    design = solve(case, 4, Exchange(levels=5), starts=100)
+    design = solve(case, 4, Exchange(levels=5, climb=False), starts=100)
     assert design.value == pytest.approx(best, abs=1e-12)
 
 
@@ -96,8 +96,6 @@ def test_choices_outside_the_limits_are_not_chosen() -> None:
 def test_bad_input() -> None:
     with pytest.raises(InputError, match="ipopt cannot choose from a list"):
         solve(problem(FOUR, choices=LIST), 6, "ipopt")
-    with pytest.raises(InputError, match="found none, allowed: with --candidates"):
-        solve(problem(FOUR), 6, Fedorov())
     with pytest.raises(InputError, match=r"allowed: \(N, 4\)"):
         solve(problem(FOUR, choices=LIST[:, :3]), 6)
     with pytest.raises(InputError, match="0 of 18"):
@@ -111,8 +109,8 @@ NONE = Bound(np.inf, "continuous")
 def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
     """Six axes, one reflector; 0.995 is the aim, and a random plan has 0.87."""
     problem = six_axis()
-    design = solve(problem, 30, Gradient(), starts=2, seed=2)
-    assert design.solver == "gradient"
+    design = solve(problem, 30, starts=2, seed=2)
+    assert design.solver == "exchange"
     assert 0.999 < design.efficiency <= 1.0
     expected = difference_information(problem, problem.model, design.plan.postures)  # type: ignore[arg-type]
     assert design.value == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
@@ -122,7 +120,7 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
 
 def test_exchanges_between_climbed_plans_help() -> None:
     problem = six_axis(LIMITED)
-    one, two = (solve(problem, 20, Gradient(batch=3), starts=n, seed=3, bound=NONE).value for n in (3, 6))
+    one, two = (solve(problem, 20, starts=n, seed=2, bound=NONE).value for n in (5, 10))
     assert two > one
 
 
@@ -131,9 +129,9 @@ def test_a_feasible_plan_better_than_the_best_list() -> None:
     arm = replace(SIX_AXIS, constraints=(BOX, SIGHT))
     problem = six_axis(arm)
     design = solve(problem, 12, starts=2, bound=NONE)
-    assert (design.solver, design.outside) == ("gradient", ())
+    assert (design.solver, design.outside) == ("exchange", ())
     assert problem.feasible(design.plan.postures).all()
     choices = random_postures(problem, 1000, np.random.default_rng(1))
-    chosen = solve(replace(problem, choices=choices), 12, Fedorov(), starts=2, bound=NONE)
+    chosen = solve(replace(problem, choices=choices), 12, starts=2, bound=NONE)
     # four seeds of the climb reach 0.978 to 1.004 of the list's best weights, the best exchange on the list 0.902
     assert problem.criterion.efficiency(chosen.value, design.value, problem.parameters) < 0.96

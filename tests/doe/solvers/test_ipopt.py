@@ -10,7 +10,7 @@ import pytest
 
 from doe.bounds.certificate import Bound
 from doe.problem.problem import DesignProblem
-from doe.solvers import Ipopt, solve
+from doe.solvers import solve
 from doe.solvers.ipopt import Climber
 from doe.solvers.solver import Budget
 from identification.errors import InputError
@@ -23,7 +23,7 @@ UNKNOWN = Bound(np.inf, "grid")  # spares the time to find one
 def test_ends_are_stationary_within_the_limits() -> None:
     case = problem(FIVE)
     generator = np.random.default_rng(0)
-    climb = Climber(case, 7, Ipopt(), Budget(1))
+    climb = Climber(case, 7, Budget(1))
     joints = list(case.active_joints)
     for _ in range(5):
         start = generator.uniform(case.lower, case.upper, (7, 5))
@@ -41,7 +41,7 @@ def test_ends_are_stationary_within_the_limits() -> None:
 def test_a_singular_start_is_survived() -> None:
     case = problem(FOUR)
     same = np.tile((case.lower + case.upper) / 2 + 0.1, (4, 1))
-    assert Climber(case, 4, Ipopt(), Budget(1))(same).shape == (4, 4)
+    assert Climber(case, 4, Budget(1))(same).shape == (4, 4)
 
 
 def test_solve_reaches_the_bound_from_random_starts() -> None:
@@ -64,7 +64,7 @@ def test_ctrl_c_inside_ipopt_returns_the_best_so_far() -> None:
 
 
 def test_ctrl_c_during_the_first_start_returns_what_there_is() -> None:
-    climb = Climber(problem(FIVE), 41, Ipopt(), Budget(1))
+    climb = Climber(problem(FIVE), 41, Budget(1))
     start = np.random.default_rng(0).uniform(FIVE.lower, FIVE.upper, (41, 5))
     ends = climb(start)
     calls = iter(range(10**6))
@@ -108,7 +108,7 @@ CASES = {
 def test_against_finite_differences(case: DesignProblem) -> None:
     runs = case.fewest_runs + 2
     plan = np.random.default_rng(0).uniform(case.lower, case.upper, (runs, case.joints))
-    function = Climber(case, runs, Ipopt(), Budget(1))
+    function = Climber(case, runs, Budget(1))
     (value, gradient), hessian = function.ascent.rise(plan), function.hessian(plan)
     assert value == pytest.approx(case.objective(plan), rel=1e-12)
     slopes, curvatures = [], []

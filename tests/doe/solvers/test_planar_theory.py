@@ -92,7 +92,7 @@ def test_other_numbers_of_many_runs_begin_from_theory() -> None:
 
 def test_many_runs_have_a_time_budget_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("doe.solvers.solving.LONG_PLAN_SECONDS", 0.2)
-    assert solve(problem(FIVE), 101, "exchange_ipopt").status is Status.time_limit
+    assert solve(problem(FIVE), 101, "exchange").status is Status.time_limit
     assert solve(problem(FIVE), 101, "random", starts=2).status is Status.starts_finished
 
 

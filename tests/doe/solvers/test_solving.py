@@ -12,10 +12,8 @@ import pytest
 
 from doe.bounds.certificate import Bound
 from doe.design import score_plan
-from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
-from doe.studies.comparison import Comparison
 from identification.arm import EffectSpec
 from identification.errors import InputError, JobError
 from identification.running import Status
@@ -41,13 +39,6 @@ def test_bad_input() -> None:
             solve(problem(FOUR), runs)
     with pytest.raises(InputError, match="did you mean 'ipopt'"):
         solve(problem(FIVE), 8, "ipot")
-
-
-def test_models_and_criteria_are_objects() -> None:
-    with pytest.raises(InputError, match=r"model: Arm, allowed: .*Model\(arm\)"):
-        DesignProblem.of(FOUR)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="criterion: 'A', allowed"):
-        problem(FOUR, criterion="A")
 
 
 @pytest.mark.parametrize(
@@ -168,13 +159,6 @@ def test_candidates_that_cannot_identify_are_no_plan() -> None:
 pytestmark = pytest.mark.filterwarnings("ignore:armcal.solvers of installed packages")
 
 
-def test_every_solver_has_the_name_it_is_asked_for_by() -> None:
-    for name in SOLVERS:
-        assert chosen_solver(problem(FOUR), name).name == name
-    with pytest.raises(InputError, match="did you mean 'fedorov'"):
-        chosen_solver(problem(FOUR), "federov")
-
-
 def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
     point = EntryPoint("baseline", "doe.solvers.solving:Random", "armcal.solvers")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
@@ -182,7 +166,6 @@ def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None
     try:
         assert chosen_solver(problem(FOUR), "baseline") == Random()  # a class is called without arguments
         assert set(available_solvers()) == {*SOLVERS, "baseline"}
-        Comparison([FOUR], [4], ["baseline"])
     finally:
         available_solvers.cache_clear()
 

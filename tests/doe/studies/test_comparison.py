@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
@@ -15,11 +17,10 @@ from click.testing import CliRunner
 
 from doe.cli import main
 from doe.design import score
-from doe.jobs import Outcome, RowTable, frame_of
+from doe.jobs import RowTable, frame_of
 from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure
-from doe.solvers import Random
-from doe.studies.comparison import Comparison, compare, evaluated, summary, with_hits
+from doe.studies.comparison import compare, evaluated, summary, with_hits
 from identification import Plan
 from identification.arm import Arm
 from identification.errors import InputError
@@ -100,41 +101,27 @@ def test_judged_by_the_problem() -> None:
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares the start of a process per run where the test is not about that."""
 
-    def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Outcome:
-        return Outcome(function(*arguments), "done", None, 0.1)
+    def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> tuple[Any, dict[str, Any]]:
+        return function(*arguments), {"status": "done", "error": None, "seconds": 0.1}
 
     monkeypatch.setattr("doe.studies.comparison.call", call)
 
 
-def test_solvers_run_in_their_own_processes_and_failures_are_rows(
-    tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    comparison = Comparison([ARM], [4], ["random"], [2], repeats=2, seconds=20.0)
+def test_solvers_run_in_their_own_processes(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    run = partial(compare, [ARM], [4], ["random"], starts=[2], repeats=2, seconds=20.0)
     path = tmp_path / "rows.parquet"
     with RowTable(path) as table:
-        rows = compare(comparison, table)
+        rows = run(table=table)
     assert rows["status"].to_list() == ["done"] * 2
     assert rows["correct"].all()
     assert len(set(rows["value"])) == 2
     with RowTable(path, resume=True) as table:
-        assert compare(comparison, table).equals(rows)
+        assert run(table=table).equals(rows)
     request.getfixturevalue("in_this_process")
-    few = compare(Comparison([ARM], [2], ["random"], repeats=1))  # two runs cannot tell six parameters
-    assert few["status"].to_list() == ["failed"]
-    assert "InputError" in few["error"][0]
-    again = compare(comparison)  # the same seeds: the same plans, wherever they are found
+    with pytest.raises(InputError, match="runs"):
+        compare([ARM], [2], ["random"])  # two runs cannot tell six parameters
+    again = run()  # the same seeds: the same plans, wherever they are found
     assert again["value"].to_list() == rows["value"].to_list()
-
-
-def test_bad_comparisons() -> None:
-    with pytest.raises(InputError, match="did you mean 'exchange'"):
-        Comparison([ARM], [4], ["exchnge"])
-    with pytest.raises(InputError, match="seconds: found inf, allowed: a finite number > 0"):
-        Comparison([ARM], [4], ["random"], seconds=np.inf)
-    with pytest.raises(InputError, match="did you mean 'Dstar'"):
-        Comparison([ARM], [4], ["exchange"], criteria=["Dstr"])
-    with pytest.raises(InputError, match="allowed: each name once"):
-        Comparison([ARM], [4], ["random", Random()])
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -158,10 +145,11 @@ def test_verb(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("in_this_process")
-def test_all_solvers_are_those_that_need_no_list_of_postures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("doe.solvers.available_solvers", lambda: ["fedorov", "random", "analytic"])
-    arm = tmp_path / "arm.toml"
+def test_ctrl_c_after_the_last_row_says_that_rows_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("doe.report.studies.comparison_parts", Mock(side_effect=KeyboardInterrupt))
+    arm, out = tmp_path / "arm.toml", tmp_path / "out"
     arm.write_text("links_mm = [260.0, 180.0]\n")
-    done = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "3", "--repeats", "1", "--json"])
-    assert done.exit_code == 0, done.output
-    assert {row["solver"] for row in json.loads(done.stdout)["rows"]} == {"random", "analytic"}
+    options = [str(arm), "--runs", "3", "--solvers", "analytic", "--repeats", "1", "--out", str(out)]
+    done = CliRunner().invoke(main.commands["compare"], options)
+    assert (done.exit_code, f"finished rows are kept in {out}" in done.stderr) == (1, True)
+    assert [file.name for file in out.iterdir()] == ["rows.parquet"]

@@ -18,7 +18,6 @@ from doe.problem.postures import random_postures
 from doe.report.studies import monte_carlo_parts
 from doe.studies.monte_carlo import (
     Study,
-    StudyResult,
     load_study,
     pooled_rows,
     run_study,
@@ -49,7 +48,7 @@ MACHINED: dict[str, Any] = {"name": "machined", "values": SIZES}
 PLAN = Plan(np.random.default_rng(2).uniform(-2.5, 2.5, (15, 3)))
 
 
-def paper(plans: Any = ("dft",), truth: Any = PAPER, **others: Any) -> StudyResult:
+def paper(plans: Any = ("dft",), truth: Any = PAPER, **others: Any) -> dict[str, pl.DataFrame]:
     """A study of the paper's arm."""
     seed = others.pop("seed", 0)
     return run_study(Study.of([ARM], plans, truths=[truth], **others), seed=seed)
@@ -78,13 +77,13 @@ def test_cells_pool_blocks_as_if_there_were_none() -> None:
     expected["rms_mm"] = np.sqrt((5**3 + 1 + 40**3) / 46)
     assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-13)
     lost = frame_of([rows[0] | {"fits": 0, "mean_error": None, "squares": None, "rms_mm": None, "expected_std": None}])
-    [_, sheet] = monte_carlo_parts(StudyResult(pooled_rows(lost), lost.with_columns(key=pl.lit("")), lost))
+    [_, sheet] = monte_carlo_parts({"cells": pooled_rows(lost), "blocks": lost.with_columns(key=pl.lit(""))})
     assert sheet.title.endswith("0 fits, 1 failed, RMS - mm")
 
 
 def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
     m, replications = 20, 20_000
-    found = paper(runs=[m], replications=replications).cells
+    found = paper(runs=[m], replications=replications)["cells"]
     orientation = np.degrees(0.1 / np.sqrt(m) / (LENGTHS + ERRORS))
     joint = np.sqrt(orientation**2 + np.r_[0.0, orientation[:-1] ** 2])  # dq_j = dtheta_j - dtheta_(j-1)
     expected = np.r_[np.full(4, 0.1 / np.sqrt(m)), joint, orientation]
@@ -104,7 +103,7 @@ def test_random_plans_are_new_for_each_hundred_replications() -> None:
     """Two plans: each cell's fits against separate complex solutions of the same draws."""
     result = paper(["random"], runs=[6], sigma_mm=[0.2], replications=130, seed=3)
     errors, variances = [], []
-    for key, count in zip(result.blocks["key"].unique(maintain_order=True), (100, 30), strict=True):
+    for key, count in zip(result["blocks"]["key"].unique(maintain_order=True), (100, 30), strict=True):
         generator = np.random.default_rng(seed_of(json.loads(key), 3))
         postures = generator.uniform(-np.pi, np.pi, (6, 4))
         measured = positions(postures, LENGTHS + ERRORS, OFFSETS) + 0.2 * generator.standard_normal((count, 6, 2))
@@ -113,7 +112,7 @@ def test_random_plans_are_new_for_each_hundred_replications() -> None:
             u = np.linalg.lstsq(columns, p[:, 0] + 1j * p[:, 1], rcond=None)[0]
             errors.append(np.abs(u) - LENGTHS - ERRORS)
             variances.append(0.04 * np.diag(np.linalg.inv(columns.conj().T @ columns)).real)  # H, doe/README.md
-    found = result.cells.filter(pl.col("parameter").str.starts_with("length"))
+    found = result["cells"].filter(pl.col("parameter").str.starts_with("length"))
     np.testing.assert_allclose(found["mean_error"].to_numpy(), np.mean(errors, axis=0), atol=1e-10)
     np.testing.assert_allclose(found["std"].to_numpy(), np.std(errors, axis=0, ddof=1), rtol=1e-8)
     np.testing.assert_allclose(found["expected_std"].to_numpy(), np.sqrt(np.mean(variances, axis=0)), rtol=1e-6)
@@ -126,7 +125,7 @@ def test_random_plans_have_the_deviations_and_intervals_that_theory_says(effects
     replications = 2_000
     truth = PAPER | {"effects": [entry | {"b_deg": 0.05} for entry in effects if entry["name"] == "backlash"]}
     models = [{"name": "m", "effects": effects}]
-    found = paper(["random"], truth, runs=[16], models=models, replications=replications, seed=2).cells
+    found = paper(["random"], truth, runs=[16], models=models, replications=replications, seed=2)["cells"]
     # 14 ratios from one fixed seed; plans of 16 runs differ little, so the deviation of a normal error is near enough
     ratio = found["std"].to_numpy() / found["expected_std"].to_numpy()
     assert np.all(np.abs(ratio - 1.0) < 1.5 * 4.5 / np.sqrt(2 * replications))
@@ -142,7 +141,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
         return seen[-1]
 
     monkeypatch.setattr("doe.studies.monte_carlo.random_postures", spy)
-    found = run_study(Study.of([boxed], ["random", "dft"], runs=[8], truths=[PAPER], replications=300)).cells
+    found = run_study(Study.of([boxed], ["random", "dft"], runs=[8], truths=[PAPER], replications=300))["cells"]
     heights = positions(np.array(seen), LENGTHS, np.zeros(4))[..., 1]
     assert heights.shape == (3, 8)
     assert heights.min() >= 0.0
@@ -153,8 +152,8 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_task_of_long_plans_has_fewer_replications(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("doe.studies.monte_carlo.MOST_ROWS", 6 * 20)
     result = paper(runs=[6], replications=50)
-    assert result.blocks.filter(parameter="length_error:1")["replications"].to_list() == [20, 20, 10]
-    assert set(result.cells["fits"]) == {50}
+    assert result["blocks"].filter(parameter="length_error:1")["replications"].to_list() == [20, 20, 10]
+    assert set(result["cells"]["fits"]) == {50}
 
 
 def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(tmp_path: Path) -> None:
@@ -167,19 +166,19 @@ def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(tmp_
     with pytest.raises(InputError, match="--resume"):
         run_study(small(4, 5), folder, seed=1)
     both = run_study(small(4, 5), folder, seed=1, resume=True)
-    assert both.blocks.filter(runs=4).equals(first.blocks)  # to the very seconds
-    for one, other in zip((both.blocks, both.plans), (alone.blocks, alone.plans), strict=True):
+    assert both["blocks"].filter(runs=4).equals(first["blocks"])  # to the very seconds
+    for one, other in ((both[name], alone[name]) for name in ("blocks", "plans")):
         assert one.drop("seconds").equals(other.drop("seconds"))
-    assert both.cells.equals(alone.cells)
+    assert both["cells"].equals(alone["cells"])
     assert {f.name for f in folder.iterdir()} == {"plans.parquet", "blocks.parquet", "cells.parquet"}
-    assert pl.read_parquet(folder / "cells.parquet").equals(alone.cells)
+    assert pl.read_parquet(folder / "cells.parquet").equals(alone["cells"])
 
 
 def test_cells_that_cannot_be_done_are_rows() -> None:
     limited = replace(ARM, lower=np.full(4, -1.0), upper=np.full(4, 1.0), name="limited")
     plans = ["dft", "random", "analytic"]
     result = run_study(Study.of([ARM, limited], plans, runs=[3, 4], truths=[PAPER], replications=10))
-    reason = {(r["arm"], r["plan"], r["runs"]): r["error"] for r in result.cells.filter(status="failed").to_dicts()}
+    reason = {(r["arm"], r["plan"], r["runs"]): r["error"] for r in result["cells"].filter(status="failed").to_dicts()}
     few = {(arm, plan, 3) for arm in ("paper-4-link", "limited") for plan in plans}
     assert set(reason) == few | {("limited", "dft", 4), ("limited", "analytic", 4)}
     assert "3 runs are too few for 4 links" in reason["paper-4-link", "dft", 3]
@@ -197,7 +196,7 @@ def test_intervals_hold_and_a_missing_effect_is_a_bias() -> None:
     models = [{"name": "geometry", "effects": []}, {"name": "full", "effects": [WAVE]}]
     plans = {"plan": PLAN, "dft": None}
     study = Study.of([ELBOW], plans, runs=[15], truths=truths, models=models, replications=sets)
-    cells = run_study(study, seed=3).cells
+    cells = run_study(study, seed=3)["cells"]
     rows, other, full = (
         cells.filter(plan="plan", truth=truth, model=model)
         for truth, model in (("machined", "geometry"), ("eccentric", "geometry"), ("eccentric", "full"))
@@ -223,7 +222,7 @@ def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, 
     chain = replace(CHAIN, **measured)
     arm, plans = Arm(chain, sigma=0.05, name="elbow"), {"plan": Plan(PLAN.postures[:8]), "random": None}
     study = Study.of([arm], plans, runs=[9], truths=[MACHINED], replications=100)
-    cells = run_study(study, seed=4).cells
+    cells = run_study(study, seed=4)["cells"]
     model, count = Model(without_prior(arm)), len(chain.tools)
     values = true_values(model, truth_of(study.arms[0]))
     q, marker = np.repeat(PLAN.postures[:8], count, axis=0), Conditions(marker=np.arange(8 * count) % count)
@@ -292,7 +291,7 @@ def test_file_is_read(folder: Path) -> None:
     assert study.asked.models[0].of(true) == replace(study.arms[0], effects=())
     assert (study.plans["dft"], len(study.plans["plan.csv"] or ()), study.asked.replications) == (None, 7, 40)
     (folder / "study.toml").write_text(SPATIAL)
-    cells = run_study(load_study(folder / "study.toml")).cells
+    cells = run_study(load_study(folder / "study.toml"))["cells"]
     assert cells["fits"].to_list() == [5] * len(Model(without_prior(ELBOW)).names)
 
 

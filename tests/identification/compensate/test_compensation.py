@@ -31,7 +31,7 @@ FOUND = Compensation(
     np.array([[np.pi / 6.0, 40.0], [0.0, 80.0], [-np.pi / 2.0, 20.0]]),
     np.array([1e-9, 0.25, 1e-9]),
     joint_types=("revolute", "prismatic"),
-    constraints=("table",),
+    constraints=(("table",),) * 3,
     violations=np.array([[0.0], [0.0], [3.0]]),
 )
 
@@ -52,9 +52,6 @@ def test_figures() -> None:
     for found, reached in ((FOUND, [0]), (replace(FOUND, violations=None), [0, 2])):
         np.testing.assert_array_equal(found.safe_commands[reached], found.commands[reached])
         assert np.isnan(np.delete(found.safe_commands, reached, axis=0)).all()
-    frame = FOUND.to_frame()
-    assert frame.columns == ["q1", "q2", "x_mm", "y_mm", "error_mm", "reachable", "message"]
-    assert frame["q1"].to_list() == pytest.approx([30.0, 0.0, -90.0])
 
 
 def test_rows_without_a_command_have_none() -> None:
@@ -182,6 +179,19 @@ def test_nobody_may_drive_to_what_misses_a_constraint() -> None:
     assert missed.startswith(",,,,300.0,-200.0,")
     assert "constraint 1 (tip_above) is missed by" in missed
     assert kept.endswith('""')
+
+
+def test_the_bodies_that_collide_are_named() -> None:
+    @dataclass(frozen=True)
+    class Pairs(TipAbove):
+        kind: str = "clearance"
+        pairs = ("link 4", "post"), ("link 4", "table")
+
+        def margin(self, postures: np.ndarray) -> np.ndarray:
+            return np.column_stack([np.full(len(postures), 5.0), super().margin(postures)])
+
+    found = compensate(arm(), [[300.0, -200.0]], constraints=[Pairs(-100.0)])
+    assert found.messages[0].startswith("constraint 1 (clearance of link 4 and table) is missed by ")
 
 
 def test_targets_are_reached_at_the_angles_of_the_identification() -> None:

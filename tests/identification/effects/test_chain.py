@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from identification.arm import Arm, EffectSpec, Gravity
+from identification.conditions import condition_columns
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock, step_times
 from identification.errors import InputError
@@ -18,7 +19,7 @@ POSTURE, PAYLOAD = np.array([0.7, -1.9]), 4.0
 
 
 def chain(arm: Arm = ARM) -> Chain:
-    return Chain.of(arm, ca.SX(POSTURE), ca.SX([PAYLOAD, 1.5, -0.25, 2.0, 1.0, -1.0]))
+    return Chain.of(arm, ca.SX(POSTURE), ca.SX([PAYLOAD, 1.5, -0.25, 2.0, 1.0, -1.0]), condition_columns(2))
 
 
 def number(expression: ca.SX) -> np.ndarray:

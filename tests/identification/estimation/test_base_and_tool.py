@@ -15,6 +15,7 @@ from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.running import Status
 
 QUARTER = np.pi / 2.0
 FOREARM = [(0.0, -QUARTER, 550.0), (0.0, QUARTER, 0.0), (0.0, 0.0, 90.0)]
@@ -81,7 +82,9 @@ def test_one_orientation_is_the_cause(wobble: float, turned: str) -> None:
     tools = [k for k, name in enumerate(found.names) if name.startswith("tool")]
     assert found.model.arm.chain is not None
     apart = found.parameters[tools] + found.model.arm.chain.tools["1"] - POINT
-    assert np.all(np.abs(apart) < 4.0 * found.std[tools])
+    # of the linear model about the end of a curved valley: 4.0 in the first, where a search cut short ends before it
+    assert np.all(np.abs(apart) < 5.0 * found.std[tools])
+    assert found.status is Status.converged
     assert np.all(found.std[tools] > 10.0)
     (said,) = sentences(found)
     assert said.startswith(f"{TOGETHER}: the flange kept one orientation, turned by {turned} deg (RMS). ")

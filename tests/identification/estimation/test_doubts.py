@@ -53,6 +53,8 @@ def test_a_small_offset_of_the_base_and_chance_are_no_other_frame() -> None:
     assert another_frame(arm(), moved(data(Model(arm()), plan(60)), (0.08, 0.08))) == []
     found = [another_frame(arm(), data(Model(arm()), plan(7, seed), seed)) for seed in range(100)]
     assert sum(map(bool, found)) < 5  # 1 % of 100, with Poisson's error
+    one = data(Model(arm()), plan(1)).rows(np.zeros(30, dtype=int))  # one row again and again: what is left is rounding
+    assert another_frame(arm(), one) == []
 
 
 def test_a_link_of_another_length_is_implausible() -> None:

@@ -209,18 +209,6 @@ def test_calibrated_arm_computes_what_was_fitted() -> None:
 # -- refusals --------------------------------------------------------------------------------------------------------
 
 
-def test_data_that_effects_need() -> None:
-    measurements = Measurements(plan(10), np.zeros((10, 2)))
-    with pytest.raises(InputError, match="thermal_growth needs the column temperature_C"):
-        estimate(Model(arm(EffectSpec("thermal_growth"))), measurements)
-    without = Arm(LENGTHS, effects=(EffectSpec("joint_compliance", 2),))
-    with pytest.raises(InputError, match=r"joint_compliance:2 needs gravity torques, .*\[gravity\]"):
-        estimate(Model(without), measurements)
-    # time and directions follow from the order of the rows
-    derived = Model(arm(EffectSpec("base_drift"), EffectSpec("backlash", 2)))
-    assert estimate(derived, data(derived, plan(20))).not_identifiable == ()
-
-
 def test_bad_arguments() -> None:
     model, measurements = Model(arm()), data(Model(arm()), plan(10))
     with pytest.raises(InputError, match="'gaus_newton', did you mean 'gauss_newton'"):

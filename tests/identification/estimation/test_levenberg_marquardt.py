@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from identification.estimation.levenberg_marquardt import (
     GRADIENT_TOLERANCE,
+    PATIENCE,
     LeastSquares,
     Linearize,
     compressed,
@@ -183,6 +184,23 @@ def test_a_valley_takes_as_few_steps_however_flat(steepness: float, bend: float)
     x = found.parameters[0, 0] - found.parameters[0, 1]
     # a cosine of 1e-9 with the residuals, of length sqrt(2), counts in unit columns, which are `steepness` long
     assert abs(x) <= 2.0 * GRADIENT_TOLERANCE * np.sqrt(2.0) * steepness
+
+
+@pytest.mark.parametrize("steepness", [1e1, 1e3, 1e5, 1e7])
+def test_a_curved_valley_takes_as_few_steps_however_steep(steepness: float) -> None:
+    """Rosenbrock's function, with steeper walls: a step along the valley climbs them by far more than it gains, and
+    damped ones that do not are as short as the walls are steep."""
+
+    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residual = np.stack([-steepness * (x[:, 1] - x[:, 0] ** 2), 1.0 - x[:, 0]], axis=1)
+        jacobian = np.zeros((len(x), 2, 2))
+        jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -2.0 * steepness * x[:, 0], steepness, 1.0
+        return residual, jacobian
+
+    found = levenberg_marquardt(problem(linearize, 2, 1, rounding=np.array([1e-12])), np.array([[-1.2, 1.0]]))
+    assert found.status[0] is Status.converged
+    assert found.iterations[0] <= PATIENCE + 5
+    np.testing.assert_allclose(found.parameters, 1.0, rtol=1e-9)
 
 
 def test_a_wrong_derivative_ends_unconverged() -> None:

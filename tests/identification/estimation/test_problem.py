@@ -17,7 +17,7 @@ from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.running import Status
-from tests.identification.estimation.cases import arm, data, plan, scipy_fit, truth
+from tests.identification.estimation.cases import arm, data, plan, scipy_fit
 
 ROWS = [
     (0.0, np.pi / 2, 350.0),
@@ -117,29 +117,6 @@ def test_bounds_are_respected_and_optimal(seed: int) -> None:
     np.testing.assert_allclose(gradient[free], 0.0, atol=1e-8)
     assert np.all(gradient[~free] < 0.0)  # more compliance than none would be worse
     assert np.all(found.intervals[8:, 0] >= 0.0)
-
-
-def test_known_parameters_are_not_moved() -> None:
-    base = arm(EffectSpec("encoder_eccentricity", 2, {"a": 0.01}))
-    model = Model(base, held={"length_error:2": -0.6})
-    assert len(model.names) == 8
-    whole = Model(arm(EffectSpec("encoder_eccentricity", 2)))
-    true = truth(whole)
-    true[8] = 0.01
-    exact = whole.position(plan(20), true)
-    found = estimate(model, Measurements(plan(20), exact))
-    assert found.length_errors[1] == -0.6
-    np.testing.assert_allclose(found.parameters[-1], true[9], rtol=0, atol=1e-11)
-
-
-@pytest.mark.parametrize("offset", [1.0, 3.1])
-def test_offsets_of_any_size_are_no_poor_start(offset: float) -> None:
-    model = Model(arm(EffectSpec("encoder_eccentricity", 2)))
-    true = truth(model)
-    true[4:8] = [offset, -offset, offset, -offset]
-    found = estimate(model, Measurements(plan(20), model.position(plan(20), true)))
-    turns = np.r_[np.zeros(4), np.round((found.parameters[4:8] - true[4:8]) / (2 * np.pi)) * 2 * np.pi, np.zeros(2)]
-    np.testing.assert_allclose(found.parameters - turns, true, rtol=0, atol=1e-9)
 
 
 def test_poor_start_without_the_closed_form_is_damped() -> None:

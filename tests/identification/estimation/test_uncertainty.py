@@ -41,6 +41,28 @@ def fitted(columns: np.ndarray, values: np.ndarray, postures: np.ndarray | None 
     return rows, spectrum(columns, np.ones(p)).root
 
 
+def test_reflectors_of_one_posture_count_as_what_they_show_together() -> None:
+    """A posture shows two numbers in six rows, mixed in the same way each time: of new postures the fit is off by
+    E tr(Z B Z^T), Z (6, p), which rows counted one by one make less than half; the leverages do not. With equal
+    leverages it is 1 - p / N, however often each row is repeated."""
+    rng, mixed, shown, one_by_one = np.random.default_rng(8), np.random.default_rng(7).normal(size=(6, 2)), [], []
+    for _ in range(200):
+        columns, fresh = (np.einsum("rk,gkp->grp", mixed, rng.normal(size=(g, 2, 8))) for g in (10, 200))
+        rows, root = fitted(columns.reshape(60, 8), np.zeros(60), np.repeat(np.arange(10), 6))
+        out = np.sum((fresh @ root) ** 2) / 200
+        shown.append(8 / 10 / rows.inside(root) / out)
+        one_by_one.append(8 / 10 / (1.0 - 8 / 60) / out)
+    assert np.mean(shown) == pytest.approx(1.0, abs=0.2)
+    assert np.mean(one_by_one) < 0.5
+    orthogonal = np.linalg.qr(np.exp(2j * np.pi * np.outer(np.arange(8), [0, 1, 3]) / 8))[0]
+    columns = np.concatenate([orthogonal.real, -orthogonal.imag], axis=1)
+    for times in (1, 3):
+        numbers = np.repeat(np.arange(8), 2 * times)
+        stacked = np.stack([columns, np.concatenate([orthogonal.imag, orthogonal.real], axis=1)], axis=1)
+        rows, root = fitted(np.repeat(stacked, times, axis=0).reshape(-1, 6), np.zeros(16 * times), numbers)
+        assert rows.inside(root) == pytest.approx(1.0 - 6 / 16)
+
+
 # -- which one is used -------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("factor", "rows", "kind", "said"),

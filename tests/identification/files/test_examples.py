@@ -33,7 +33,7 @@ READ = {  # heading of the example -> what is read of it
 @pytest.mark.parametrize(
     ("heading", "expected"),
     [
-        ("Arm file", (4, 3, "encoder_eccentricity:2")),
+        ("Arm file", (4, 2, "encoder_eccentricity:2")),
         ("Plan file", pytest.approx([-90.0, -120.0])),
         ("Measurement file", (3, 2)),
         ("Study file", 10_000),

@@ -8,79 +8,26 @@ import json
 import shutil
 import tomllib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from identification.errors import InputError
-from identification.files.arm import arm_from_tables, dump_arm
+from identification.files.arm import arm_from_tables, load_arm
 from identification.files.schema import ArmFile, json_schema
-from tests.identification.files.test_arm import FULL, same
-from tests.identification.files.test_arm_spatial import BY_TABLE, BY_URDF, URDF
-
-JOINTS = "[joints]\nsign = [1, -1, 1, 1]\ncoupled_to = [0, 0, 2, 0]\nzero_deg = [0.0, 5.0, 0.0, 0.0]\n"
-CURVE = (
-    '[[effects]]\nname = "joint_error_curve"\njoint = 1\nfrom_deg = -90.0\nto_deg = 90.0\n'
-    'values_deg = [0.0, 0.1, 0.0, 0.1]\ngeometry = {"length_error:1" = 0.2}\n'
+from tests.identification.files.test_arm import (
+    BY_TABLE,
+    BY_URDF,
+    CALIBRATION,
+    FILES,
+    HEAD,
+    LENGTHS,
+    PLAIN,
+    PLANAR,
+    URDF,
 )
-PLANE = '[instrument]\nkind = "plane"\ncenter_mm = [1.0, 2.0, 3.0]\nnormal = [0.0, 0.0, 1.0]\n'
-PLACED = (
-    '[calibration]\nparameters = ["joint_offset:2"]\ncovariance = [[1.0]]\n'
-    '[calibration.values]\n"joint_offset:2" = 0.1\n'
-    "[calibration.base]\nx_mm = 1.0\n[calibration.tools.1]\nz_mm = 2.0\n"
-)
-BODIES = """
-[cell]
-floor_z_mm = -10.0
-clearance_mm = 5.0
-bodies_of_urdf = true
-apart = [["wall", "sphere 3"]]
 
-[[cell.bodies]]
-kind = "box"
-name = "wall"
-size_mm = [20.0, 300.0, 10.0]
-x_mm = 400.0
-rz_deg = 30.0
-
-[[cell.bodies]]
-kind = "cylinder"
-joint = 2
-start_mm = [180.0, 0.0, 0.0]
-end_mm = [200.0, 10.0, 0.0]
-radius_mm = 8.0
-
-[[cell.bodies]]
-kind = "sphere"
-center_mm = [210.0, 0.0, 1.0]
-radius_mm = 9.0
-
-[[cell.bodies]]
-kind = "mesh"
-file = "part.stl"
-unit = "m"
-"""
-PLANAR_BODIES = """
-[cell]
-
-[[cell.bodies]]
-kind = "capsule"
-joint = 2
-start_mm = [180.0, 0.0]
-end_mm = [200.0, 10.0]
-radius_mm = 8.0
-"""
-FILES = {
-    "planar": "link_width_mm = 30.0\n"
-    + FULL.replace("# what was found", f"{CURVE}{JOINTS}{PLANAR_BODIES}\n# what was found"),
-    "urdf": BY_URDF + BODIES,
-    "rows": f"{BY_TABLE}{PLACED}",
-    "probe": f"{BY_TABLE}{PLANE}",
-    "ball": f'{BY_TABLE}[instrument]\nkind = "sphere"\nradius_mm = 10.0\n',
-}
 NAMED = [("tool",), ("tools",), ("values",), ("effects",), ("geometry",)]  # tables whose keys are names
 Path_ = tuple[int | str, ...]
 
@@ -176,20 +123,6 @@ def test_a_list_that_is_too_long(tables: dict[str, Any], tmp_path: Path) -> None
             assert message.startswith(f"{dotted(path)}: found "), message
 
 
-def test_what_is_read_is_written_and_read_again(tables: dict[str, Any], tmp_path: Path) -> None:
-    """But for bodies, which are written as they are covered, and what a drawing in a URDF file says otherwise."""
-    arm = replace(arm_from_tables(tables, tmp_path), cell=None)
-    again = arm_from_tables(tomllib.loads(dump_arm(arm)))
-    for one, other in zip(arm.chain.joints, again.chain.joints, strict=True):
-        np.testing.assert_allclose(other.origin, one.origin, rtol=1e-12, atol=1e-11)
-    if arm.calibration is None:  # where the frame of an instrument is, it is written under [calibration]
-        again = replace(again, calibration=None)
-    same(replace(arm, chain=again.chain), again)
-    same((arm.chain.settled, arm.chain.angle_scale), (again.chain.settled, again.chain.angle_scale))
-    assert again.chain.instrument == arm.chain.instrument
-    np.testing.assert_allclose(again.chain.base, arm.chain.base, rtol=1e-12, atol=1e-11)
-
-
 def test_editors_accept_what_is_read_and_no_key_of_another_kind_of_arm(tables: dict[str, Any]) -> None:
     import jsonschema  # type: ignore[import-untyped]  # deferred: it takes more than a second to load
 
@@ -203,3 +136,138 @@ def test_editors_accept_what_is_read_and_no_key_of_another_kind_of_arm(tables: d
         assert not validator.is_valid({**tables, key: "x"})
     assert not validator.is_valid({**tables, "constraints": [{"kind": "keep_out_cone"}]})
     assert '"of"' not in json.dumps(schema)
+
+
+# -- values of the right type ------------------------------------------------------------------------------------------
+CENTER = "center_mm = [1.0, 2.0, 3.0]"
+
+
+def spoilt(text: str, old: str, new: str, named: str) -> tuple[str, str]:
+    assert old in text
+    return text.replace(old, new, 1), named
+
+
+LIMITS = PLAIN + "[joint_limits_deg]\n"
+SIGHT = PLAIN + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [1, 0]\n'
+BASE = '[[effects]]\nname = "base_offset"\n'
+BACKLASH = PLAIN + '[[effects]]\nname = "backlash"\n'
+TWO = CALIBRATION + 'parameters = ["length_error:1", "joint_offset:2"]\n'
+THREE = (
+    TWO.replace('", "', '", "length_error:2", "') + "covariance = [[1, -0.6, -0.6], [-0.6, 1, -0.6], [-0.6, -0.6, 1]]"
+)
+ORIGIN = PLAIN + CALIBRATION + "[calibration.provenance]\n"
+BAD = [  # values that are of the right type
+    # keys that stand elsewhere, or have another name
+    ("sigma_mm = 0.1\n" + PLAIN, "[measurement]"),
+    ("lengths_mm = [1.0]\n" + PLAIN, "'links_mm'"),
+    ("description = 'x'\n" + PLAIN, "description: "),
+    (PLAIN + "[base]", "spatial"),
+    (PLAIN + "[limits]", "'joint_limits_deg'"),
+    (LIMITS + "min = [0, 0]\nupper = [90, 90]", "'lower'"),
+    (PLANAR.replace("acceleration_m_s2", "g"), "'acceleration_m_s2'"),
+    (LIMITS + "lower = [0, 0]\nupper = [90, -90]", "joint 2"),
+    (PLAIN + "[joints]\nsign = [1, 0]", "joints.sign: found 0 for joint 2"),
+    (PLAIN + "[joints]\ncoupled_to = [2, 1]", "joints.coupled_to: found"),
+    (PLAIN + '[[constraints]]\nkind = "box"', "constraints[1].kind: found 'box'"),
+    (
+        PLAIN + '[[constraints]]\nkind = "workspace_box"\nx_mm = [1, 0]\ny_mm = [0, 1]',
+        "constraints[1].x_mm: found [1, 0]",
+    ),
+    (SIGHT + "half_angle_deg = 20\ntoward_mm = [1, 0]", "constraints[1].toward_mm: found [1.0, 0.0]"),
+    (BACKLASH, "backlash needs a joint"),
+    (PLAIN + BASE + BASE, "base_offset"),
+    (PLAIN + '[[effects]]\nname = "transmission_ripple"\njoint = 1\nk = 0', "transmission_ripple:1"),
+    (PLAIN + '[[effects]]\nname = "gravity_backlash"\njoint = 1\nb_deg = -1', "effects[1].b_deg: found -1"),
+    (PLAIN + CALIBRATION.replace("[0, 0]", "[0, -180]", 1), "calibration.length_errors_mm: found -180"),
+    (PLAIN + CALIBRATION + "covariance = [[1]]", "calibration.parameters: is missing"),
+    (PLAIN + TWO + "covariance = [[1, 0]]", "calibration.covariance: found 1 rows"),
+    (PLAIN + TWO + "covariance = [[1], [2]]", "calibration.covariance: found 1 values"),
+    (PLAIN + TWO + "covariance = [[1, 0], [0, -2]]", "eigenvalue -2"),
+    (PLAIN + TWO + "covariance = [[4, 1], [0, 1]]", "a symmetric matrix"),
+    (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]", "eigenvalue -"),
+    (PLAIN + TWO + "covariance = [[1, 1], [1, 0]]", "eigenvalue -"),
+    # correlations -0.6 of each two of three: the sum has variance 3 - 6 * 0.6 = -0.6, a third of it per unit vector
+    (PLAIN + THREE, "eigenvalue -0.2"),
+    (PLAIN + CALIBRATION + 'parameters = ["lenght_error:1"]', "'length_error:1'"),
+    (PLAIN + CALIBRATION + '[calibration.effects]\n"base_offset.x0_mm" = 1', "'base_offset.x0_mm'"),
+    (PLAIN + BASE + CALIBRATION + '[calibration.effects]\n"base_offset.x0" = 1', "'base_offset.x0_mm'"),
+    # of what is kept of a fit, what the program itself reads again
+    (f"{ORIGIN}rows = 0", "rows: found 0"),
+    (ORIGIN + "joint_range_deg = [[0.0, 90.0], [90.0, -90.0]]", "joint_range_deg[2]: found [90.0, -90.0]"),
+    (ORIGIN + "joint_range_mm = [[nan, 1.0]]", "joint_range_mm[1]: found [nan, 1.0]"),
+    # what stands in another file that is read as it stands: what to replace, and by what
+    spoilt(BY_URDF, 'urdf = "six_axis.urdf"\n', "", "urdf, dh: neither is there"),
+    spoilt(BY_URDF, '"six_axis.urdf"', '"../six_axis.urdf"', "urdf: '../six_axis.urdf' is outside"),
+    spoilt(BY_URDF, '"six_axis.urdf"', '"none.urdf"', "none.urdf: no such file"),
+    spoilt(BY_URDF, '"tool0"', '"tool1"', "did you mean 'tool0'?"),
+    spoilt(BY_URDF, 'kind = "spatial"', 'kind = "space"', "kind: found 'space'"),
+    spoilt(BY_URDF, "lower = [-300.0]", "lower = [900.0]", "joint_limits_mm: joint 1"),
+    spoilt(BY_URDF, "z_mm = [100.0, 2000.0]", "", "constraints[1].z_mm: is missing, allowed: a value for it [mm]"),
+    spoilt(BY_URDF, '"keep_out_sphere"', '"keep_out_circle"', "constraints[2].kind: found 'keep_out_circle'"),
+    spoilt(BY_URDF, "end_mm = [350.0, 200.0, 900.0]", "end_mm = [350.0, 200.0, 0.0]", "constraints[3].end_mm: found"),
+    spoilt(BY_URDF, "facing = [0.0, 0.0, 1.0]", "", "constraints[4].acceptance_deg: found without facing"),
+    spoilt(BY_URDF, 'name = "gear_ratio"', 'name = "link_thermal"', "'link_thermal'"),
+    spoilt(
+        BY_TABLE, "[joint_limits_mm]\nlower = [-50.0]\nupper = [150.0]", "", "dh[3]: a prismatic joint without limits"
+    ),
+    spoilt(
+        BY_TABLE,
+        "d_mm = 127.3",
+        'd_mm = 127.3\nconvention = "modified"\n[[dh]]\na_mm=1.0\nd_mm=1.0\nalpha_deg=1.0\nconvention = "standard"',
+        "dh: found conventions modified and standard",
+    ),
+    spoilt(
+        BY_TABLE,
+        "upper = [150.0]",
+        "upper = [150.0]\n[base]\n[calibration.values]\n[calibration.base]\nx_mm = 1.0",
+        "calibration.base: found beside [base]",
+    ),
+    # [instrument] behind the arm
+    *(
+        (f"{head}[instrument]\n{lines}\n", part)
+        for head, lines, part in (
+            (
+                HEAD,
+                'kind = "tracker"',
+                "instrument.kind: found 'tracker' for a spatial arm, allowed: distance, plane, ",
+            ),
+            (HEAD, 'kind = "distance"\nradius_mm = 3.0', "radius_mm: found for kind distance, allowed: for sphere"),
+            (HEAD, f'kind = "plane"\n{CENTER}', "instrument.normal: is missing beside center_mm"),
+            (HEAD, 'kind = "plane"\nnormal = [1.0, 2.0, 3.0]', "instrument.center_mm: is missing beside normal"),
+            (HEAD, f'kind = "plane"\n{CENTER}\nnormal = [0, 0, 0]', "normal: found [0, 0, 0], allowed: a direction"),
+            (HEAD, 'kind = "distance"\ncenter_mm = [1.0, 2.0]', "center_mm: found [1.0, 2.0], allowed: three numbers"),
+            (HEAD, f'kind = "distance"\n{CENTER}\n[base]\nx_mm = 1.0', "instrument.center_mm: found beside"),
+            (HEAD, 'kind = "distance"\n[measurement]\nsigma_mm = 1.0\nsigma_deg = 1.0', "sigma_deg: found beside"),
+            (
+                HEAD,
+                f'kind = "socket"\n{CENTER}',
+                "instrument.center_mm: found for kind socket, allowed: for distance, plane",
+            ),
+            (HEAD, 'kind = "socket"\ncups = {A = [1.0, 2.0]}', "allowed: three numbers"),
+            (HEAD, 'kind = "socket"\ndistances_mm = [["A", 3.0]]', "distances_mm[1][2]: found 3.0, allowed: a string"),
+            (
+                HEAD,
+                'kind = "socket"\n[base]\nx_mm = 3.0',
+                "base: found with an [instrument] of kind socket, allowed: left",
+            ),
+            (LENGTHS, 'kind = "sphere"', "instrument.kind: found 'sphere' for a planar arm, allowed: distance"),
+            (LENGTHS, f'kind = "distance"\n{CENTER}', "center_mm: found [1.0, 2.0, 3.0], allowed: two numbers"),
+            (
+                LENGTHS,
+                'kind = "distance"\n[[effects]]\nname = "base_offset"',
+                "base_offset is of measured positions, found",
+            ),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "named"), BAD, ids=[named[:50] for _, named in BAD])
+def test_bad_input_is_one_line(tmp_path: Path, text: str, named: str) -> None:
+    shutil.copy(URDF, tmp_path)
+    (path := tmp_path / "arm.toml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_arm(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    assert named in str(caught.value)

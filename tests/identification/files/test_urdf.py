@@ -108,3 +108,9 @@ def test_bad_files_are_one_line(tmp_path: Path, old: str, new: str, found: str) 
         read_urdf(path).chain(*ENDS)
     assert str(error.value).startswith(f"{path}: ")
     assert "\n" not in str(error.value)
+
+
+def test_a_robot_without_links_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "bad.urdf").write_text('<robot name="x"/>')
+    with pytest.raises(InputError, match=r"bad.urdf: there is no <link>, allowed: at least 1"):
+        read_urdf(tmp_path / "bad.urdf")

@@ -82,14 +82,6 @@ def test_five_rows_of_a_session_say_it_or_leave_it_open(second: complex, right: 
     assert answers[None] >= 10
 
 
-def test_what_is_open_in_one_session_is_open() -> None:
-    sets = [replication(session(0, SIZE), session(1, SIZE), session(2, SIZE, 4, k))[0] for k in range(5)]
-    (one, *_) = (one for one in sets if one.sessions[2].replicates is None)
-    assert [there.replicates for there in one.sessions[:2]] == [True, True]
-    assert one.replicates is None
-    assert one.to_json()["sessions"][1]["parameters"][0]["name"] == "transmission_ripple:2.a"
-
-
 def log_likelihood(y: np.ndarray, blocks: list[np.ndarray], sizes: tuple[float, ...]) -> float:
     """Of y ~ N(0, sigma^2 (1 + sum s^2 Z Z^T)) with p(sigma) ~ 1 / sigma."""
     covariance = np.eye(len(y)) + sum(s**2 * z @ z.T for s, z in zip(sizes, blocks, strict=True))
@@ -122,10 +114,3 @@ def test_the_probability_is_that_of_dense_algebra() -> None:
     expected = softmax([logsumexp(table) - np.log(len(table)) for table in tables])[0]
     assert 0.05 < expected < 0.95
     assert one.sessions[0].probability == pytest.approx(expected, rel=0.01)  # linearized at the drawing
-
-
-def test_one_session_has_nothing_to_compare() -> None:
-    data = session(0, SIZE)
-    rows = Rows.of(data)
-    fitted = fit(Model(Arm(LENGTHS, effects=(EffectSpec("gear_ratio", 1),))), rows)
-    assert replications(fitted, data.session_names, ("gear_ratio:1",)) == ()

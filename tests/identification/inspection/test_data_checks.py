@@ -56,9 +56,12 @@ def test_a_unit_is_named_where_the_measured_factor_fits_it(unit: str, factor: fl
     for arm, good in ((ARM, measured()), (PLANAR, simulated(3.0))):
         (small,) = data_warnings(replace(good, positions=good.positions / factor), arm)
         (large,) = data_warnings(replace(good, positions=(good.positions + 7e3) * factor), arm)  # the base elsewhere
-        for said, whose, larger in ((small, "positions", "arm file"), (large, "arm file", "measurements")):
+        for said, whose, larger in (
+            (small, "positions", "arm file"),
+            (large, "lengths of the arm file", "measurements"),
+        ):
             assert ratio(said) == pytest.approx(max(factor, 1.0 / factor), rel=0.005)
-            assert (f"as if the {whose} had {unit} for millimetres" if unit else "the factor of no unit") in said
+            assert (f"as if the {whose} are in {unit}" if unit else "the factor of no unit") in said
             assert factor < 1.0 or f"the lengths of the {larger} are " in said
 
 
@@ -141,5 +144,5 @@ def test_rows_that_are_wild_hide_no_unit(wild: float) -> None:
         metres = good.positions / 1000.0
         metres[[2, 9, 16]] = lost
         (said,) = read_differently(arm, replace(good, positions=metres), search=False).sentences
-        assert "as if the positions had metres for millimetres" in said
+        assert "as if the positions are in metres, whose columns end in _m" in said
         assert ratio(said) == pytest.approx(1000.0, rel=0.01)

@@ -9,8 +9,9 @@ import pytest
 
 from identification.arm import Arm
 from identification.estimation import estimate
+from identification.gap.library_prior import library_prior
 from identification.gap.noise import NoiseFloor
-from identification.inspection.inspection import sufficiency
+from identification.inspection.inspection import inspect, sufficiency
 from identification.kinematics.chain import DHRow, chain_of
 from identification.measurements import Measurements
 from identification.model import Model
@@ -97,3 +98,16 @@ def test_what_only_tilts_tell_apart_is_determined_weakly() -> None:
     assert min(row["std"] for row in rows) > 100.0
     together = np.sqrt(found.covariance[np.ix_(heights, heights)].sum())
     assert together < 2.0 * np.sqrt(2.0)
+
+
+def test_what_a_prior_held_is_left_out() -> None:
+    """A file of `identify --library-prior` has values of more effects than few rows determine: the drawing's fit."""
+    arm, measured = replace(ARM, sigma=NOISE), rows(8)
+    library = library_prior(arm)
+    fit = estimate(Model(library.arm), measured, prior=library.prior)
+    assert len(fit.names) > measured.positions.size
+    kept = fit.calibration().about(set(fit.names) - set(library.prior.deviations))
+    seen = inspect(replace(library.arm, calibration=kept), measured).to_json()
+    alone = inspect(arm, measured).to_json()
+    assert seen["problems"] == alone["problems"] == ()
+    assert seen["rms_fitted_mm"] == pytest.approx(alone["rms_fitted_mm"], rel=1e-6)

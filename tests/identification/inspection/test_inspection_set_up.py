@@ -32,7 +32,7 @@ def in_the_plane(turn: float, place: complex = 0.0) -> Measurements:
 
 
 def frame_note(arm: Arm, data: Measurements) -> list[str]:
-    return other_frame(arm, read_differently(arm, data, search=False).written)
+    return other_frame(arm, read_differently(arm, data).written)
 
 
 @pytest.mark.parametrize("place", [0.0, 300.0 + 50.0j])

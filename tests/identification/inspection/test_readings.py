@@ -120,7 +120,7 @@ def test_two_reversed_joints_of_a_planar_arm_have_two_explanations(planar: Measu
     assert ", or, equally well, " in found.sentences[0]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_three_faults_at_once_are_undone(planar: Measurements, seed: int) -> None:
     """A swap, a sign and a zero off by quarter turns, or a mirrored frame: what is left is the arm's own error."""
     generator = np.random.default_rng(seed)

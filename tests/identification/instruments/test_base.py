@@ -1,39 +1,12 @@
-"""What instruments of lengths read: differences, and parameters that no reading shows."""
+"""Parameters of the base that no reading of an instrument shows, and bases of later sessions."""
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
 
-from identification.instruments import TRACKER, Distance, Instrument, Plane, Sphere
+from identification.instruments import TRACKER, Distance, Plane
 from identification.kinematics.frames import AXES, from_angles, pose
-
-LENGTHS = [Distance(), Sphere(20.0), Plane()]
-POINTS = np.random.default_rng(0).uniform(-500.0, 500.0, (6, 3))
-STEP = 1e-4  # [mm]
-NOTHING = np.zeros(0), np.zeros(1)  # of its own, and the first target
-
-
-@pytest.mark.parametrize("instrument", LENGTHS, ids=lambda one: one.kind)
-def test_readings_and_derivatives(instrument: Instrument) -> None:
-    expected = POINTS[:, 2] if instrument.kind == "plane" else np.linalg.norm(POINTS, axis=1)
-    read, slopes, _ = instrument.linearized(POINTS, *NOTHING)
-    np.testing.assert_allclose(read[:, 0], expected, rtol=1e-15)
-    symbol = ca.SX.sym("p", 3)
-    function = ca.Function("read", [symbol], [instrument.reading(symbol, ca.SX(0, 1), ca.SX(0))])
-    assert [float(function(point)) for point in POINTS] == pytest.approx(expected, rel=1e-15)
-    for k, step in enumerate(STEP * np.eye(3)):
-        up, down = (instrument.linearized(POINTS + sign * step, *NOTHING)[0][:, 0] for sign in (1.0, -1.0))
-        np.testing.assert_allclose(slopes[:, 0, k], (up - down) / (2.0 * STEP), atol=1e-9)
-
-
-def test_a_sphere_of_unknown_radius_is_read_by_heights_above_it() -> None:
-    ball, symbol, values = Sphere(), ca.SX.sym("p", 3), ca.SX.sym("v", 1)
-    function = ca.Function("read", [symbol, values], [ball.reading(symbol, values, ca.SX(0))])
-    heights = [float(function(point, [25.0])) for point in POINTS]
-    assert heights == pytest.approx(np.linalg.norm(POINTS, axis=1) - 25.0)
-    assert [not one.size_is_open[0] for one in (*LENGTHS, ball)] == [True, True, False, False]
 
 
 def test_turns_about_a_normal_are_hidden() -> None:

@@ -1,4 +1,4 @@
-"""The closed form against the paper's iteration, scipy, and complex arithmetic."""
+"""The closed form against scipy and complex arithmetic."""
 
 from __future__ import annotations
 
@@ -16,21 +16,7 @@ BASE = (EffectSpec("base_offset"),)
 
 
 @pytest.mark.parametrize("effects", [(), BASE], ids=["base", "base_offset"])
-@pytest.mark.parametrize("m", [5, 200])
-def test_equals_the_converged_iteration_of_the_paper(effects: tuple[EffectSpec, ...], m: int) -> None:
-    """Section III: the linearised solution of eq. 11, from zero errors, again and again."""
-    model = Model(arm(*effects))
-    measurements, errors = data(model, plan(m)), np.zeros(len(model.names))
-    for _ in range(12):
-        left = measurements.positions - model.position(measurements.postures, errors)
-        jacobian = model.jacobian(measurements.postures, errors).reshape(-1, len(errors)) / model.scales
-        errors = errors + np.linalg.lstsq(jacobian, left.ravel())[0] / model.scales
-    closed = estimate(model, measurements, "linear").parameters
-    np.testing.assert_allclose((closed - errors) * model.scales, 0.0, rtol=0, atol=1e-9)  # mm
-
-
-@pytest.mark.parametrize("effects", [(), BASE], ids=["base", "base_offset"])
-@pytest.mark.parametrize("m", [6, 20])
+@pytest.mark.parametrize("m", [6, 200])
 def test_equals_scipy_with_weights(effects: tuple[EffectSpec, ...], m: int) -> None:
     model = Model(arm(*effects))
     measurements = data(model, plan(m))
@@ -40,7 +26,7 @@ def test_equals_scipy_with_weights(effects: tuple[EffectSpec, ...], m: int) -> N
     # scipy stops at a relative change of the cost of 1e-15: about 1e-7 of a standard deviation (0.03 mm)
     np.testing.assert_allclose(closed.parameters * model.scales, other.x * model.scales, rtol=0, atol=1e-7)
     weighted = np.sum(weights[:, None] * closed.residuals_after**2)
-    assert weighted <= 2.0 * other.cost * (1.0 + 1e-12)
+    assert weighted <= 2.0 * other.cost * (1.0 + 1e-10)  # residuals of .1 mm, rounded to 1e-13
 
 
 @pytest.mark.parametrize("n", [1, 3, 6])

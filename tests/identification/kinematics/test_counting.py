@@ -140,24 +140,19 @@ def test_what_was_written_is_read() -> None:
         np.testing.assert_allclose(found, [POSTURES[:, joints].min(axis=0), POSTURES[:, joints].max(axis=0)], rtol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("degrees", "expected"),
-    [
-        (137.0, 137.0),
-        (-223.0, 137.0),
-        (497.0, 137.0),
-        (-580.0, 140.0),  # one turn further
-        (175.0, 175.0),  # no turn brings it inside
-    ],
-)
-def test_into_limits_of_170_degrees(degrees: float, expected: float) -> None:
-    lower, upper = np.radians([-170.0]), np.radians([170.0])
-    found = turned_into(np.radians([[degrees]]), lower, upper, [REVOLUTE])
-    assert np.degrees(found[0, 0]) == pytest.approx(expected, abs=1e-9)
-
-
-def test_a_sliding_joint_does_not_turn_and_slack_is_inside() -> None:
-    lower, upper = np.array([0.0, 0.0]), np.array([3.0, 3.0])
-    postures = np.array([[7.0, 7.0], [3.0 + 1e-9, 3.0 + 1e-9]])
-    found = turned_into(postures, lower, upper, [PRISMATIC, REVOLUTE], slack=1e-6)
-    assert found.tolist() == [[7.0, pytest.approx(7.0 - 2.0 * np.pi)], [3.0 + 1e-9, 3.0 + 1e-9]]
+@given(st.floats(-20.0, 20.0), st.floats(-4.0, 4.0), st.floats(0.1, 8.0))
+def test_whole_turns_into_limits(angle: float, lower: float, width: float) -> None:
+    """A revolute joint is moved by whole turns to within its limits where a turn brings it there; one inside stays, and
+    so does one that slides."""
+    limits, slack = (np.array([lower] * 2), np.array([lower + width] * 2)), 1e-6
+    turned, slid = turned_into(np.array([[angle, angle]]), *limits, [REVOLUTE, PRISMATIC], slack)[0]
+    turns = (turned - angle) / (2.0 * np.pi)
+    inside = lower - slack <= angle <= lower + width + slack
+    possible = (lower - slack - angle) / (2.0 * np.pi), (lower + width + slack - angle) / (2.0 * np.pi)
+    assert slid == angle
+    assert turns == pytest.approx(round(turns), abs=1e-9)
+    assert turned == angle if inside else True
+    if np.floor(possible[1] - 1e-9) >= np.ceil(possible[0] + 1e-9):
+        assert lower - 2.0 * slack <= turned <= lower + width + 2.0 * slack
+    else:
+        assert turned == angle or abs(turned - lower) < 1e-5 or abs(turned - lower - width) < 1e-5

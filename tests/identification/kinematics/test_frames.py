@@ -1,4 +1,4 @@
-"""Rotations and orientations against SciPy's, symbolic frames against products of matrices."""
+"""Rotations and orientations against SciPy's."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from identification.arrays import Array
 from identification.kinematics.frames import (
-    Frame,
     from_angles,
     from_quaternions,
     from_roll_pitch_yaw,
-    pose,
     roll_pitch_yaw,
     rotation_about,
     rotation_vector,
@@ -53,16 +51,6 @@ def test_of_the_equal_angles_the_nearest(
 def test_rotation_about_an_axis(axis: tuple[float, float, float], angle: float) -> None:
     unit = np.array(axis) / np.linalg.norm(axis)
     np.testing.assert_allclose(rotation_about(unit, angle), Rotation.from_rotvec(angle * unit).as_matrix(), atol=1e-12)
-
-
-def test_symbolic_frames_are_products_of_matrices() -> None:
-    x = ca.SX.sym("x", 2)
-    inner = pose((1.0, -2.0, 3.0), from_roll_pitch_yaw(0.1, 0.2, 0.3))
-    frame = Frame.world().placed(inner).moved(1, x[0]).turned(2, x[1])
-    point = frame.point(ca.SX([5.0, 6.0, 7.0]))
-    found = ca.Function("point", [x], [point])([4.0, 0.5]).full().ravel()
-    expected = inner @ pose((0.0, 4.0, 0.0)) @ pose(rotation=rotation_about((0.0, 0.0, 1.0), 0.5))
-    np.testing.assert_allclose(found, (expected @ [5.0, 6.0, 7.0, 1.0])[:3], atol=1e-12)
 
 
 SYMBOL = ca.SX.sym("r", 3, 3)

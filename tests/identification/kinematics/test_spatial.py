@@ -180,19 +180,6 @@ def test_a_shift_along_the_axes_of_the_base_turns_by_them() -> None:
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 
 
-def test_bent_links_displace_and_turn_what_follows() -> None:
-    """A link (l, d) with slope s is the complex number l + i d, and turns all links after it by s."""
-    posture, deflection, slope = np.array([0.3, -1.1]), np.array([2.0, -1.0]), np.array([0.01, 0.02])
-    bent = {"deflections": ca.SX(deflection), "slopes": ca.SX(slope)}
-    frames = planar_chain(LENGTHS[:2]).frames(ca.SX(posture), {}, bent)
-    elbow = (LENGTHS[0] + 1j * deflection[0]) * np.exp(1j * posture[0])
-    tip = elbow + (LENGTHS[1] + 1j * deflection[1]) * np.exp(1j * (posture.sum() + slope[0]))
-    turn = np.exp(1j * (posture.sum() + slope.sum()))
-    np.testing.assert_allclose(np.array(ca.DM(frames[2].origin)).ravel(), [elbow.real, elbow.imag, 0.0], rtol=1e-14)
-    np.testing.assert_allclose(np.array(ca.DM(frames[3].origin)).ravel(), [tip.real, tip.imag, 0.0], rtol=1e-14)
-    np.testing.assert_allclose(np.array(ca.DM(frames[3].axes))[:, 0], [turn.real, turn.imag, 0.0], rtol=1e-14)
-
-
 def test_orientations_sum_the_offsets() -> None:
     """dtheta_j = dq_1 + ... + dq_j; where an offset is known, the others only."""
     parameters = chain_parameters([300.0, 200.0])

@@ -13,9 +13,11 @@ from identification.conditions import Conditions
 from identification.effects import Chain, base, library
 from identification.effects.chain import position_and_state, widths
 from identification.error_curve import ErrorCurve
+from identification.instruments import Distance
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose, turned
 from identification.kinematics.parameters import PRISMATIC
+from identification.measurements import Measurements
 from identification.model import Model
 
 CHAIN = chain_of(
@@ -100,6 +102,31 @@ def test_by_what_is_added_at_each_place(arm: Arm) -> None:
             np.testing.assert_allclose(levers[row, :, k] * units[k], difference * units[k], rtol=1e-5, atol=1e-8)
 
 
+OF_MODELS = {name: cls for name, cls in library().items() if not (cls.scatter or cls.of_commands or cls.tabulated)}
+PLANAR = Arm([400.0, 300.0, 150.0, 90.0], gravity=replace(GRAVITY, acceleration=np.array([0.3, -9.7])))
+BAR = Arm(replace(CHAIN, tools={"1": CHAIN.tools["1"]}, instrument=Distance()), gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("name", OF_MODELS)
+def test_every_effect_by_its_parameters(name: str) -> None:
+    """In the plane and in space, beside the compliance that some act through; at settings that some rows see."""
+    cls, generator = OF_MODELS[name], np.random.default_rng(3)
+    settings = {"k": 5.0, "at": 0.13, "side": 1.0, "tau": 0.4, "width_deg": 20.0, "sessions": 2.0}
+    effect = EffectSpec(name, None if cls.per_joint == "none" else 2, {key: settings[key] for key in cls.settings})
+    in_space = BAR if "distance" in cls.needs else arms()[0]
+    for arm in (arm for arm in (PLANAR, in_space) if arm.dimension in cls.dimensions):
+        model = Model(arm.with_effects(EffectSpec("joint_compliance"), effect))
+        rows = Measurements(POSTURES, np.zeros((ROWS, model.dimension)), session=["a", "b"] * 4 + ["b"])
+        conditions = replace(rows.conditions, temperature=WARM.temperature)
+        values = np.maximum(1e-2 * generator.standard_normal(len(model.names)) / model.scales, model.parameters.lower)
+        scaled, steps = model.jacobian(POSTURES, values, conditions) / model.scales, np.diag(STEP / model.scales)
+        of_effect = [k for k, p in enumerate(model.parameters) if p.name.startswith(name)]
+        assert np.all(np.any(scaled[..., of_effect], axis=(0, 1)))
+        for k in of_effect:
+            ends = (model.position(POSTURES, values + sign * steps[k], conditions) for sign in (1.0, -1.0))
+            np.testing.assert_allclose(scaled[..., k], np.subtract(*ends) / (2.0 * STEP), **AGREE)
+
+
 LENGTHS = np.array([400.0, 300.0, 150.0])
 UP = np.array([0.0, 0.0, 1.0])
 ORIGINS = [pose(), pose((400.0, 0.0, 0.0)), pose((300.0, 0.0, 0.0))]
@@ -109,14 +136,6 @@ PARALLEL = KinematicChain(
 FEW = (EffectSpec("joint_compliance"), EffectSpec("encoder_eccentricity", 2), EffectSpec("thermal_growth"))
 TURNED = np.random.default_rng(2).uniform(-2.0, 2.0, (7, 3))
 WARMED = Conditions(temperature=np.linspace(-3.0, 3.0, 7), time=np.linspace(-0.5, 0.5, 7))
-SIX = chain_of(
-    [
-        DHRow(0.0, np.pi / 2, 300.0),
-        DHRow(-400.0, 0.1, 0.0),
-        DHRow(0.0, np.pi / 2, 0.0, type=PRISMATIC, limits=(100.0, 500.0)),
-        DHRow(50.0, -np.pi / 2, 80.0),
-    ]
-)
 
 
 def test_the_planar_arm_is_one_whose_axes_are_parallel() -> None:
@@ -137,7 +156,7 @@ def test_gravity_torques_are_the_work_of_the_loads() -> None:
     """tau_j = -dU/dq_j of the potential energy of all masses [J], by central differences in plain numpy."""
     masses, share, payload = np.array([7.0, 5.0, 3.0, 2.0]), np.array([0.5, 0.3, 0.7, 0.5]), 1.5
     down = np.array([0.3, -1.0, -9.7])
-    arm = Arm(SIX, gravity=Gravity(down, masses, share, payload))
+    arm = Arm(replace(CHAIN, tools={"1": np.zeros(3)}), gravity=Gravity(down, masses, share, payload))
     model, q = Model(arm), np.array([0.4, -1.1, 320.0, 0.9])
 
     def energy(posture: np.ndarray) -> float:
@@ -146,7 +165,7 @@ def test_gravity_torques_are_the_work_of_the_loads() -> None:
         ends[1] = home[2]  # link 2 ends where joint 3 begins to slide
         return float(-down @ (masses @ (points[:-1] + share[:, None] * (ends - points[:-1])) + payload * points[-1]))
 
-    torques = model.on_chain(lambda chain: chain.torques)(q[None], Conditions())[0]
+    torques = model.torques(q[None])[0]
     for j, length in enumerate((1.0, 1.0, 1000.0, 1.0)):  # a slide is in millimetres, its force per metre
         step = 1e-5 * length * np.eye(4)[j]
         expected = -(energy(q + step) - energy(q - step)) / 2e-5

@@ -28,7 +28,7 @@ from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances, load_measurements
 from identification.model import Model
 from identification.origin import outside
-from identification.validate import Figures, Offered, extrapolation, judged, prior_judged, validate
+from identification.validate import Figures, beside_geometry, extrapolation, judged, prior_judged, validate
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10_planar"
@@ -305,13 +305,13 @@ def test_the_figures_are_those_of_validate_on_the_same_rows(
     assert {spec.key for spec in found.named.specs} == {"base_drift", "backlash:2"}
     extended = validate(found.extended_arm(), held)
     assert found.offered is not None
-    assert found.offered.rms == pytest.approx(extended.model.rms, rel=1e-9)
-    assert found.offered.largest == pytest.approx(extended.model.max, rel=1e-9)
+    assert found.offered["rms_mm"] == pytest.approx(extended.model.rms, rel=1e-9)
+    assert found.offered["max_mm"] == pytest.approx(extended.model.max, rel=1e-9)
     geometry = validate(replace(ARM, calibration=estimate(Model(ARM), own).calibration()), held)
-    assert found.offered.rms_geometry == pytest.approx(geometry.model.rms, rel=1e-9)
-    assert found.to_json()["offered"]["rms_mm"] == found.offered.rms
+    assert found.offered["rms_geometry_mm"] == pytest.approx(geometry.model.rms, rel=1e-9)
+    assert found.to_json()["offered"]["rms_mm"] == found.offered["rms_mm"]
     assert found.gap.held_out_after is not None
-    assert found.offered.rms > 1.5 * found.gap.held_out_after  # which had the drift of each row's time
+    assert found.offered["rms_mm"] > 1.5 * found.gap.held_out_after  # which had the drift of each row's time
     assert any("base_drift" in n and "of the session of the identification only" in n for n in extended.notes)
 
 
@@ -320,8 +320,8 @@ def test_without_a_hold_out_other_postures_say_it() -> None:
     found = judged(diagnose(ARM, data), ARM, data, None)
     test = next(test for test in found.cross_validation if test.transfer == "other postures")
     assert found.offered is not None
-    assert (found.offered.by, found.offered.better) == ("cross-validation", True)
-    assert (found.offered.rms, found.offered.rms_geometry) == (test.after, test.before)
+    assert (found.offered["by"], found.offered["better"]) == ("cross-validation", True)
+    assert (found.offered["rms_mm"], found.offered["rms_geometry_mm"]) == (test.after, test.before)
     assert test.largest_before > test.before
     assert test.to_json()["max_after_mm"] == test.largest_after
 
@@ -329,13 +329,13 @@ def test_without_a_hold_out_other_postures_say_it() -> None:
 def test_geometry_and_largest_error_of_residuals_by_hand() -> None:
     rng = np.random.default_rng(2)
     data, before, after = session(0.0, 0.0), rng.normal(size=(80, 2)), 0.2 * rng.normal(size=(80, 2))
-    found = Offered.of("holdout", before, after, data)
-    assert found.better
-    assert found.rms == pytest.approx(np.sqrt(np.mean(np.sum(after**2, axis=1))))
-    assert (found.largest, found.largest_geometry) == (distances(after).max(), distances(before).max())
-    assert not Offered.of("holdout", after, before, data).better
+    found = beside_geometry("holdout", before, after, data)
+    assert found["better"]
+    assert found["rms_mm"] == pytest.approx(np.sqrt(np.mean(np.sum(after**2, axis=1))))
+    assert (found["max_mm"], found["max_geometry_mm"]) == (distances(after).max(), distances(before).max())
+    assert not beside_geometry("holdout", after, before, data)["better"]
     again = before + 0.01 * rng.normal(size=(80, 2))
-    assert not Offered.of("holdout", before, again, data).better  # within chance
+    assert not beside_geometry("holdout", before, again, data)["better"]  # within chance
 
 
 @pytest.mark.parametrize("compliant", [True, False])
@@ -348,4 +348,16 @@ def test_a_prior_of_further_effects_is_judged_beside_the_geometry(compliant: boo
     found = estimate(Model(library.arm), data, prior=library.prior)
     offered = prior_judged(lambda: estimate(Model(arm), data), found, data)
     assert offered is not None
-    assert (offered.by, offered.rows, offered.better) == ("cross-validation", 72, compliant)
+    assert (offered["by"], offered["rows"], offered["better"]) == ("cross-validation", 72, compliant)
+
+
+def test_on_its_own_rows_a_drift_is_as_it_was_fitted() -> None:
+    """What `validate` leaves of them is what the fit left; on other rows the drift has come to its end."""
+    q, time = postures(40, 5), np.linspace(-0.5, 0.5, 40)
+    positions = tip(q) + np.outer(time, [2.0, -1.0]) + 0.1 * np.random.default_rng(5).standard_normal((40, 2))
+    specs = [EffectSpec(name) for name in ("base_offset", "base_drift")]
+    rows = Measurements(q, positions, provenance={"file": "data.csv", "sha256": "0"})
+    fit = estimate(Model(Arm(LENGTHS, effects=(EffectSpec("encoder_eccentricity", 2), *specs))), rows)
+    calibrated_arm = fit.calibrated_arm()
+    assert validate(calibrated_arm, rows).model.rms == pytest.approx(fit.rms_after, rel=1e-6)
+    assert validate(calibrated_arm, replace(rows, provenance={})).model.rms > 2.0 * fit.rms_after

@@ -142,16 +142,6 @@ def test_what_is_outside_the_library_is_mostly_outside_it(name: str) -> None:
     assert effect[1] is None or f"joint:{effect[1]}" in str(place_of(effect)).split(" or ")
 
 
-def test_a_cell_of_each_hides_it() -> None:
-    for name in ("two_warm_ups", "cross_talk"):
-        data = data_set(f"outside, {name}", 900)
-        assert (data.outside, data.effects, len(data.measurements) in (50, 100, 300)) == (name, (), True)
-        assert CELLS[f"outside, {name}"].sizes == [10.0, 40.0]
-        assert data.exact is not None
-        assert data.reachable is not None
-        assert 0.0 < data.reachable < 2.0 * data.arm.sigma  # parameters fewer than the coordinates measured
-
-
 def test_loops_and_slips_by_hand() -> None:
     """A relay about 0 with thresholds of 1 rad, at 0.5 and 1.5 rad two more: what was passed last counts between them,
     and nothing outside. Short moves stop short of where they go, long ones slip past."""
@@ -267,11 +257,3 @@ def test_what_is_outside_the_library_is_of_the_size_asked_for_in_space(number: i
     assert effect[0] in names
     inside = column(truth, run, ("encoder_eccentricity", 3, {"a": 0.3, "b": -0.4}))
     assert np.linalg.norm(off(library, inside)) < 1e-6 * np.linalg.norm(inside)
-
-
-def test_reflectors_take_turns() -> None:
-    data = data_set("space, none, two reflectors", 900).measurements
-    assert data.marker is not None
-    assert data.marker.tolist() == ["1", "2"] * 30
-    np.testing.assert_array_equal(data.postures[::2], data.postures[1::2])
-    assert not np.allclose(data.positions[::2], data.positions[1::2])
