@@ -197,6 +197,8 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str,
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
             "These values belong together: enter all of them.",
         ]
+        if all(row.prior_std is None for row in rows):  # not all that can be off is estimated
+            lines.append("Numbers not listed stay as drawn, and the intervals are of a fit that holds them there.")
     if weak := sum(row.weak for row in rows):
         lines.append(
             f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "

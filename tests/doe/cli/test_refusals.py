@@ -309,6 +309,23 @@ def test_a_very_long_name_is_cut(folder: Folder) -> None:
     assert in_one_line(f"{name}: {end}").endswith(end)
 
 
+def test_a_robust_plan_of_an_arm_that_hardly_moves(folder: Folder) -> None:
+    """Information that is singular to rounding: an answer without a bound, or a reason."""
+    limits = "[joint_limits_deg]\nlower = [0.0, 0.0]\nupper = [1e-9, 1e-9]\n"
+    folder.write("arm.toml", f"links_mm = [300.0, 200.0]\n{limits}[measurement]\nsigma_mm = 0.1\n")
+    folder.write("plan.csv", "run,q1_deg,q2_deg\n" + "1,0,0\n" * 12)
+    for words in ("score arm.toml plan.csv --robust", "relax arm.toml --criterion A --grid 2"):
+        done = folder.armcal(f"{words} --quiet")
+        assert done.code in (0, 1), done.err
+        assert done.code == 0 or done.err.startswith("armcal: ")
+
+
+def test_a_plan_outside_the_limits_warns(folder: Folder) -> None:
+    folder.write("fourier.csv", PLAN + "".join(f"{run}{f',{72 * run}' * 4}\n" for run in range(5)))
+    done = folder.armcal("score arm.toml fourier.csv")
+    assert (done.code, "outside joint limits" in done.err) == (0, True)
+
+
 def test_a_truth_that_is_none_warns(folder: Folder) -> None:
     """An effect without any value does nothing; with one here or in the calibration it does."""
     effect = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\n'

@@ -90,6 +90,16 @@ def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> N
         assert ("another.csv" in commands, "data.csv" in commands) == (True, False)
 
 
+def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
+    campaign.write("targets.csv", "x_mm,y_mm\n400,100\n300,-50\n9000,0\n")
+    made = campaign.said("compensate cal.toml targets.csv --out commands.csv")
+    found = campaign.said("report arm.toml cal.toml commands.csv --out page.html --force")
+    assert found["files"][-1]["kind"] == "joint commands"
+    text = campaign.read("page.html")
+    assert all(f">{angle:.3f}</td>" in text for angle in made["commands_deg"][0])
+    assert made["commands"][2]["message"] in text
+
+
 def test_the_headline_is_the_error_on_rows_that_no_fit_has_seen(campaign: Folder) -> None:
     """Whichever file says it: other measurements, what `validate` said of them, or a diagnosis with rows held out."""
     valid, diagnosis = (json.loads(campaign.read(name)) for name in ("valid.json", "diag.json"))

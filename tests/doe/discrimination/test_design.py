@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from doe.discrimination import design
 from doe.discrimination.design import (
     LAMBDA,
     DiscriminationDesign,
@@ -20,6 +21,7 @@ from doe.discrimination.design import (
     discrimination_design,
 )
 from doe.problem.problem import DesignProblem
+from doe.report import design as report
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import arm_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
@@ -129,6 +131,16 @@ def test_constraints_hold_after_the_swaps() -> None:
     heights = np.sin(np.cumsum(found.design.plan.postures, axis=1)) @ LENGTHS[:3]
     assert heights.min() >= -150.0 - 1e-9
     assert found.wrong < found.best_wrong
+
+
+def test_what_a_very_long_plan_can_detect_is_not_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor silently so."""
+    monkeypatch.setattr(design, "MOST_SEEN", 19)
+    found = designed([-180, -120], [180, 120], 20, starts=1, seconds=0.1)
+    assert found.sees is None
+    assert found.best_sees is None
+    lines = [str(line) for line in report.discriminating_parts(found)]
+    assert lines[-1] == "what a plan of more than 19 runs can detect is not worked out"
 
 
 def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:

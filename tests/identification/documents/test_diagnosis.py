@@ -13,6 +13,7 @@ import pytest
 from identification.arm import Arm
 from identification.document import Section, Sheet
 from identification.documents.diagnosis import (
+    curve_sections,
     diagnosis_actions,
     diagnosis_verdict,
     effects_in_words,
@@ -104,6 +105,16 @@ def test_next_steps_name_every_file_that_was_diagnosed_or_written(verdict: str) 
     kept = [action.command for action in diagnosis_actions(data, written=Path("mine.toml"))]
     assert not any("--out extended.toml" in command for command in kept)
     assert any("armcal compensate mine.toml" in command for command in kept) == (verdict in ("named", "unknown"))
+
+
+def test_shapes_of_curves_are_said_in_short() -> None:
+    waves = [{"order": order, "share": share} for order, share in ((11.0, 0.5), (14.0, 0.25), (2.0, 0.125))]
+    curve = {"joint": 2, "angle_deg": [-10.0, 0.0, 10.0], "error_deg": [0.03] * 3, "std_deg": [0.01] * 3}
+    told = "waves: 11 per turn, 0.02 deg; 14 per turn, 0.01 deg; 2 per turn, 0.01 deg (88 %) over -10 to 10 deg"
+    curves = [curve | {"shape": told, "waves": waves}, curve | {"shape": "smooth curve over 1 to 2 deg", "waves": []}]
+    table = curve_sections({"curves": curves})[0].parts[0]
+    assert isinstance(table, Sheet)
+    assert [row[-1] for row in table.rows] == ["waves 11, 14, 2 (88 %)", "smooth curve"]
 
 
 # -- of a whole diagnosis ----------------------------------------------------------------------------------------------

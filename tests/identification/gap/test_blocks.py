@@ -12,10 +12,13 @@ import pytest
 
 from identification import effects
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.effects import base
+from identification.effects import base, build
+from identification.errors import InputError
+from identification.files.arm import load_arm, with_effects
 from identification.gap.blocks import Library, hypotheses
 from identification.gap.diagnose import diagnose
 from identification.gap.fit import At, Rows
+from identification.kinematics.chain import planar_chain
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -194,3 +197,17 @@ def test_a_users_own_effect_is_named(name: str, joint: int | None, values: dict[
     found = diagnose(ARM.with_effects(), data)
     assert (spec.key,) in {tuple(s.key for s in c.specs) for c in found.candidates}
     assert "LinAlgError" not in str(found)
+
+
+def test_settings_in_files(tmp_path: Path) -> None:
+    spec = EffectSpec("breathing", None, {"rate": 7.25})
+    text = with_effects("links_mm = [300, 200]\n", [spec, EffectSpec("series", 2, {"terms": 3.0})])
+    assert "rate = 7.25" in text
+    assert "terms = 3\n" in text
+    (tmp_path / "arm.toml").write_text(text)
+    assert load_arm(tmp_path / "arm.toml").effects[0] == spec
+    for value, allowed in ((50.0, "a number 0.1 to 40"), (None, "a number 0.1 to 40")):
+        with pytest.raises(InputError, match=f"breathing: rate .*, allowed: {allowed}"):
+            build(EffectSpec("breathing", None, {} if value is None else {"rate": value}), planar_chain(np.ones(2)))
+    with pytest.raises(InputError, match=r"series:1: terms = 2.5, allowed: a whole number 2 to 3"):
+        build(EffectSpec("series", 1, {"terms": 2.5}), planar_chain(np.ones(2)))
