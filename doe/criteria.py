@@ -211,6 +211,14 @@ class DStar(D):
     def value(self, information: Array) -> Array:
         return np.where(np.isneginf(log_determinants(information)), -np.inf, super().value(information))
 
+    # exchanges that look at the blocks alone would end in plans with a singular M
+    values_after_adding = Criterion.values_after_adding
+
+    def upper_bound(self, information: Array, largest: float) -> float:
+        """Of the blocks alone: they are regular where M is not, as it may be at the best weights."""
+        s = self.degree(len(information))
+        return float(super().value(information)) + s * float(np.log(largest / s))
+
 
 # -- variances ---------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)

@@ -427,8 +427,8 @@ class Task(NamedTuple):
 def search(
     task: Task, boxes: Sequence[tuple[Array, Array]], *, keeps_branch: bool = False, closest: bool = True
 ) -> Array:
-    """(k, n) postures that reach the goals within the first of some limits in which one does, each within the next;
-    where none does, the closest to the goal within the first.
+    """(k, n) postures that reach the goals within the first of the limits in which one does, of which the second hold
+    the first; where none does, the closest to the goal within the first.
 
     keeps_branch : of the postures that reach a goal that to which `near` leads is taken, not the nearest to `near`
     closest : False: where none does, a posture near to the goal is enough

@@ -43,6 +43,23 @@ class ErrorCurve(ByValue):
             problem = f"{len(self.values)} values"
             raise InputError(f"values_deg: found {problem}, allowed: {FEWEST} or more finite numbers")
 
+    @classmethod
+    def through(
+        cls, start: float, stop: float, angles: Array, values: Array, count: int, geometry: Mapping[str, float]
+    ) -> ErrorCurve:
+        """The curve with so many nodes through values (a,) at angles (a,) [rad]; where none are near, the one whose
+        steps from node to node are smallest, as those of a random walk are."""
+        place, parts = local_splines(angles, start, stop, count)
+        table = np.zeros((len(angles), count + 6))
+        np.put_along_axis(table, place + 3, parts, axis=1)
+        # numerical: a thousandth of the weight of a value; less than that changes no wave of eight nodes or more
+        steps = np.sqrt(1e-3) * np.diff(np.eye(count), axis=0)
+        target = np.concatenate([values, np.zeros(count - 1)])
+        coefficients = np.linalg.lstsq(np.concatenate([table[:, 3:-3], steps]), target, rcond=None)[0]
+        padded = np.pad(coefficients, 1)
+        at_nodes = (padded[:-2] + 4.0 * padded[1:-1] + padded[2:]) / 6.0
+        return cls(start, stop, np.radians(np.round(np.degrees(at_nodes), 7)), geometry)
+
     @property
     def spacing(self) -> float:
         """Angle from node to node [rad]."""

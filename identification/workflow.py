@@ -368,7 +368,8 @@ def identify_files(
         lines.append(f"Prior: {len(known.parameter_names)} parameters from {prior_from}{without}.")
     if words:
         fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), words, rows)
-        lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file.")
+        exact = "taken as exact: what they are off by is in no interval and no expected error"
+        lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file, {exact}.")
     fitted = reuse.with_mounting_doubt(fitted, rows, fit)
     doubts = [*fitted.warnings]
     if (effects := library(rows)) is not None:

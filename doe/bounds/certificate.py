@@ -158,8 +158,12 @@ class ApproximateDesign:
 
     @property
     def proves(self) -> bool:
-        """False where not all of the design space was visited, and for a singular M, which has no tangent."""
-        return bool(np.isfinite(self.largest) and np.isfinite(self.value))
+        """False where not all of the design space was visited, and for a singular M that has no tangent."""
+        if not np.isfinite(self.largest):
+            return False
+        criterion = self.problem.criterion  # of log-determinants of blocks there may be one all the same
+        blocks = criterion.power == 0 and np.isfinite(criterion.upper_bound(self.information, self.largest))
+        return bool(blocks or np.isfinite(self.value))
 
     @property
     def gap(self) -> float:

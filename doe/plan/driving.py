@@ -263,10 +263,13 @@ def another(
         before = total / (total + 1.0) * problem.information(others)[None]
         offered = problem.scaled_jacobians(drawn)[None] / np.sqrt(total + 1.0)
         values = problem.criterion.smooth.values_after_adding(before, offered)[0] if len(drawn) else np.empty(0)
-        for each in drawn[np.argsort(-values, kind="stable")]:
-            near = postures[kept][np.argsort(space.travel(postures[kept], each))[:nearest]]
-            if not len(near) or free(np.broadcast_to(each, near.shape), near, room).any():
-                postures[row], kept = each, np.append(kept, row)
+        best, together = drawn[np.argsort(-values, kind="stable")], 20
+        for some in (best[k : k + together] for k in range(0, len(best), together)):
+            near = np.argsort(space.travel(some[:, None], postures[kept]), axis=1)[:, :nearest]
+            ways = free(np.repeat(some, near.shape[1], axis=0), postures[kept][near.ravel()], room)
+            led_to = ways.reshape(near.shape).any(axis=1) if len(kept) else np.ones(len(some), dtype=bool)
+            if led_to.any():
+                postures[row], kept = some[led_to.argmax()], np.append(kept, row)
                 break
     return postures
 

@@ -111,7 +111,7 @@ class Roadmap:
         self.proven, self.tried = np.pad(self.proven, new), np.pad(self.tried, new)
         return np.arange(old, len(self.nodes))
 
-    def connect(self, *pairs: tuple[Numbers, Numbers], levels: int = 3) -> None:
+    def connect(self, *pairs: tuple[Numbers, Numbers], levels: int = 2) -> None:
         """Moves between nodes (e,) and others, but for those that are seen to collide."""
         low, high = np.sort(np.concatenate([np.stack(each) for each in pairs], axis=1), axis=0)
         new = (low < high) & ~self.tried[low, high]
@@ -198,6 +198,8 @@ def route(
         shortest = np.inf
     for share in (0.7, 0.7, 0.5, 0.5):  # of the way from a bend to the straight line
         bends = [(way[k - 1], way[k], way[k + 1]) for way in ways for k in range(1, len(way) - 1)]
+        if not bends:
+            break
         before, here, after = np.array(bends, dtype=np.intp).reshape(-1, 3).T
         straight = 0.5 * (road.nodes[before] + road.nodes[after])
         moved = road.nodes[here] + share * (straight - road.nodes[here])
@@ -205,6 +207,7 @@ def route(
         new, before, after, here = road.add(moved[good]), before[good], after[good], here[good]
         road.connect((before, new), (new, after), (before, after), (new[:-1], new[1:]), (new, here))
         order, ways, missing = settled(road, starts, aims, keep_order)
+    order, ways, missing = settled(road, starts, aims, keep_order, proof=True)
     vias = [road.nodes[way[1:-1]] for way in ([0, 0], *ways)]
     if entries is not None:
         vias = [np.vstack([via, entries[row]]) for via, row in zip(vias, order, strict=True)]
@@ -212,10 +215,13 @@ def route(
 
 
 def settled(
-    road: Roadmap, starts: Numbers, aims: Numbers, keep_order: bool
+    road: Roadmap, starts: Numbers, aims: Numbers, keep_order: bool, proof: bool = False
 ) -> tuple[Numbers, list[list[int]], Numbers]:
     """The shortest route from nodes (m,) to nodes (m,) whose moves are all proven: its order, the nodes of each of the
-    m - 1 steps, and which of the m no way leads to from most of the others."""
+    m - 1 steps, and which of the m no way leads to from most of the others.
+
+    proof : it is the shortest of all orders, not just of many
+    """
     m = len(starts)
     while True:
         length, before = road.from_nodes(starts)
@@ -225,7 +231,7 @@ def settled(
         if not keep_order:
             worst = 1.0 + 2.0 * cost[reached].sum()  # than any order
             cost = np.where(reached, cost, worst)
-            order = shortest_path(np.maximum(cost, cost.T))
+            order = shortest_path(np.maximum(cost, cost.T), proof)
             if starts is not aims and order[0] > order[-1]:  # which way round it is gone matters
                 order = order[::-1]
         ways = []

@@ -174,7 +174,7 @@ class Clearance:
         lines += [f"  run {run}: {distance_in_words(pair, gap)}" for run, pair, gap in near]
         touching, clear = ([" and ".join(pair) for pair in pairs] for pairs in (self.touching, self.clear))
         few = np.flatnonzero(self.asked < self.usual)
-        narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.0f} mm)" for k in few]
+        narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
         if not near:
             kept = _counted(len(self.pairs) - len(narrow))
             lines.append(f"Collisions: {kept} of bodies stay {self.usual:g} mm apart in all {len(postures)} postures.")

@@ -41,9 +41,10 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
     for _ in range(8):  # batches, before feasible postures are searched for
         drawn = draw(max(4096, count))
         seen.append(drawn)
-        feasible = np.concatenate([feasible, drawn[problem.feasible(drawn)]])
-        if len(feasible) >= count:
-            return feasible[:count]
+        for part in np.array_split(drawn, max(1, len(drawn) // max(256, count))):  # of geometry no more than is needed
+            feasible = np.concatenate([feasible, part[problem.feasible(part)]])
+            if len(feasible) >= count:
+                return feasible[:count]
     width = problem.upper - problem.lower
     if not len(feasible):
         feasible = _led_inside(problem, np.concatenate(seen), generator)

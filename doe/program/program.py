@@ -105,7 +105,8 @@ def program(
     language, n = LANGUAGES[robot], arm.links
     least = 6 if robot == "ur" else 1
     if not least <= n <= language.most:
-        raise InputError(f"--robot {robot}: {n} joints, allowed: {least} to {language.most}")
+        allowed = f"{least} to {language.most}" if least < language.most else least
+        raise InputError(f"--robot {robot}: {n} joints, allowed: {allowed}")
     if not 0.0 <= settle <= 300.0:  # a FANUC waits 327 s at most
         raise InputError(f"--settle: {settle:g} s, allowed: 0 to 300")
     plan = replace(plan, joint_types=arm.joint_types)

@@ -83,7 +83,9 @@ def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
     outcome = "Closed form, the exact global minimum." if closed else fit.status.value
     unit, tip = reading_unit(fit.arm), None
     if fit.expected_tip is not None:
-        doubt = "; but chi2 says that it is not" if fit.misfit else ""
+        by_repeats = any(each.startswith(MISFIT) for each in fit.doubts)  # more than they scatter by
+        witness = "chi2 says" if fit.misfit else "repeats say" if by_repeats else ""
+        doubt = f"; but {witness} that it is not" if witness else ""
         measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
         tip = f"{measured}, {fit.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
     sigma = f"{fit.sigma or 0.0:.4g} {unit} per axis ({'given' if fit.sigma_known else 'estimated'})"
@@ -197,6 +199,8 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str,
             "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
             "These values belong together: enter all of them.",
         ]
+        if all(row.prior_std is None for row in rows):  # not all that can be off is estimated
+            lines.append("Numbers not listed stay as drawn, and the intervals are of a fit that holds them there.")
     if weak := sum(row.weak for row in rows):
         lines.append(
             f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "

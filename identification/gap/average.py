@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -14,9 +14,9 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import WAVES, curve_waves, slope_by_angle
+from identification.gap.blocks import WAVES, around, slope_by_angle, waves_around
 from identification.gap.fit import At, Fit
-from identification.gap.likelihood import Index, mixed
+from identification.gap.likelihood import Index, Key, mixed
 from identification.gap.search import Posterior
 from identification.information import VISIBLE
 from identification.model import Model
@@ -71,7 +71,17 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     places = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
     of_each, geometry_of, variance, used = [], defaultdict[str, Array](lambda: np.zeros(g)), 0.0, 0.0
     for problem, draws, share in zip(held.problems, held.draws, shares_of_noise.tolist(), strict=True):
-        states, drawn = [problem.products.state(key) for key in draws], np.array([*draws.values()]) / draws.total()
+        # each set without the blocks that are left out, of which the others take on what they can
+        held_here, shares_of = (
+            {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in places},
+            Counter[Key](),
+        )
+        for key, count in draws.items():
+            shares_of[tuple(pair for pair in key if pair[0] in held_here)] += count
+        states, drawn = (
+            [problem.products.state(key) for key in shares_of],
+            np.array([*shares_of.values()]) / draws.total(),
+        )
         first, covariance, of_noise = mixed(states, drawn)
         used += share * sum(
             n * (len(s.sizes) - np.sum(np.diag(s.covariance) / s.sizes**2)) for n, s in zip(drawn, states, strict=True)
@@ -102,7 +112,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         joint, start, stop = span = curve.span or (0, 0.0, 0.0)
         slopes = {b.label: slope_by_angle(b.effect, joint, library.base) for b in kept if b.effect is not None}
         functions = {label: slope for label, slope in slopes.items() if slope is not None}
-        of_curves.append((span, {curve.label: partial(curve_waves, start=start, stop=stop), **functions}))
+        of_curves.append((span, {curve.label: partial(waves_around, start=start, stop=stop), **functions}))
     absorbed = [label for _, functions in of_curves for label in functions]
     members = [b for b in kept if b.spec is not None and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)
@@ -124,13 +134,21 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         shifted = {name: value for name, value in parts if not name.startswith(f"{SESSIONS}.")}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
-        count, wrong = WAVES, np.inf
+        # the table goes through their sum at the angles measured, and as a random walk does where there are none: there
+        # they, too, may add up that cancel elsewhere
+        commanded = held.at.rows.postures[:, joint]
+        q, count, wrong = around(commanded, start, stop), WAVES, np.inf
         while wrong > FAITHFUL:
             angles = np.linspace(start, stop, 2 * count + 1)
-            values_at = np.column_stack([function(angles) for function in functions.values()])
+            numbers, rows_there = np.unique(np.rint((q - start) / (angles[1] - start)).astype(int), return_index=True)
+            nearest = rows_there[np.abs(np.arange(len(angles))[:, None] - numbers).argmin(axis=1)]
+            turned = (
+                angles + (commanded - q)[nearest]
+            )  # a wave of broken order is no function of the angle on the circle
+            values_at = np.column_stack([function(turned) for function in functions.values()])
             error = values_at @ mean[at]
-            table = ErrorCurve(start, stop, np.radians(np.round(np.degrees(error[::2]), 7)), shifted)
-            missed, size = (float(np.sqrt(np.mean(np.square(x)))) for x in (table.at(angles) - error, error))
+            table = ErrorCurve.through(start, stop, angles[numbers], error[numbers], count + 1, shifted)
+            missed, size = (float(np.sqrt(np.mean(np.square(x[numbers])))) for x in (table.at(angles) - error, error))
             wrong = missed / max(size, 1e-6)  # a microradian is none
             count *= 2
         # beside all else that goes with it: what they exchange makes no difference to any point

@@ -40,6 +40,7 @@ PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "tim
 FAINT = 0.03
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
 WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
+HOLE = 0.5 * np.pi  # convention: angles without a row that are no part of what was measured
 TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
 SLOW = 3  # convention: half periods, of orders of functions of several variables
 
@@ -342,6 +343,31 @@ def curve_waves(angles: Array, start: float, stop: float) -> Array:
     return np.asarray(splines[:, 3:-3] @ (cosines / np.sin(0.5 * np.pi * k / count)))
 
 
+def measured_range(angles: Array, turns: bool) -> tuple[float, float]:
+    """First and last angle [rad] of those measured (m,); where a joint turns, and no more than once around, they begin
+    after a gap on the circle of more than `HOLE`, and than the one between the last and the first."""
+    low, high = float(angles.min()), float(angles.max())
+    if not turns or high - low > 2.0 * np.pi:
+        return low, high
+    order = np.argsort(np.mod(angles, 2.0 * np.pi))
+    gaps = np.mod(np.roll(angles[order], -1) - angles[order], 2.0 * np.pi)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] <= max(HOLE, 2.0 * np.pi - (high - low)):
+        return low, high
+    start = float(np.roll(angles[order], -1)[widest])
+    return start, start + 2.0 * np.pi - float(gaps[widest])
+
+
+def around(angles: Array, start: float, stop: float) -> Array:
+    """(m,) angles [rad] whole turns away, where that takes them into a range of no more than one turn."""
+    return np.asarray(start + np.mod(angles - start, 2.0 * np.pi)) if stop - start <= 2.0 * np.pi else angles
+
+
+def waves_around(angles: Array, start: float, stop: float) -> Array:
+    """`curve_waves` of angles that may be whole turns away."""
+    return curve_waves(around(angles, start, stop), start, stop)
+
+
 def times(columns: Array, functions: Array) -> Array:
     """(m, d, k w) columns (m, d, k) times functions (m, w), each with each."""
     return np.asarray((columns[..., None] * functions[:, None, None, :]).reshape(*columns.shape[:2], -1))
@@ -371,8 +397,8 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
     for j in (j for j in turning if j + 1 not in unseen):
         place, lever, angle, weight = f"joint:{j + 1}", at.levers[:, :, j, None], q[:, j], n**-0.5
         if j + 1 not in curved:
-            start, stop = float(low[j]), float(low[j] + span[j])
-            waves = times(lever, curve_waves(angle, start, stop))
+            start, stop = measured_range(angle, turns=chain.joints[j].type == REVOLUTE)
+            waves = times(lever, waves_around(angle, start, stop))
             yield Block(f"curve:{j + 1}", place, OUTSIDE * weight, span=(j, start, stop)), waves
         for other in (k for k in turning if k != j):
             one, two = ((q[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))

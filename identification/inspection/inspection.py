@@ -99,7 +99,7 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
 
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
-    calibration = arm.calibration
+    calibration, held = arm.calibration, set[str]()
     if calibration is not None and calibration.covariance is not None:
         held = {*calibration.effects} - {*calibration.parameter_names}
         built = zip(arm.effects, build_all(arm.effects, arm.chain), strict=True)
@@ -146,6 +146,9 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
         notes.append(f"not estimable separately: {'; '.join(fit.not_identifiable)}")
     if len(np.unique(measurements.repeat_numbers)) == len(measurements):
         notes.append("no posture is repeated: the arm's repeatability is not known from these data")
+    if held:
+        left_out = f"{len(held)} values of effects, which a prior held where they were identified, are left out"
+        notes.append(f"{left_out}: for a fit to these rows take the arm file from before")
     notes += gap_notes(measurements) + ([sags] if sags else [])
     untested = {} if measurements.temperature is not None else {"temperature": "a column temperature_C"}
     untested |= {} if arm.gravity is not None or sags else {"gravity": "[gravity] in the arm file"}

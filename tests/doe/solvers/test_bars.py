@@ -87,3 +87,15 @@ def test_the_papers_criterion_leaves_accuracy_behind() -> None:
     found = [solve(case, 12, starts=25)]  # one such plan or another, by the last digit
     assert [design.value for design in found] == pytest.approx([0.0], abs=1e-6)
     assert min(design.log_det for design in found) < -0.5  # against -0.0612 that the D-optimal plan has
+
+
+def test_the_papers_criterion_within_narrow_limits() -> None:
+    """Of the base model D* = 2 log det Re H. Its best weights are here on two postures, which determine 4 of the 6
+    parameters, and M is singular: the bound holds for all weights, and plans of 7 runs come near it."""
+    narrow = Arm([260.0, 180.0, 120.0], np.radians([-100, -60, -30]), np.radians([100, 80, 75]))
+    design, generator = solve(problem(narrow, criterion=DStar(((0, 1, 2), (3, 4, 5)))), 7), np.random.default_rng(0)
+    assert 0.95 < design.efficiency <= 1.0
+    for count in generator.integers(3, 9, 3000):
+        unit = np.exp(1j * np.cumsum(generator.uniform(narrow.lower, narrow.upper, (count, 3)), axis=1))
+        real = ((unit.conj().T * generator.dirichlet(np.full(count, 0.5))) @ unit).real
+        assert 2.0 * np.linalg.slogdet(real)[1] <= design.bound.value

@@ -29,6 +29,14 @@ def test_hundreds_of_effects_without_intervals_are_counted_and_not_listed() -> N
         assert any("And 25 parameters of effects" in str(line) for line in lines) == (many == 25)
 
 
+def test_intervals_of_a_fit_that_holds_what_it_does_not_list_say_so() -> None:
+    """Beside the errors that are left as drawn a zero may be off by much more than its interval: not with a prior."""
+    for prior_std in (None, 0.5):
+        row = CorrectedValue("joint 3 x", None, 0.0, 1.0, 0.1, 0.8, 1.2, "mm", "", prior_std)
+        _, *lines = corrected_section("Corrected values", [row]).parts
+        assert any("Numbers not listed stay as drawn" in str(line) for line in lines) is (prior_std is None)
+
+
 def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     fit = {"rms_before_mm": 3.0, "rms_after_mm": 0.25}
     drawing = "from 1.00 mm (drawing, after fitting where the arm stands) to"

@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
+from identification.error_curve import ErrorCurve
 from identification.gap.average import averaged, beside_known, shape_and_waves
-from identification.gap.blocks import hypotheses
+from identification.gap.blocks import around, hypotheses, measured_range
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES, Key
 from identification.gap.search import Explanation, Posterior, posterior_of
@@ -157,3 +160,31 @@ def test_shapes_with_a_name_and_without(error: np.ndarray, shape: str) -> None:
     text, waves = shape_and_waves(ANGLES, error, STD)
     assert text.startswith(shape)
     assert bool(waves) == bool(error.any())
+
+
+# -- tables of curves --------------------------------------------------------------------------------------------------
+def test_a_table_goes_through_its_values_and_straight_across_a_gap() -> None:
+    """Two waves that cancel where the joint was measured, but for 2 %, and add up in a gap of 0.8 rad."""
+    q = np.linspace(-2.0, 2.0, 961)
+    function = 0.02 * np.cos(11.0 * q) + np.where(np.abs(q) < 0.4, 2.0 * np.cos(3.0 * q), 0.0)
+    seen = np.abs(q) >= 0.4
+    table = ErrorCurve.through(-2.0, 2.0, q[seen], 1e-3 * function[seen], 121, {})
+    off = np.abs(table.at(q[seen]) - 1e-3 * function[seen])
+    assert off[24:-24].max() < 2e-7  # a hundredth; within three nodes of the ends a spline that ends at zero bends
+    assert off.max() < 2e-6
+    assert float(np.abs(table.at(q[~seen])).max()) < 2.1e-5  # straight between the edges of the gap, where 2e-3 add up
+
+
+@given(st.lists(st.integers(-62, 62).map(lambda k: k / 10.0), min_size=2, max_size=20, unique=True))
+def test_measured_angles_are_in_their_range(angles: list[float]) -> None:
+    start, stop = measured_range(np.array(angles), turns=True)
+    assert start in angles
+    assert np.all(around(np.array(angles), start, stop) <= stop + 1e-9)
+    assert stop - start <= np.ptp(angles) + 1e-9
+    assert measured_range(np.array(angles), turns=False) == (min(angles), max(angles))
+
+
+def test_a_range_begins_after_the_hole() -> None:
+    angles = np.radians([-179.0, -174.0, 3.0, 60.0, 130.0, 179.0])
+    np.testing.assert_allclose(np.degrees(measured_range(angles, turns=True)), [3.0, 186.0])
+    assert measured_range(angles[:3], turns=True) == (angles[0], angles[2])  # the gap outside is wider

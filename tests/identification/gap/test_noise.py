@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from identification.arm import Arm
+from identification.documents.identification import fit_facts
 from identification.estimation import estimate
 from identification.gap.fit import Rows, fit
 from identification.gap.noise import NoiseFloor, misfit, noise_floor, repeat_finding, with_repeats_doubted
@@ -119,6 +120,7 @@ def test_an_identification_compares_its_residuals_with_repeats(sigma: float | No
     )
     assert found.warnings[0].startswith(f"misfit: the residuals {expected}{repeats:.3g} mm)")
     np.testing.assert_array_equal(found.covariance, plain.covariance)
+    assert "if the model is right; but repeats say that it is not" in str(dict(fit_facts(found))["expected error"])
 
 
 RNG = np.random.default_rng(4)

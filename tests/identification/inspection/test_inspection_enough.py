@@ -110,4 +110,6 @@ def test_what_a_prior_held_is_left_out() -> None:
     seen = inspect(replace(library.arm, calibration=kept), measured).to_json()
     alone = inspect(arm, measured).to_json()
     assert seen["problems"] == alone["problems"] == ()
+    count = f"{len(library.prior.deviations)} values of effects, which a prior held where they were identified"
+    assert any(note.startswith(count) for note in seen["notes"])
     assert seen["rms_fitted_mm"] == pytest.approx(alone["rms_fitted_mm"], rel=1e-6)
