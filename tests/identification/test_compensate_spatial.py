@@ -10,7 +10,6 @@ import numpy as np
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.compensate import TOLERANCE, compensate
-from identification.documents.identification import compensation_document
 from identification.files.measurement import load_targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose, rotation_about
@@ -111,4 +110,4 @@ def test_target_files(tmp_path: Path) -> None:
     found = compensate(given, wanted.positions, orientations=wanted.orientations)
     text = found.text()
     assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg,reachable")
-    assert "orientations are those wanted to < 1e-6 deg, by the same model" in compensation_document(found).verdict[0]
+    assert "orientations are those wanted to < 1e-6 deg, by the same model" in found.document().verdict[0]
