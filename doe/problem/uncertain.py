@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from doe.criteria import I
-from doe.problem.clearance import Clearance
-from doe.problem.model import NEEDS_SIGMA, offered, offers, turns
+from doe.problem.model import NEEDS_SIGMA, offered, offers
 from doe.problem.postures import half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification import Array, InputError
@@ -55,18 +54,13 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     also : (k, n) postures that are among them too
 
     Fast waves give a criterion thousands of local optima over all postures, none much better than the next: a list has
-    enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`. An arm
-    among bodies has a list within one turn of each joint: from turn to turn few straight moves are free.
+    enough of them to choose from. No proof over a random list says anything of all postures: it is `sampled`.
     """
     listed, sampled = problem.choices, problem.sampled
     if listed is None:
-        generator, sampled, near = np.random.default_rng(0), True, problem
-        if any(isinstance(each, Clearance) for each in problem.constraints):
-            middle, half = 0.5 * (problem.lower + problem.upper), 0.5 * (problem.upper - problem.lower)
-            half = np.where(turns(problem.model), np.minimum(half, np.pi), half)
-            near = replace(problem, lower=middle - half, upper=middle + half)
-        anywhere, others = (random_postures(near, 1000, generator) for _ in range(2))
-        listed = half_at_limits(near, anywhere, others, generator)
+        generator, sampled = np.random.default_rng(0), True
+        anywhere, others = (random_postures(problem, 1000, generator) for _ in range(2))
+        listed = half_at_limits(problem, anywhere, others, generator)
     return replace(problem, choices=listed if also is None else np.concatenate([listed, also]), sampled=sampled)
 
 

@@ -23,7 +23,6 @@ from doe.problem.uncertain import (
 from doe.solvers import solve
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.bodies import Body, Cell
 from identification.errors import InputError
 from identification.estimation.problem import Problem
 from identification.kinematics.chain import DHRow, chain_of
@@ -201,14 +200,3 @@ def test_only_a_list_of_its_own_making_is_a_sample() -> None:
     listed = replace(CASE, choices=POSTURES)
     assert not with_choices(listed).sampled
     assert not with_choices(listed, POSTURES[:1] + 0.1).sampled
-
-
-def test_an_arm_among_bodies_chooses_within_one_turn() -> None:
-    """Its list is within half a turn of the middle; without bodies it goes to the limits."""
-    ball = Body("ball", 0, np.array([900.0, 0.0, 0.0, 900.0, 0.0, 0.0, 10.0]))
-    link = Body("link", 2, np.array([0.0, 0.0, 0.0, 200.0, 0.0, 0.0, 10.0]))
-    wide = replace(ARM_ROBUST, lower=np.full(2, -2.0 * np.pi), upper=np.full(2, 2.0 * np.pi))
-    for cell, most in ((Cell((ball, link)), np.pi), (None, 2.0 * np.pi)):
-        choices = with_choices(DesignProblem.of(Model(replace(wide, cell=cell)))).choices
-        assert choices is not None
-        assert np.abs(choices).max() == pytest.approx(most)
