@@ -62,6 +62,18 @@ def test_what_is_written_is_read_and_its_first_step_is_printed(folder: Folder, w
         folder.said(f"init --urdf {home / URDF.name} --out {home} --force")  # the file is where it belongs already
 
 
+def test_joints_of_several_turns_are_planned_within_one(tmp_path: Path) -> None:
+    """Two turns about -30 deg, as a URDF file may have them; a joint of less than one keeps its limits."""
+    low, high = np.radians([-390.0, 330.0])
+    wide = GRIPPER.replace('lower="-1" upper="2"', f'lower="{low}" upper="{high}"')
+    for text, limits in ((wide, [-210.0, 150.0]), (GRIPPER, np.degrees([-1.0, 2.0]))):
+        (tmp_path / "two.urdf").write_text(text)
+        for name, content in urdf_files(tmp_path / "two.urdf").items():
+            (tmp_path / name).write_text(content)
+        arm = load_arm(tmp_path / "arm.toml")
+        np.testing.assert_allclose(np.degrees([arm.lower[0], arm.upper[0]]), limits, atol=1e-9)
+
+
 @pytest.mark.parametrize("kind", ["distance", "sphere", "plane", "socket"])
 @pytest.mark.parametrize("words", ["--dh 4", f"--urdf {URDF}"], ids=["dh", "urdf"])
 def test_files_of_an_instrument_of_lengths(folder: Folder, words: str, kind: str) -> None:
