@@ -273,7 +273,7 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
     counted = "" if rows is None else f"{rows - len(out)} of {rows}" if out else str(rows)
     shown, sentences = [["the data", counted, *figures, ""]], []
     for test in tests_of(data):
-        answer, sentence = holds_in_words(test)
+        answer, sentence = holds_in_words(test, unit)
         figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))
         kind = "held out" if test["by"] == "holdout" else "cross-validated"
         shown.append([f"{kind}: {test['file'] or test['transfer']}", str(test["rows"]), *figures, answer])
@@ -291,7 +291,7 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
     return Section("The gap, before and after", parts)
 
 
-def holds_in_words(test: Data) -> tuple[str, str]:
+def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     """Whether the named model holds in rows that were not used for the fits, in a word and in a sentence."""
     confirmed, which = test["confirmed"], test["file"] or test["transfer"]
     groups = f"{test['rows']} rows in {test['groups']} independent groups"
@@ -300,8 +300,9 @@ def holds_in_words(test: Data) -> tuple[str, str]:
     if confirmed is None:
         answer, sentence = "too few rows", f"The rows are too few to say whether the model holds for {where}."
     elif confirmed and not test["as_predicted"]:  # whether as far as expected stays open
-        unsure = f"{groups} are too few to say whether by as much as expected"
-        answer, sentence = "shrinks", f"The error shrinks on rows not fitted ({how}{which}); {unsure}."
+        figures = f"{number(test['after_mm'])} {unit}, where {number(test['predicted_mm'])} {unit} was expected"
+        unsure = f"{groups} are too few to say whether the difference is chance"
+        answer, sentence = "shrinks", f"The error shrinks on rows not fitted ({how}{which}), to {figures}; {unsure}."
     elif confirmed:
         answer, sentence = "yes", f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
     elif test["shrinks"]:
