@@ -108,7 +108,7 @@ class Conditions(ByValue):
         neutral: the arm's payload [kg], approach +1, the first of several markers, of joints that remember the posture
         itself, and zero."""
         neutral: dict[str, Any] = {"payload": payload, "directions": 1.0, "marker": -1.0}
-        table = np.zeros((*postures.shape[:-1], max(place.stop for place in columns.values())))
+        table = np.zeros((*postures.shape[:-1], [*columns.values()][-1].stop))  # they follow one another
         for name, place in columns.items():
             if (value := getattr(self, name, None)) is None:
                 value = np.repeat(postures, REMEMBERED, axis=-1) if name == "past" else neutral.get(name, 0.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import lru_cache
+from itertools import repeat
 
 import casadi as ca
 import numpy as np
@@ -56,7 +57,7 @@ def vectorize(function: ca.Function) -> Evaluate:
         # components first: each is written in contiguous runs; structural zeros are zero
         full = [np.zeros((*sparsity.shape, *batch)) for sparsity in sparsities]
         for part in _parts(batch):
-            outputs = compiled([_components(a, part) for a in inputs])
+            outputs = compiled([*map(_components, inputs, repeat(part))])
             for array, values, place in zip(full, outputs, places, strict=True):
                 for value, (row, column) in zip(values, place, strict=True):
                     where: tuple[int | slice, ...] = (row, column, *part)
@@ -89,11 +90,11 @@ def _components(array: np.ndarray, part: tuple[slice, ...]) -> list[np.ndarray]:
 def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:
     """The function as numpy source; equal functions are set up again and again, as parts of different models."""
     function = ca.Function.deserialize(serialized)
-    lines = ["def run(x):", f"    y = [[0.0] * k for k in {[function.nnz_out(i) for i in range(function.n_out())]}]"]
+    lines = ["def run(x):", f"    y = [[0.0] * k for k in {[*map(function.nnz_out, range(function.n_out()))]}]"]
     for k in range(function.n_instructions()):
         operation, operands = function.instruction_id(k), function.instruction_input(k)
         target, *place = function.instruction_output(k)
-        words = [f"w{operand}" for operand in operands]
+        words = [*map("w{}".format, operands)]
         if operation == ca.OP_OUTPUT:
             line = f"y[{target}][{place[0]}] = {words[0]}"
         elif operation == ca.OP_CONST:

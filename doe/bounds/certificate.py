@@ -110,11 +110,6 @@ class ApproximateDesign:
     seconds: float = 0.0
     unconstrained: bool = False
 
-    def __post_init__(self) -> None:
-        # a mean is no larger than the largest: a gap below zero is rounding in a matrix that is nearly singular
-        if self.status is Status.converged and self.gap < -1e-8:
-            object.__setattr__(self, "status", Status.almost_solved)
-
     @classmethod
     def heaviest_first(
         cls, problem: DesignProblem, prior: PriorInformation, postures: Array, weights: Array, dual: Array | None = None
@@ -130,7 +125,8 @@ class ApproximateDesign:
         goal : relative gap that counts as solved;  cut : whether time ended the search
         """
         status, words = Status.time_limit if cut else Status.almost_solved, "gap not reached"
-        if largest - self.level <= goal * abs(self.level):
+        # a mean is no larger than the largest: a gap below zero is rounding in a matrix that is nearly singular
+        if -1e-8 <= largest - self.level <= goal * abs(self.level):
             status, words = Status.converged, "gap reached"
         elif np.isinf(largest):
             words = "no bound: no time to visit every candidate"

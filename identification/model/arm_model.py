@@ -84,7 +84,7 @@ class Model:
     @cached_property
     def all_parameters(self) -> ParameterSet:
         """Every parameter, estimated or known: those of the geometry, then those of the effects."""
-        return ParameterSet((*self.geometry_parameters, *(p for effect in self.effects for p in effect.parameters)))
+        return ParameterSet((*self.geometry_parameters, *(p for effect, _ in self._built for p in effect.parameters)))
 
     @cached_property
     def fixed(self) -> Mapping[str, float]:
