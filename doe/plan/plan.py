@@ -40,9 +40,8 @@ def shortest_path(cost: Array, proof: bool = True) -> Path:
             left[path[-1]] = False
         starts.append(np.array(path))
     paths = [_two_opt(padded, start) for start in starts]
-    if (
-        proof and 3 < m <= 40 and (proven := _exact_path(padded)) is not None
-    ):  # up to where proof takes a fraction of a second
+    # up to where proof takes a fraction of a second
+    if proof and 3 < m <= 40 and (proven := _exact_path(padded)) is not None:
         paths.append(proven)
     return min(paths, key=lambda path: float(cost[path[:-1], path[1:]].sum()))
 

@@ -72,16 +72,11 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     of_each, geometry_of, variance, used = [], defaultdict[str, Array](lambda: np.zeros(g)), 0.0, 0.0
     for problem, draws, share in zip(held.problems, held.draws, shares_of_noise.tolist(), strict=True):
         # each set without the blocks that are left out, of which the others take on what they can
-        held_here, shares_of = (
-            {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in places},
-            Counter[Key](),
-        )
+        writable = {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in places}
+        counts = Counter[Key]()
         for key, count in draws.items():
-            shares_of[tuple(pair for pair in key if pair[0] in held_here)] += count
-        states, drawn = (
-            [problem.products.state(key) for key in shares_of],
-            np.array([*shares_of.values()]) / draws.total(),
-        )
+            counts[tuple(pair for pair in key if pair[0] in writable)] += count
+        states, drawn = [problem.products.state(key) for key in counts], np.array([*counts.values()]) / draws.total()
         first, covariance, of_noise = mixed(states, drawn)
         used += share * sum(
             n * (len(s.sizes) - np.sum(np.diag(s.covariance) / s.sizes**2)) for n, s in zip(drawn, states, strict=True)
@@ -137,20 +132,21 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         # the table goes through their sum at the angles measured, and as a random walk does where there are none: there
         # they, too, may add up that cancel elsewhere
         commanded = held.at.rows.postures[:, joint]
-        q, count, wrong = around(commanded, start, stop), WAVES, np.inf
-        while wrong > FAITHFUL:
-            angles = np.linspace(start, stop, 2 * count + 1)
+        q = around(commanded, start, stop)
+        for steps in (
+            WAVES * 2 ** np.arange(5)
+        ).tolist():  # from node to node: eight a period of the fastest waves, as a rule
+            angles = np.linspace(start, stop, 2 * steps + 1)
             numbers, rows_there = np.unique(np.rint((q - start) / (angles[1] - start)).astype(int), return_index=True)
             nearest = rows_there[np.abs(np.arange(len(angles))[:, None] - numbers).argmin(axis=1)]
-            turned = (
-                angles + (commanded - q)[nearest]
-            )  # a wave of broken order is no function of the angle on the circle
+            # as commanded: a wave of broken order is no function of the angle on the circle
+            turned = angles + (commanded - q)[nearest]
             values_at = np.column_stack([function(turned) for function in functions.values()])
             error = values_at @ mean[at]
-            table = ErrorCurve.through(start, stop, angles[numbers], error[numbers], count + 1, shifted)
+            table = ErrorCurve.through(start, stop, angles[numbers], error[numbers], steps + 1, shifted)
             missed, size = (float(np.sqrt(np.mean(np.square(x[numbers])))) for x in (table.at(angles) - error, error))
-            wrong = missed / max(size, 1e-6)  # a microradian is none
-            count *= 2
+            if missed <= FAITHFUL * max(size, 1e-6):  # a microradian is none
+                break
         # beside all else that goes with it: what they exchange makes no difference to any point
         std = np.sqrt(np.maximum(np.sum((values_at @ beside) * values_at, axis=1), 0.0))
         curves.append(Curve(joint + 1, table, std))

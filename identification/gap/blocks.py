@@ -359,8 +359,10 @@ def measured_range(angles: Array, turns: bool) -> tuple[float, float]:
 
 
 def around(angles: Array, start: float, stop: float) -> Array:
-    """(m,) angles [rad] whole turns away, where that takes them into a range of no more than one turn."""
-    return np.asarray(start + np.mod(angles - start, 2.0 * np.pi)) if stop - start <= 2.0 * np.pi else angles
+    """(m,) angles [rad], those outside a range whole turns away: in it, where it has one turn or they were measured."""
+    rounding = 1e-9  # of an angle that is the first or the last
+    outside = (angles < start - rounding) | (angles > stop + rounding)
+    return np.where(outside, start - rounding + np.mod(angles - start + rounding, 2.0 * np.pi), angles)
 
 
 def waves_around(angles: Array, start: float, stop: float) -> Array:
