@@ -128,9 +128,8 @@ class Effect:
     payload_shift : in space (3,) added to the place of the payload in the tip's frame [mm]
     joint_angles : (n,) added to the commanded joint angles [rad]
     extensions : (n,) added to the link lengths [mm], a third argument
-    deflections, slopes : in the plane (n,) deflection of each link's end to its left [mm], and slope there [rad]
-    joint_turns, joint_shifts : in space (3 n,) rotations [rad] and translations [mm] of each joint's frame after its
-        motion, about and along its own x, y, z
+    joint_turns, joint_shifts : rotations [rad] and translations [mm] of each joint's frame after its motion, in space
+        (3 n,) about and then along its own x, y, z, in the plane (n,) about z and (2 n,) along x and y, the link's left
     tool : (d,) offset of the measured point in the frame of the last link [mm]
     base_rotation : rotation of the arm about its base [rad], in space (3,) about its x, y, z
     base_translation : (d,) translation of the base [mm]

@@ -238,14 +238,13 @@ of_load(
 )
 
 
-def _leaning(effect: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(n,) displacements along and across each link, per unit length: real and imaginary part of
+def _leaning(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """(2 n,) displacements along and across each link: its length times real and imaginary part of
     (a + ib) exp(-2i angle), with the angle of the link against the one before the joint of the effect."""
-    along, across, angle = ca.SX.zeros(chain.links), ca.SX.zeros(chain.links), ca.SX(0)
-    for k in range(effect.joint_index, chain.links):
-        angle += chain.q[k]
-        along[k], across[k] = ca.vertsplit(_turned_back(values, 2.0 * angle))
-    return along, across
+    first = effect.joint_index
+    angles, lengths = ca.vertsplit(ca.cumsum(chain.q[first:])), chain.lengths[first:].tolist()
+    shifts = (length * _turned_back(values, 2.0 * angle) for length, angle in zip(lengths, angles, strict=True))
+    return ca.vertcat(ca.SX.zeros(2 * first), *shifts)
 
 
 # with s the vector from the joint to the tip and theta the orientation of the link before, in complex numbers:
@@ -260,8 +259,7 @@ of_joint(
     first_joint=2,
     prior=RARE,
     dimensions=PLANE,  # in space the geometry has it
-    extensions=lambda self, chain, values, lengths: lengths * _leaning(self, chain, values)[0],
-    deflections=lambda self, chain, values: ca.DM(chain.lengths) * _leaning(self, chain, values)[1],
+    joint_shifts=_leaning,
 )
 
 
@@ -321,8 +319,10 @@ of_gravity(  # Euler-Bernoulli: deflection F L^3 / 3EI + M L^2 / 2EI, slope F L^
     # scale: one unit of 1/(EI) under some 100 N at the end of each link: L^3 / 3 [m^3] * 100 N * 1000 mm/m
     [Number("flexibility", "1/(N m^2)", 1e-5, lambda self: np.sum(self.chain.lengths**3) / 3e4, 0.0)],
     dimensions=PLANE,
-    deflections=lambda self, chain, values: 1000.0 * _bent(chain, values, (3, 3), (2, 2)),
-    slopes=lambda self, chain, values: _bent(chain, values, (2, 2), (1, 1)),
+    # of the link's end to its left
+    joint_shifts=lambda self, chain, values: 1000.0 * ca.kron(_bent(chain, values, (3, 3), (2, 2)), ca.DM([0.0, 1.0])),
+    # of the next joint's frame; what is measured is a point at the end of the last link
+    joint_turns=lambda self, chain, values: ca.vertcat(0.0, _bent(chain, values, (2, 2), (1, 1))[:-1]),
 )
 add_effect(
     "thermal_growth",

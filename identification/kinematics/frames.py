@@ -186,7 +186,7 @@ class Frame:
 
     def shifted(self, shift: ca.SX) -> Frame:
         """Shifted by a vector (3,) of this frame."""
-        return Frame(self, shift, ca.SX.eye(3))
+        return self if shift.is_zero() else Frame(self, shift, ca.SX.eye(3))
 
     def moved(self, axis: int, distance: ca.SX | float) -> Frame:
         """Shifted along an own axis."""
@@ -194,11 +194,12 @@ class Frame:
 
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
+        if ca.SX(angle).is_zero():
+            return self
         rotation = ca.SX.eye(3)
-        if not ca.SX(angle).is_zero():
-            first, second, cosine, sine = (axis + 1) % 3, (axis + 2) % 3, ca.cos(angle), ca.sin(angle)
-            rotation[first, first], rotation[second, first] = cosine, sine
-            rotation[first, second], rotation[second, second] = -sine, cosine
+        first, second, cosine, sine = (axis + 1) % 3, (axis + 2) % 3, ca.cos(angle), ca.sin(angle)
+        rotation[first, first], rotation[second, first] = cosine, sine
+        rotation[first, second], rotation[second, second] = -sine, cosine
         return Frame(self, ca.SX(3, 1), rotation)
 
     def turned_about(self, axes: Sequence[int], angles: Any) -> Frame:

@@ -264,7 +264,8 @@ class Model:
         """Of arrays (q, marker, values of the geometry): the measured frame's axes for the instrument, (3, 3)."""
         q, marker, names = ca.SX.sym("q", self.joints), ca.SX.sym("marker"), self.geometry_parameters.names
         values = ca.SX.sym("values", len(names))
-        axes = self.arm.chain.orientation(q, dict(zip(names, ca.vertsplit(values), strict=True)), marker)
+        chain, named = self.arm.chain, dict(zip(names, ca.vertsplit(values), strict=True))
+        axes = chain.measured(chain.frames(q, named)[-1], named, marker).axes
         return vectorize(ca.Function("orientation", [q, marker, values], [ca.cse(axes)]))
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
