@@ -237,11 +237,12 @@ def register(cls: type[Effect]) -> type[Effect]:
     return cls
 
 
-def add_effect(name: str, summary: str, text: str, numbers: Any = (), **members: Any) -> type[Effect]:
+def add_effect(name: str, about: str, numbers: Any = (), **members: Any) -> type[Effect]:
     """Make an effect and add it to the library.
 
-    text : what it is and adds, for people;  numbers : its parameters, or the function of an effect that lists them
+    about : its summary: what it adds, for people;  numbers : its parameters, or a function that lists them
     members : further class variables of `Effect`, and by its place the formula of what it adds there
     """
-    members |= {"name": name, "summary": summary, "numbers": numbers, "__doc__": text, "__module__": OWN}
+    summary, _, formula = about.partition(": ")
+    members |= {"name": name, "summary": summary, "numbers": numbers, "__doc__": formula, "__module__": OWN}
     return register(type(name, (Effect,), members))
