@@ -286,7 +286,7 @@ class KinematicChain(ByValue):
                 frame = frame.shifted(in_space(added["joint_shifts"][d * j : d * (j + 1)]))
                 longer += added["extensions"][j]
             placed.append(frame)
-            link = ca.DM(behind[:3, 3])  # along which it may be longer
+            link = ca.SX(ca.DM(behind[:3, 3]))  # along which it may be longer
             frame = frame.shifted(link + link * longer / length if length else link)
             frame = frame.placed(pose(rotation=behind[:3, :3]))
         return [*placed, frame]
@@ -302,10 +302,10 @@ class KinematicChain(ByValue):
             drawn = Frame.world().placed(pose(place, self.tool_axes.get(name)))
             places.append(drawn.shift + ca.vertcat(*(values.get(error, 0.0) for error in names[:3])))
             axes.append(drawn.displaced(values, names[3:]).axes)
-        chosen = places[0], axes[0]
-        for k, other in enumerate(zip(places, axes, strict=True) if marker is not None else ()):
-            chosen = tuple(ca.if_else(marker == k, *pair) for pair in zip(other, chosen, strict=True)) if k else chosen
-        return Frame(tip, chosen[0] + added, chosen[1])
+        chosen, turned = places[0], axes[0]
+        for k in range(1, len(places) if marker is not None else 0):
+            chosen, turned = ca.if_else(marker == k, places[k], chosen), ca.if_else(marker == k, axes[k], turned)
+        return Frame(tip, chosen + added, turned)
 
     def tip(
         self, q: ca.SX, values: Values, added: Mapping[str, ca.SX], marker: ca.SX | None, reference: ca.SX | None
