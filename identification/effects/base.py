@@ -105,7 +105,6 @@ class Number(NamedTuple):
     scale: float | Callable[[Any], float] = 1.0
     lower: float = -inf
     upper: float = inf
-    start: float | None = None
 
 
 LEVER, REACH = attrgetter("link_length"), attrgetter("reach")  # scales of numbers
