@@ -450,7 +450,7 @@ def _calibrated_file(
 
     folder, name = Path(path).parent, read_toml(path).get("urdf")
     text = with_calibration(with_effects(read_text(path), effects, folder), calibration, folder)
-    if name is None or name.lstrip().startswith("<"):
+    if name is None:
         return {out: text}
     copy, content = Path(out).parent / name, (folder / name).read_bytes()
     return {out: text} if copy.exists() and copy.read_bytes() == content else {out: text, copy: content}

@@ -168,10 +168,6 @@ class Instrument:
         """Of a table `[instrument]`."""
         return cls()
 
-    def table(self) -> dict[str, Any]:
-        """What `[instrument]` says of it."""
-        return {"kind": self.kind}
-
 
 @lru_cache(maxsize=32)
 def _linearized(instrument: Instrument) -> Evaluate:
