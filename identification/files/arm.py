@@ -473,7 +473,7 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
         table = {"length_errors_mm": held.length_errors, "joint_offsets_deg": offsets}
     factors, covariance = np.array([p.to_file for p in order]), None
     if calibration.covariance is not None:
-        covariance = _in_file(calibration.covariance * np.outer(factors, factors), 1.0)
+        covariance = _in_file(calibration.covariance, np.outer(factors, factors))
     table |= {
         "base": None if calibration.base is None else pose_table(calibration.base),
         "tools": tool_tables(calibration.tools, calibration.tool_axes) or None,
@@ -495,10 +495,11 @@ def _parsed(text: str, folder: PathLike) -> tuple[str, Plain, Arm, Effects]:
     return text, tables, arm, _built(arm.effects, arm.chain)
 
 
-def _in_file(values: Any, factor: float) -> Any:
-    """A number or numbers in file units, to 15 significant digits: 30 rather than 29.999999999999996, the same angle in
-    radians to rounding."""
-    return [_in_file(value, factor) for value in values] if np.ndim(values) else float(f"{values * factor:.15g}")
+def _in_file(values: Any, factors: Any) -> Any:
+    """A number or numbers in file units, to 15 significant digits where they are converted: 30 rather than
+    29.999999999999996, the same angle in radians to rounding."""
+    converted = np.vectorize(lambda x, factor: x if factor == 1.0 else float(f"{x * factor:.15g}"), otypes=[float])
+    return converted(values, factors).tolist()
 
 
 def _plain(value: Any) -> Any:
