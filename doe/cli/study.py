@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from doe.cli.verb import Count, JobOptions, interruptible, verb
+from doe.cli.verb import Count, JobOptions, interruptible
 from identification import InputError, JobError, Progress
 from identification.document import Answer
 from identification.files.io import check_writable, write_together
+from identification.workflow import VERBS
 
 BUILT_IN = ("blind", "blind-spatial", "paper")
 
@@ -47,8 +48,8 @@ where study.toml has, for instance (names of files are beside it):
     effects = []"""
 
 
-@verb(EXAMPLE)
-def command(
+@VERBS.declare(EXAMPLE)
+def study_files(
     study: Annotated[str, "STUDY.toml|NAME"],
     *,
     replications: Count | None = None,

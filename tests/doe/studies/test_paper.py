@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from doe.cli.study import command
+from doe.cli import main
 from doe.studies import paper
 from doe.studies.paper import agreement, errata, passed, table_3, text_figures
 
@@ -82,15 +82,17 @@ def test_errata_of_deviations_are_confirmed_and_a_correct_statement_is_none(monk
 
 def test_verb(tmp_path: Path) -> None:
     options = ["paper", "--out", str(tmp_path / "paper"), "--replications", "1000", "--workers", "1"]
-    done = CliRunner().invoke(command, [*options, "--json"])
+    done = CliRunner().invoke(main.commands["study"], [*options, "--json"])
     assert done.exit_code == 0, done.output
     answer = json.loads(done.stdout)
     assert answer["passed"] is True
     assert len(answer["errata"]) == 15
     names = {f.name for f in (tmp_path / "paper").iterdir()}
     assert names == {"table_3.parquet", "text.parquet", "errata.parquet"}
-    assert CliRunner().invoke(command, options).exit_code == 2  # it exists
+    assert CliRunner().invoke(main.commands["study"], options).exit_code == 2  # it exists
     for number in ("3", "1000000000"):
-        few = CliRunner().invoke(command, ["paper", "--out", str(tmp_path / "few"), "--replications", number])
+        few = CliRunner().invoke(
+            main.commands["study"], ["paper", "--out", str(tmp_path / "few"), "--replications", number]
+        )
         assert few.exit_code == 2
         assert f"--replications: found {number}, allowed for the paper: 1,000 to 100,000" in few.output
