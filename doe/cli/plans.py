@@ -623,9 +623,10 @@ def report_files(
     from identification import Campaign
 
     campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict, package_dirs=package_dir)
+    text = page(campaign.document(), files)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
-    return Answer(data, [*campaign.verdict], files={out: ("page", page(campaign.document(), files))})
+    return Answer(data, [*campaign.verdict], files={out: ("page", text)})

@@ -169,7 +169,7 @@ def test_a_prior_is_the_library_and_a_file(folder: Folder) -> None:
     flag = folder.said("identify arm.toml data.csv --library-prior --missing backlash")
     assert flag["prior"]["effects"] == [f"backlash:{j}" for j in (1, 2, 3, 4)]
     assert flag["offered"]["better"] is False  # no effect is there, and four more can only harm
-    folder.simulated("again.csv", seed=1)
+    folder.simulated("again.csv", seed=2)
     again = "arm.toml again.csv"
     named = f"identify {again} --prior-from calibrated.toml"
     found = folder.said(named)
