@@ -114,15 +114,11 @@ class ArmModel(Model):
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
     ) -> Array:
         """(N, n) random postures at which the measured point is on the surface and all else of the arm outside. Raises
-        `InputError` where there are hardly any, and for a sphere whose radius nobody knows; warns of what plans are of.
+        `InputError` where there are hardly any; warns of what plans are of.
 
         lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
         """
         chain = self.arm.chain
-        for p in chain.instrument.parameters:
-            if p.start is None and self.best_known[p.name] == p.neutral:
-                reason = f"{p.toml_key} is not known: where the {chain.instrument.kind} is touched depends on it"
-                raise InputError(f"instrument: {reason}, allowed for plans: with {p.toml_key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often
         for _ in range(batches):

@@ -5,7 +5,6 @@ Errors are one line on standard error and an exit code, answers one JSON object 
 
 from __future__ import annotations
 
-import _thread
 import inspect
 import json
 import logging
@@ -300,7 +299,7 @@ def stoppable() -> Iterator[None]:
                     otherwise(unraisable)
                     return
                 again = signal.SIGTERM if unraisable.exc_value.args else signal.SIGINT
-                timer = threading.Timer(0.01, _thread.interrupt_main, [again])
+                timer = threading.Timer(0.01, signal.pthread_kill, [threading.get_ident(), again])
                 timer.daemon = True
                 stack.callback(timer.cancel)
                 timer.start()

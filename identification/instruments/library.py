@@ -22,12 +22,11 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement, Starts, Unplaced, placed, searched
+from identification.instruments.search import Placement, Unplaced, placed, searched
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
 from identification.workspace import circle_across
 
-RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
 TOUCHES = 1e-6  # [mm] by which these are kept
 DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
 
@@ -80,22 +79,16 @@ class Distance(Instrument):
         return frozenset(error_names(PLACE)[3:])
 
     def place(self, rows: Unplaced) -> Placement:
-        """What the lengths leave open of the base is along the arm's own axes."""
-        return searched(self, rows, _about_centers(rows, rows.readings[:, 0]))
-
-
-def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
-    """Algebraic fits of lengths (m,): |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points."""
-    if rows.base is not None:
-        return Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, np.zeros(0))
-    points = rows.points(rows.tools)
-    middle = points.mean(axis=1, keepdims=True)
-    around = (points - middle) / rows.reach
-    columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
-    goals = np.sum(around**2, axis=2) - (lengths / rows.reach) ** 2
-    solved = [np.linalg.lstsq(a, b, rcond=RANK_TOLERANCE)[0] for a, b in zip(columns, goals, strict=True)]
-    centers = middle[:, 0] + rows.reach * np.array(solved)[:, :3]
-    return Starts.of(np.eye(3), -centers, rows.tools, np.zeros(0))
+        """From algebraic fits of lengths d, |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points; what the
+        lengths leave open of the base is along the arm's own axes."""
+        bases, lengths = np.tile(np.eye(4), (len(rows.tools), 1, 1)), rows.readings[:, 0] / rows.reach
+        for base, points in zip(bases, rows.points, strict=True):
+            around = (points - points.mean(axis=0)) / rows.reach
+            columns = np.column_stack([2.0 * around, np.ones(len(points))])
+            goals = np.sum(around**2, axis=1) - lengths**2
+            center = np.linalg.lstsq(columns, goals, rcond=RANK_TOLERANCE)[0][:3]
+            base[:3, 3] = -points.mean(axis=0) - rows.reach * center
+        return searched(self, rows, bases)
 
 
 @register_instrument
@@ -103,7 +96,7 @@ def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
 class Sphere(Distance):
     """A touch probe on a ball, wherever that stands. Its frame has the origin at the center of the ball.
 
-    radius : [mm] of ball and stylus tip together; None: a parameter
+    radius : [mm] of ball and stylus tip together
     """
 
     kind = "sphere"
@@ -113,51 +106,27 @@ class Sphere(Distance):
     offers = frozenset()
     guide = Guide(
         about="a touch probe: the measured point is on a ball, wherever that stands",
-        table='kind = "sphere"\n'
-        "radius_mm = 15.0  # EXAMPLE: of the ball and of the stylus' tip, together; left out: unknown, found from the "
-        "data",
+        table='kind = "sphere"\nradius_mm = 15.0  # EXAMPLE: of the ball and of the stylus\' tip, together',
         reads="touch",
         stands="ball",
         labels="ball that is touched, a new one wherever it is moved",
         touches="a ball in two places or more",
     )
 
-    radius: float | None = None
+    radius: float
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         """The height above the surface."""
-        return distance_to_center(point) - (values[0] if self.radius is None else self.radius)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter(RADIUS, "mm", kind=PLACE),) if self.radius is None else ()
-
-    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
-        for value in super().own_values(values):
-            text = "of ball and stylus tip together; known as well as the size of the arm"
-            yield value._replace(name="sphere radius", convention=text)
-
-    @property
-    def size_is_open(self) -> tuple[str, str]:
-        return ("contacts with spheres of unknown radius", "give radius_mm") if self.radius is None else ("", "")
-
-    def place(self, rows: Unplaced) -> Placement:
-        """From far away an unknown radius would grow without end, with a tool as long: its starts are what fits of some
-        known radii end at."""
-        one = _about_centers(rows, np.zeros(len(rows.frames)))  # the algebraic fits are those of any radius
-        if self.radius is not None:
-            return searched(self, rows, one)
-        radii = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
-        turns, shifts, tools = (np.concatenate([part] * len(radii)) for part in one[:3])
-        starts = Starts(turns, shifts, tools, np.repeat(radii * rows.reach, len(one.tools))[:, None])
-        return searched(self, rows, starts)
+        return distance_to_center(point) - self.radius
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
-        return cls(table.get("radius_mm"))
+        if "radius_mm" not in table:
+            raise InputError("instrument.radius_mm: is missing, allowed: of ball and stylus tip together [mm]")
+        return cls(table["radius_mm"])
 
     def table(self) -> dict[str, Any]:
-        return super().table() | ({} if self.radius is None else {"radius_mm": float(self.radius)})
+        return super().table() | {"radius_mm": float(self.radius)}
 
 
 @register_instrument
@@ -205,16 +174,16 @@ class Plane(Instrument):
 
     def place(self, rows: Unplaced) -> Placement:
         """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
-        if rows.base is not None:
-            return super().place(rows)
         bases = []
-        for points in rows.points(rows.tools):
+        for points in rows.points:
             about = points - points.mean(axis=0)
             normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
             bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
-        turns, shifts = np.array(bases)[:, :3, :3], np.array(bases)[:, :3, 3]
-        best = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)))
-        return best._replace(base=_standing_above(rows.points(best.tool[None])[0], best.base[2, :3], -best.base[2, 3]))
+        best = searched(self, rows, np.array(bases))
+        if rows.base is not None:
+            return best
+        (points,) = rows._replace(tool=best.tool).points
+        return best._replace(base=_standing_above(points, best.base[2, :3], -best.base[2, 3]))
 
 
 def _standing_above(points: Array, normal: Array, height: float) -> Array:

@@ -129,7 +129,7 @@ CASES: list[Case] = [
     case("validate truth.toml data.csv --refit all", "'all'"),
     # studies
     case("study study.toml --workers 1 --out folder", "'random'", study=STUDY + 'plans = ["randm"]\nruns = [8]\n'),
-    case("study paper --cell none", "--cell; blind and blind-spatial"),
+    case("study study.toml --cell none", "--cell; blind and blind-spatial"),
     case(["study", "blind", "--cell", "none, Student t4"], "'none, Student t3'"),
     # new arm files
     *(

@@ -255,6 +255,8 @@ def test_a_signal_that_meets_the_end_of_an_object_comes_again() -> None:
         Ending()
         time.sleep(60.0)
 
+    began = time.monotonic()
     with pytest.raises(KeyboardInterrupt) as stopped, stoppable():
         work()
     assert stopped_by(stopped.value) == "stopped by SIGTERM"
+    assert time.monotonic() - began < 30.0  # what sleeps is woken

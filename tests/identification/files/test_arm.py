@@ -420,7 +420,6 @@ def test_where_a_plane_is(tmp_path: Path) -> None:
 INSTRUMENTS: list[tuple[str, str, Instrument, list[float]]] = [
     (HEAD, 'kind = "distance"\ncenter_mm = [700.0, -200.0, 300.0]', Distance(), [-700.0, 200.0, -300.0]),
     (HEAD, 'kind = "sphere"\nradius_mm = 12.5', Sphere(12.5), [0.0, 0.0, 0.0]),
-    (HEAD, 'kind = "sphere"', Sphere(), [0.0, 0.0, 0.0]),
     (HEAD, 'kind = "plane"', Plane(), [0.0, 0.0, 0.0]),
     (LENGTHS, 'kind = "distance"\ncenter_mm = [400.0, 100.0]', PlanarDistance((("1", (400.0, 100.0)),)), [0, 0, 0]),
 ]

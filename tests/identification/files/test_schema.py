@@ -251,6 +251,7 @@ BAD = [  # values that are of the right type
                 "base: found with an [instrument] of kind socket, allowed: left",
             ),
             (LENGTHS, 'kind = "sphere"', "instrument.kind: found 'sphere' for a planar arm, allowed: distance"),
+            (HEAD, 'kind = "sphere"', "instrument.radius_mm: is missing, allowed: of ball and stylus tip together"),
             (LENGTHS, f'kind = "distance"\n{CENTER}', "center_mm: found [1.0, 2.0, 3.0], allowed: two numbers"),
             (
                 LENGTHS,
