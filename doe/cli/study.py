@@ -6,9 +6,10 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-from doe.cli.verb import Count, JobOptions, interruptible, verb
+from doe.cli.verb import Count, JobOptions, interruptible
 from identification import InputError, JobError, Progress
 from identification.document import Answer
+from identification.workflow import VERBS
 
 BUILT_IN = ("blind", "blind-spatial")
 
@@ -45,8 +46,8 @@ where study.toml has, for instance (names of files are beside it):
     effects = []"""
 
 
-@verb(EXAMPLE)
-def command(
+@VERBS.declare(EXAMPLE)
+def study_files(
     study: Annotated[str, "STUDY.toml|NAME"],
     *,
     replications: Count | None = None,

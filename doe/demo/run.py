@@ -31,7 +31,7 @@ from identification import (
     rms_distance,
     with_effects,
 )
-from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
+from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
 
@@ -244,8 +244,8 @@ def demo_document(demo: Demo) -> Document:
         ),
     ]
     actions = [
-        Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
-        Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
+        ("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
+        ("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
     test = diagnosis.confirmation
     average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from doe.cli.study import command
+from doe.cli import main
 from doe.jobs import frame_of, seed_of
 from doe.problem.postures import random_postures
 from doe.report.studies import monte_carlo_parts
@@ -342,13 +342,13 @@ def test_bad_file_is_one_line(folder: Path, text: str, old: str, new: str, found
 
 def test_verb(folder: Path) -> None:
     options = [str(folder / "study.toml"), "--workers", "1"]
-    done = CliRunner().invoke(command, [*options, "--json"])
+    done = CliRunner().invoke(main.commands["study"], [*options, "--json"])
     assert done.exit_code == 0, done.output
     answer = json.loads(done.stdout)
     assert {cell["runs"] for cell in answer["cells"]} == {5, 7}
     assert answer["failed"] == 0
     assert (folder / "study.results" / "cells.parquet").exists()
-    assert CliRunner().invoke(command, options).exit_code == 2
-    shown = CliRunner().invoke(command, [*options, "--resume"])
+    assert CliRunner().invoke(main.commands["study"], options).exit_code == 2
+    shown = CliRunner().invoke(main.commands["study"], [*options, "--resume"])
     assert shown.exit_code == 0
     assert "joint_offset:2" in shown.output
