@@ -276,19 +276,20 @@ class KinematicChain(ByValue):
         frame = Frame.world().shifted(shift + in_space(added.get("base_translation", ca.SX(0, 1)))).placed(self.base)
         frame = frame.displaced(values, names[3:])
         frame = frame.turned_about(self.turning, added["base_rotation"]) if added else frame
-        placed = [frame]
-        for j, joint in enumerate(self.joints, start=1):
-            frame = frame.placed(joint.origin).displaced(values, error_names(j))
-            frame = joint.moved(frame, q[j - 1] + values.get(f"{JOINT_OFFSET}:{j}", 0.0))
-            placed.append(frame)
-            longer = ca.SX(values.get(f"{LENGTH_ERROR}:{j}", 0.0))
+        placed, frame = [frame], frame.placed(self.joints[0].origin)
+        for j, (joint, behind, length) in enumerate(zip(self.joints, self._links[1:], self.lengths, strict=True)):
+            frame = frame.displaced(values, error_names(j + 1))
+            frame = joint.moved(frame, q[j] + values.get(f"{JOINT_OFFSET}:{j + 1}", 0.0))
+            longer = ca.SX(values.get(f"{LENGTH_ERROR}:{j + 1}", 0.0))
             if added:
-                frame = frame.turned_about(self.turning, added["joint_turns"][turns * (j - 1) : turns * j])
-                frame = frame.shifted(in_space(added["joint_shifts"][d * (j - 1) : d * j]))
-                placed[-1], longer = frame, longer + added["extensions"][j - 1]
-            if length := self.lengths[j - 1]:  # along the link, in its joint's frame
-                frame = frame.shifted(ca.DM(self.link_vectors[j - 1] / length) * longer)
-        return [*placed, frame.placed(self.end)]
+                frame = frame.turned_about(self.turning, added["joint_turns"][turns * j : turns * (j + 1)])
+                frame = frame.shifted(in_space(added["joint_shifts"][d * j : d * (j + 1)]))
+                longer += added["extensions"][j]
+            placed.append(frame)
+            link = ca.SX(ca.DM(behind[:3, 3]))  # along which it may be longer
+            frame = frame.shifted(link + link * longer / length if length else link)
+            frame = frame.placed(pose(rotation=behind[:3, :3]))
+        return [*placed, frame]
 
     def measured(self, tip: Frame, values: Values, marker: ca.SX | None = None, added: ca.SX | float = 0.0) -> Frame:
         """The frame of a measured point, where the tip's frame is there: its origin is the point.
@@ -301,10 +302,10 @@ class KinematicChain(ByValue):
             drawn = Frame.world().placed(pose(place, self.tool_axes.get(name)))
             places.append(drawn.shift + ca.vertcat(*(values.get(error, 0.0) for error in names[:3])))
             axes.append(drawn.displaced(values, names[3:]).axes)
-        chosen = places[0], axes[0]
-        for k, other in enumerate(zip(places, axes, strict=True) if marker is not None else ()):
-            chosen = tuple(ca.if_else(marker == k, *pair) for pair in zip(other, chosen, strict=True)) if k else chosen
-        return Frame(tip, chosen[0] + added, chosen[1])
+        chosen, turned = places[0], axes[0]
+        for k in range(1, len(places) if marker is not None else 0):
+            chosen, turned = ca.if_else(marker == k, places[k], chosen), ca.if_else(marker == k, axes[k], turned)
+        return Frame(tip, chosen + added, turned)
 
     def tip(
         self, q: ca.SX, values: Values, added: Mapping[str, ca.SX], marker: ca.SX | None, reference: ca.SX | None

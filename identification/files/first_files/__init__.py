@@ -134,10 +134,8 @@ def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: A
     """The files of an arm with joints of these types, measured by this kind of instrument, filled in."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    n, arm_kind, instrument = len(types), "spatial" if spatial else "planar", TRACKER
-    if kind:
-        cls = KINDS["xyz"][kind]
-        instrument = cls.of_table(tomllib.loads(cls.guide.table))
+    n, arm_kind, cls = len(types), "spatial" if spatial else "planar", KINDS["xyz"].get(kind)
+    instrument = TRACKER if cls is None else cls.of_table(tomllib.loads(cls.guide.table))
     axes = instrument.coordinates[: 3 if spatial else 2]
     # its readings, or what is touched
     measured = tuple(column_of(name, quantity) for name, quantity, _ in axes) or (instrument.target,)
