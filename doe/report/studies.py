@@ -1,4 +1,4 @@
-"""Studies as documents and pictures: solvers compared, Monte Carlo, the paper reproduced, blind diagnoses."""
+"""Studies as documents and pictures: solvers compared, Monte Carlo, blind diagnoses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from doe.studies.blind.study import ALL, KEEPS, NOTHING, OUTCOMES, OUTSIDE
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL
-from doe.studies.paper import passed
 from identification import Array
 from identification.document import Sheet
 from identification.files.io import write_together
@@ -129,33 +128,6 @@ def monte_carlo_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
         rms = f"RMS {cell_text(first['rms_mm'])} mm"
         parts.append(Sheet(headings, figures, f"{title}: {first['fits']} fits{failed}, {rms}"))
     return [*parts, *([f"first 12 of {len(each)} cells"] if len(each) > 12 else [])]
-
-
-# -- armcal study paper ------------------------------------------------------------------------------------------------
-def paper_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
-    """Verdict, printed, theory and simulation side by side, and the errata with their evidence."""
-    every = [verdict for name in ("table_3", "text") for verdict in tables[name]["verdict"]]
-    words = {"agrees": "agree", "erratum": "are errata", "not identifiable": "cannot be identified"}
-    counts = ", ".join(f"{every.count(word)} {text}" for word, text in (words | {"added": "added here"}).items())
-    sentence = f"theory and simulation {'agree everywhere' if passed(tables) else 'DISAGREE somewhere'}"
-    parts: list[Any] = [f"The paper reproduced: {sentence}. Printed figures: {counts}."]
-    formats = {"printed": ".3f", "theory": ".5f", "simulated": ".5f"}
-    headings = ["place", "links", "runs", "item", *formats, "unit", "verdict"]
-    for name, title in (("table_3", "Table III and joint limits"), ("text", "Numbers in the text (Section VI)")):
-        rows = tables[name].iter_rows(named=True)
-        cells = [[cell_text(row.get(key), formats.get(key, "")) for key in headings] for row in rows]
-        parts.append(Sheet(headings, cells, title))
-    shown = {True: "yes", False: "NO", None: "notebook 2"}
-    errata = [
-        [
-            *(row[name] for name in ("place", "printed", "correct")),
-            *(cell_text(row[name], ".2g") for name in ("printed_error", "correct_error")),
-            shown[row["confirmed"]],
-        ]
-        for row in tables["errata"].iter_rows(named=True)
-    ]
-    names = ("place", "printed", "correct", "error of printed", "error of correct", "shown")
-    return [*parts, Sheet(names, errata, "Errata; those of deviations by simulation")]
 
 
 # -- armcal study blind ------------------------------------------------------------------------------------------------
