@@ -105,7 +105,7 @@ def arm_files(path: Path, effects: Sequence[EffectSpec], calibration: Calibratio
     folder, urdf = Path(path).parent, read_toml(path).get("urdf")
     text = with_calibration(with_effects(read_text(path), effects, folder), calibration, folder)
     files: Files = {out: (name, text)}
-    if urdf is not None and not urdf.lstrip().startswith("<"):
+    if urdf is not None:
         copy, content = Path(out).parent / urdf, (folder / urdf).read_bytes()
         if not copy.exists() or copy.read_bytes() != content:
             files[copy] = "nominal URDF file", content

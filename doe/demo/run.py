@@ -27,9 +27,9 @@ from identification import (
     Plan,
     Progress,
     design_model,
-    dump_arm,
     load_arm,
     rms_distance,
+    with_effects,
 )
 from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
@@ -158,7 +158,7 @@ def run_demo(
     progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     progress(5, 8, "identification again")
-    write("extended.toml", dump_arm(arm.with_effects(*diagnosed.result.named.specs)))
+    write("extended.toml", with_effects(path.read_text(), diagnosed.result.named.specs, directory))
     named = Written(directory / "extended.toml")
     extended = identify(named, rows, out=named, force=True)
     progress(6, 8, "commands")

@@ -168,10 +168,6 @@ class Instrument:
         """Of a table `[instrument]`."""
         return cls()
 
-    def table(self) -> dict[str, Any]:
-        """What `[instrument]` says of it."""
-        return {"kind": self.kind}
-
 
 KINDS: dict[str, dict[str, type[Instrument]]] = {"xyz": {}, "xy": {}}  # axes of an arm -> word of its files -> class
 

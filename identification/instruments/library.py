@@ -125,9 +125,6 @@ class Sphere(Distance):
             raise InputError("instrument.radius_mm: is missing, allowed: of ball and stylus tip together [mm]")
         return cls(table["radius_mm"])
 
-    def table(self) -> dict[str, Any]:
-        return super().table() | {"radius_mm": float(self.radius)}
-
 
 @register_instrument
 @dataclass(frozen=True)
@@ -281,9 +278,6 @@ class PlanarDistance(AtTargets):
     def of_table(cls, table: Mapping[str, Any]) -> PlanarDistance:
         center = table.get("center_mm")
         return cls() if center is None else cls((("1", tuple(map(float, center))),))
-
-    def table(self) -> dict[str, Any]:
-        return super().table() | ({"center_mm": list(self.at[0][1])} if self.at else {})
 
 
 @register_instrument
@@ -456,8 +450,3 @@ class Socket(AtTargets):
         cups = tuple((name, tuple(map(float, place))) for name, place in (table.get("cups") or {}).items())
         distances = tuple((str(a), str(b), float(d)) for a, b, d in table.get("distances_mm") or ())
         return cls(cups, distances)
-
-    def table(self) -> dict[str, Any]:
-        cups, distances = {name: list(place) for name, place in self.at}, [list(entry) for entry in self.distances]
-        keys = {"distances_mm": distances, "cups": cups}
-        return super().table() | {key: value for key, value in keys.items() if value}
