@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
@@ -140,7 +141,7 @@ def draw_distances(axis: Axes, x: Array, pairs: Pairs) -> None:
 
 
 # -- diagnoses, without outlier rows, which would set the scale --------------------------------------------------------
-def kept_rows(diagnosis: Diagnosis) -> tuple[Array, Array, Pairs]:
+def kept_rows(diagnosis: Diagnosis) -> tuple[NDArray[np.int64], Array, Pairs]:
     """Numbers of the rows that are no outliers, their postures (m, n) [rad], and what is left of them (m, d) [mm]."""
     left, outliers = diagnosis.residuals, np.array(diagnosis.outlier_rows, dtype=int) - 1
     kept = np.delete(np.arange(len(left.before)), outliers)
