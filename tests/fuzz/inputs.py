@@ -66,7 +66,7 @@ EFFECTS = (
     *('joint_step"\njoint = 1\nat = 0.5', 'serial_correlation"\nrho = 0.5', 'joint_hysteresis"\njoint = 2', CURVE),
     f'{CURVE}\ngeometry = {{"joint_offset:1" = 0.01, "joint_offset:2" = -0.2}}',
 )
-OF_GRAVITY = ('joint_compliance"', 'tool_mass"', 'gravity_tilt"', 'payload_error"')
+OF_GRAVITY = ('joint_compliance"', 'gravity_tilt"', 'payload_error"')
 OF_PAYLOAD = ('payload_place"', 'payload_place"\nx_mm = 50.0\ny_mm = 0.0\nz_mm = -1e9')
 OF_LENGTHS = ('length_offset"', 'length_offset"\nc_mm = 1e6')
 OF_PLANAR = ('base_offset"', 'axis_tilt"\njoint = 1', 'axes_skew"')
@@ -81,10 +81,10 @@ INSTRUMENTS = (
         'distance"\ncenter_mm = [0.0, 0.0, 0.0]',
         'distance"\ncenter_mm = [1e9, 0.0, 0.0]',
     ),
-    *('sphere"\nradius_mm = 30.0', 'sphere"\nradius_mm = 1e-6', 'plane"', 'sphere"', f'sphere"\nradius_mm = 30.0{AT}'),
+    *('sphere"\nradius_mm = 30.0', 'sphere"\nradius_mm = 1e-6', 'plane"', f'sphere"\nradius_mm = 30.0{AT}'),
 )
 ODD_INSTRUMENTS = ('plane"\nradius_mm = 5.0', 'distance"\nradius_mm = 5.0', 'none"', f'plane"{AT}')
-ODD_INSTRUMENTS += ('sphere"\nradius_mm = -1.0',)
+ODD_INSTRUMENTS += ('sphere"\nradius_mm = -1.0', 'sphere"')
 TWO_TOOLS = "[tool.1]\nz_mm = 60.0\n[tool.2]\ny_mm = "
 TOOLS = ("", "[tool]\nx_mm = 50.0", "[tool]\ny_mm = 50.0", f"{TWO_TOOLS}100.0", f"{TWO_TOOLS}1e9")
 LOAD = "\npayload_at_mm = [10.0, 0.0, 80.0]\npayload_kg = 5"
