@@ -20,8 +20,7 @@ from identification.estimation import Identification, estimate
 from identification.information import spectrum
 from identification.instruments import Socket
 from identification.measurements import Measurements
-from identification.model import Model
-from identification.model import minimal
+from identification.model import Model, minimal
 from identification.model.placed import of_positions
 from identification.sessions import with_sessions
 from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing
