@@ -21,12 +21,12 @@ from identification.arrays import Array, readonly
 from identification.document import Document, Documented, Sheet
 from identification.documents.identification import command_rows, miss_text, rows_listed
 from identification.errors import InputError
-from identification.estimation.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import counting_in, turned_into
 from identification.kinematics.parameters import REVOLUTE
+from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame

@@ -65,7 +65,8 @@ class ArmModel(Model):
             if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
                 conditions[at["marker"]] = point
             if "orientation" in at:
-                conditions[at["orientation"]] = ca.vec(chain.orientation(q, self.geometry, ca.SX(point)).T)
+                tip = chain.frames(q, self.geometry)[-1]
+                conditions[at["orientation"]] = ca.vec(chain.measured(tip, self.geometry, ca.SX(point)).axes.T)
             each.append(self.expressions.position_function(q, conditions, p))
         return ca.vertcat(*each)
 
@@ -114,15 +115,11 @@ class ArmModel(Model):
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
     ) -> Array:
         """(N, n) random postures at which the measured point is on the surface and all else of the arm outside. Raises
-        `InputError` where there are hardly any, and for a sphere whose radius nobody knows; warns of what plans are of.
+        `InputError` where there are hardly any; warns of what plans are of.
 
         lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
         """
         chain = self.arm.chain
-        for p in chain.instrument.parameters:
-            if p.start is None and self.best_known[p.name] == p.neutral:
-                reason = f"{p.toml_key} is not known: where the {chain.instrument.kind} is touched depends on it"
-                raise InputError(f"instrument: {reason}, allowed for plans: with {p.toml_key}, or a calibrated arm")
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often
         for _ in range(batches):
@@ -184,12 +181,6 @@ class ArmModel(Model):
             return tip_jacobian(self, postures)[:, None]
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
         return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
-
-    def only(self, words: Sequence[str]) -> ArmModel:
-        """The same of which only these parameters are estimated, see `identification.reuse.only`."""
-        from identification.reuse import only
-
-        return design_model(only(self.arm, words))
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property

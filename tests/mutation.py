@@ -28,7 +28,7 @@ TESTED = {  # module -> tests that must notice
         *("tests/identification/kinematics", "tests/identification/model"),
         *(f"{ESTIMATION}/test_{name}.py" for name in ("estimate", "batch")),
     ],
-    "identification/estimation/levenberg_marquardt.py": [f"{ESTIMATION}/test_levenberg_marquardt.py"],
+    "identification/levenberg_marquardt.py": ["tests/identification/test_levenberg_marquardt.py"],
     "identification/estimation/uncertainty.py": [
         *(f"{ESTIMATION}/test_{name}.py" for name in ("uncertainty", "outlying")),
         "tests/identification/gap/test_confirmation.py",

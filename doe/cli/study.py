@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from doe.cli.verb import Count, JobOptions, interruptible, verb
+from doe.cli.verb import Count, JobOptions, interruptible
 from identification import InputError, JobError, Progress
 from identification.document import Answer
-from identification.files.io import check_writable, write_together
+from identification.files.io import write_together
+from identification.workflow import VERBS
 
-BUILT_IN = ("blind", "blind-spatial", "paper")
+BUILT_IN = ("blind", "blind-spatial")
 
 EXAMPLE = """armcal study study.toml --workers 4
 
@@ -47,8 +47,8 @@ where study.toml has, for instance (names of files are beside it):
     effects = []"""
 
 
-@verb(EXAMPLE)
-def command(
+@VERBS.declare(EXAMPLE)
+def study_files(
     study: Annotated[str, "STUDY.toml|NAME"],
     *,
     replications: Count | None = None,
@@ -60,8 +60,8 @@ def command(
     """Run a simulation study, or one that comes with armcal.
 
     Simulate, identify and count: what plans, models and noise do to the accuracy. STUDY is a file, or the name of a
-    study that comes with armcal: paper (the deviations that the paper prints, with errata), blind (diagnoses
-    of data with hidden effects, compared with the truth afterwards), blind-spatial (the same for six-axis arms).
+    study that comes with armcal: blind (diagnoses of data with hidden effects, compared with the truth afterwards),
+    blind-spatial (the same for six-axis arms).
     The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and
     plans.parquet; notebooks read them with polars.
 
@@ -70,34 +70,24 @@ def command(
     """
     if study not in BUILT_IN and not study.endswith(".toml"):
         raise InputError.unknown("study: unknown name", study, [*BUILT_IN, "NAME.toml"])
-    if cells and study not in ("blind", "blind-spatial"):
+    if cells and study not in BUILT_IN:
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
-    if study == "paper":
-        # in some seconds, in this process, without anything to resume
-        from doe.jobs import make_folder, parquet
-        from doe.report.studies import paper_parts
-        from doe.studies.paper import paper_study, passed
-
-        force = job.force or job.resume
-        if folder.exists():
-            check_writable(folder / "errata.parquet", force)
-        tables = paper_study(replications, seed=seed, progress=progress)
-        answer = tables_answer(folder, tables, paper_parts(tables), passed(tables))
-        make_folder(folder)
-        write_together({folder / f"{name}.parquet": parquet(table) for name, table in tables.items()}, force)
-        return answer
     with interruptible(f"finished rows are kept in {folder}, go on with --resume"):
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
-            from doe.report.studies import blind_parts, blind_pictures
+            from doe.report.studies import blind_parts, reliability_figure
             from doe.studies.blind.study import blind_study, reported_cells
 
             named = cells or reported_cells(space=study == "blind-spatial")
             tables = blind_study(named, replications, folder, job.where(), **options)
-            blind_pictures(folder, tables)
+            if len(tables["reliability"]):
+                picture = reliability_figure(tables["reliability"])
+                write_together({folder / "reliability.png": picture}, force=True)
             shown, sets = blind_parts(tables), tables.pop("sets")
-            return tables_answer(folder, tables, shown, "failed" not in sets["status"])
+            passed = "failed" not in sets["status"]
+            rows = {name: table.to_dicts() for name, table in tables.items()}
+            return Answer({"out": folder, "passed": passed, **rows}, shown, exit_code=0 if passed else 1)
         from doe.report.studies import monte_carlo_parts
         from doe.studies.monte_carlo import load_study, run_study
 
@@ -109,9 +99,3 @@ def command(
         data = {"out": folder, "cells": made.to_dicts(), "failed": len(made.filter(made["status"] != "done"))}
         written = f"{len(made)} rows written to {folder / 'cells.parquet'}"
         return Answer(data, [*monte_carlo_parts(tables), written])
-
-
-def tables_answer(folder: Path, tables: Mapping[str, Any], shown: list[Any], passed: bool) -> Answer:
-    """The tables as JSON; exit code 1 if the study missed one of its targets."""
-    rows = {name: table.to_dicts() for name, table in tables.items()}
-    return Answer({"out": folder, "passed": passed, **rows}, shown, exit_code=0 if passed else 1)

@@ -1,1 +1,1 @@
-"""Monte Carlo studies, comparisons of solvers, the blind study of the diagnosis, and the paper reproduced."""
+"""Monte Carlo studies, comparisons of solvers, and the blind study of the diagnosis."""

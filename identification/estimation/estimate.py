@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.estimation.doubts import UNUSUAL, doubts, far_rows, flange_turns
-from identification.estimation.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.estimation.problem import (
     METHODS,
     Prior,
@@ -35,6 +34,7 @@ from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
+from identification.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model

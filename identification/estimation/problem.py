@@ -24,7 +24,10 @@ from scipy.special import chdtrc, fdtrc
 from identification.arm import Calibration
 from identification.arrays import Array, ByValue
 from identification.errors import InputError
-from identification.estimation.levenberg_marquardt import (
+from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
+from identification.kinematics.chain import PlanarClosedForm
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.levenberg_marquardt import (
     ITERATIONS,
     Index,
     LeastSquares,
@@ -34,9 +37,6 @@ from identification.estimation.levenberg_marquardt import (
     levenberg_marquardt,
     outcomes,
 )
-from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
-from identification.kinematics.chain import PlanarClosedForm
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 from identification.running import Status
@@ -468,20 +468,6 @@ def starts(problem: Problem) -> Array:
     The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
     """
     best_known = np.tile(problem.start, (len(problem.positions), 1))
-    if isinstance(problem.model, Model):
-        instrument = problem.model.arm.chain.instrument
-        own = {p.name for p in instrument.parameters if p.start is None}
-        of_instrument = np.array([name in own for name in problem.model.names])
-        # what is not known of the instrument, then all else, each by itself: an arm that shrinks with its sphere would
-        # explain any residual to first order, since heights above the sphere are homogeneous in all lengths
-        for held in (~of_instrument, of_instrument) if of_instrument.any() else ():
-
-            def linearize(parameters: Array, index: Index, held: NDArray[np.bool_] = held) -> tuple[Array, Array]:
-                residuals, jacobian = compressed(*problem.linearize(parameters, index))
-                jacobian[..., held] = 0.0
-                return residuals, jacobian
-
-            best_known = problem.minimized(best_known, linearize).parameters
     form = problem.model.closed_form
     if form is None:
         return best_known

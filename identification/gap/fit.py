@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.estimation.doubts import FAR
-from identification.estimation.levenberg_marquardt import Index
 from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
+from identification.levenberg_marquardt import Index
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
 from identification.model.minimal import practical

@@ -410,7 +410,7 @@ def _without_far_rows(arm: Arm, q: Array, x: Array) -> tuple[float, NDArray[np.b
         base, tool, _ = place(q[near], x[near])
         points = (frames[:, :3, :3] @ tool + frames[:, :3, 3]) @ base[:3, :3].T + base[:3, 3]
         points = points[:, : len(instrument.axes)]
-        read = instrument.linearized(points, np.zeros(0), np.zeros((1, 1)))[0]
+        read = instrument.readings(points, np.zeros(0))
         far = np.linalg.norm(x - read[:, : x.shape[1]], axis=1)
         before, near = near, far <= np.quantile(far, 0.75)
         if np.array_equal(before, near):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
@@ -18,10 +17,10 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments.search import Placement, Unplaced, random_starts, searched
+from identification.instruments.search import Placement, Unplaced, random_bases, searched
 from identification.kinematics.frames import to_angles
 from identification.kinematics.parameters import AXES, Parameter
-from identification.vectorized import Evaluate, vectorize
+from identification.vectorized import vectorize
 
 PLACE = "base"  # kind of a parameter that says where something stands, as that of the base
 OWN = "identification.instruments"
@@ -87,11 +86,12 @@ class Instrument:
         """
         raise NotImplementedError
 
-    def linearized(self, points: Array, values: Array, target: Array) -> tuple[Array, Array, Array]:
-        """(..., d) what it reads of points (..., 3) in its frame with values (..., k) of its own parameters and targets
-        (..., 1), and the derivatives by points and values, (..., d, 3) and (..., d, k)."""
-        reading, by_point, by_values = _linearized(self)(points, values, target)
-        return reading[..., 0], by_point, by_values
+    def readings(self, points: Array, values: Array) -> Array:
+        """(..., d) what it reads of points (..., 3) in its frame with values (k,) of its own parameters."""
+        sizes = {"p": len(self.axes), "v": len(self.parameters)}
+        point, own = (ca.SX.sym(name, size) for name, size in sizes.items())
+        reading = ca.densify(ca.SX(self.reading(point, own, ca.SX(0))))
+        return vectorize(ca.Function("reading", [point, own], [reading]))(points, values)[0][..., 0]
 
     @property
     def dimension(self) -> int:
@@ -135,7 +135,7 @@ class Instrument:
     # -- where a fit starts ----------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:
         """Base and measured point that explain readings best, from nothing."""
-        return searched(self, rows, random_starts(self, rows))
+        return searched(self, rows, random_bases(rows.reach))
 
     def with_targets(
         self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
@@ -160,27 +160,13 @@ class Instrument:
     # -- postures that touch, for plans --------------------------------------------------------------------------------
     def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
         """(m,) True where points (m, k, 3) in its frame are outside of what is touched, but for `near` [mm]."""
-        return np.asarray(np.all(self.linearized(points, values, np.zeros(1))[0][..., 0] > -near, axis=1))
+        return np.asarray(np.all(self.readings(points, values)[..., 0] > -near, axis=1))
 
     # -- files -----------------------------------------------------------------------------------------------------
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Instrument:
         """Of a table `[instrument]`."""
         return cls()
-
-    def table(self) -> dict[str, Any]:
-        """What `[instrument]` says of it."""
-        return {"kind": self.kind}
-
-
-@lru_cache(maxsize=32)
-def _linearized(instrument: Instrument) -> Evaluate:
-    """Compiled once for equal instruments."""
-    sizes = {"p": len(instrument.axes), "v": len(instrument.parameters), "target": 1}
-    point, values, target = (ca.SX.sym(name, size) for name, size in sizes.items())
-    reading = ca.SX(instrument.reading(point, values, target))
-    outputs = [ca.densify(reading), ca.jacobian(reading, point), ca.jacobian(reading, values)]
-    return vectorize(ca.Function("reading", [point, values, target], ca.cse(outputs)))
 
 
 KINDS: dict[str, dict[str, type[Instrument]]] = {"xyz": {}, "xy": {}}  # axes of an arm -> word of its files -> class

@@ -22,12 +22,11 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import PLACE, Coordinate, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement, Starts, Unplaced, placed, searched
+from identification.instruments.search import Placement, Unplaced, placed, searched
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, JOINT_OFFSET, Parameter, error_names
 from identification.workspace import circle_across
 
-RADIUS = "sphere.radius"  # [mm] the parameter, where the arm file does not say it
 TOUCHES = 1e-6  # [mm] by which these are kept
 DISTINCT = 1e-6  # share of the largest derivative below which a distance says nothing new
 
@@ -80,22 +79,16 @@ class Distance(Instrument):
         return frozenset(error_names(PLACE)[3:])
 
     def place(self, rows: Unplaced) -> Placement:
-        """What the lengths leave open of the base is along the arm's own axes."""
-        return searched(self, rows, _about_centers(rows, rows.readings[:, 0]))
-
-
-def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
-    """Algebraic fits of lengths (m,): |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points."""
-    if rows.base is not None:
-        return Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, np.zeros(0))
-    points = rows.points(rows.tools)
-    middle = points.mean(axis=1, keepdims=True)
-    around = (points - middle) / rows.reach
-    columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
-    goals = np.sum(around**2, axis=2) - (lengths / rows.reach) ** 2
-    solved = [np.linalg.lstsq(a, b, rcond=RANK_TOLERANCE)[0] for a, b in zip(columns, goals, strict=True)]
-    centers = middle[:, 0] + rows.reach * np.array(solved)[:, :3]
-    return Starts.of(np.eye(3), -centers, rows.tools, np.zeros(0))
+        """From algebraic fits of lengths d, |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points; what the
+        lengths leave open of the base is along the arm's own axes."""
+        bases, lengths = np.tile(np.eye(4), (len(rows.tools), 1, 1)), rows.readings[:, 0] / rows.reach
+        for base, points in zip(bases, rows.points, strict=True):
+            around = (points - points.mean(axis=0)) / rows.reach
+            columns = np.column_stack([2.0 * around, np.ones(len(points))])
+            goals = np.sum(around**2, axis=1) - lengths**2
+            center = np.linalg.lstsq(columns, goals, rcond=RANK_TOLERANCE)[0][:3]
+            base[:3, 3] = -points.mean(axis=0) - rows.reach * center
+        return searched(self, rows, bases)
 
 
 @register_instrument
@@ -103,7 +96,7 @@ def _about_centers(rows: Unplaced, lengths: Array) -> Starts:
 class Sphere(Distance):
     """A touch probe on a ball, wherever that stands. Its frame has the origin at the center of the ball.
 
-    radius : [mm] of ball and stylus tip together; None: a parameter
+    radius : [mm] of ball and stylus tip together
     """
 
     kind = "sphere"
@@ -113,51 +106,24 @@ class Sphere(Distance):
     offers = frozenset()
     guide = Guide(
         about="a touch probe: the measured point is on a ball, wherever that stands",
-        table='kind = "sphere"\n'
-        "radius_mm = 15.0  # EXAMPLE: of the ball and of the stylus' tip, together; left out: unknown, found from the "
-        "data",
+        table='kind = "sphere"\nradius_mm = 15.0  # EXAMPLE: of the ball and of the stylus\' tip, together',
         reads="touch",
         stands="ball",
         labels="ball that is touched, a new one wherever it is moved",
         touches="a ball in two places or more",
     )
 
-    radius: float | None = None
+    radius: float
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         """The height above the surface."""
-        return distance_to_center(point) - (values[0] if self.radius is None else self.radius)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        return (Parameter(RADIUS, "mm", kind=PLACE),) if self.radius is None else ()
-
-    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
-        for value in super().own_values(values):
-            text = "of ball and stylus tip together; known as well as the size of the arm"
-            yield value._replace(name="sphere radius", convention=text)
-
-    @property
-    def size_is_open(self) -> tuple[str, str]:
-        return ("contacts with spheres of unknown radius", "give radius_mm") if self.radius is None else ("", "")
-
-    def place(self, rows: Unplaced) -> Placement:
-        """From far away an unknown radius would grow without end, with a tool as long: its starts are what fits of some
-        known radii end at."""
-        one = _about_centers(rows, np.zeros(len(rows.frames)))  # the algebraic fits are those of any radius
-        if self.radius is not None:
-            return searched(self, rows, one)
-        radii = np.array([0.003, 0.01, 0.03, 0.1, 0.3])  # of the reach: balls of a few millimetres to those of a metre
-        turns, shifts, tools = (np.concatenate([part] * len(radii)) for part in one[:3])
-        starts = Starts(turns, shifts, tools, np.repeat(radii * rows.reach, len(one.tools))[:, None])
-        return searched(self, rows, starts)
+        return distance_to_center(point) - self.radius
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Sphere:
-        return cls(table.get("radius_mm"))
-
-    def table(self) -> dict[str, Any]:
-        return super().table() | ({} if self.radius is None else {"radius_mm": float(self.radius)})
+        if "radius_mm" not in table:
+            raise InputError("instrument.radius_mm: is missing, allowed: of ball and stylus tip together [mm]")
+        return cls(table["radius_mm"])
 
 
 @register_instrument
@@ -205,16 +171,16 @@ class Plane(Instrument):
 
     def place(self, rows: Unplaced) -> Placement:
         """Its z axis the normal, its origin in the middle of the points, its x axis near one of the arm's."""
-        if rows.base is not None:
-            return super().place(rows)
         bases = []
-        for points in rows.points(rows.tools):
+        for points in rows.points:
             about = points - points.mean(axis=0)
             normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
             bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
-        turns, shifts = np.array(bases)[:, :3, :3], np.array(bases)[:, :3, 3]
-        best = searched(self, rows, Starts.of(turns, shifts, rows.tools, np.zeros(0)))
-        return best._replace(base=_standing_above(rows.points(best.tool[None])[0], best.base[2, :3], -best.base[2, 3]))
+        best = searched(self, rows, np.array(bases))
+        if rows.base is not None:
+            return best
+        (points,) = rows._replace(tool=best.tool).points
+        return best._replace(base=_standing_above(points, best.base[2, :3], -best.base[2, 3]))
 
 
 def _standing_above(points: Array, normal: Array, height: float) -> Array:
@@ -313,9 +279,6 @@ class PlanarDistance(AtTargets):
         center = table.get("center_mm")
         return cls() if center is None else cls((("1", tuple(map(float, center))),))
 
-    def table(self) -> dict[str, Any]:
-        return super().table() | ({"center_mm": list(self.at[0][1])} if self.at else {})
-
 
 @register_instrument
 @dataclass(frozen=True)
@@ -371,8 +334,9 @@ class Socket(AtTargets):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        every = zip(super().parameters, self._starts.tolist(), strict=True)
-        return tuple(replace(p, start=x) for k, (p, x) in enumerate(every) if k not in self._following)
+        starts, following = self._tied
+        every = zip(super().parameters, starts.tolist(), strict=True)
+        return tuple(replace(p, start=x) for k, (p, x) in enumerate(every) if k not in following)
 
     def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
         """Where the cups are, and how far apart."""
@@ -418,7 +382,7 @@ class Socket(AtTargets):
 
     @property
     def targets(self) -> dict[str, Array]:
-        return dict(zip((name for name, _ in self.at), self._starts.reshape(-1, 3), strict=True))
+        return dict(zip((name for name, _ in self.at), self._tied[0].reshape(-1, 3), strict=True))
 
     # -- cups ----------------------------------------------------------------------------------------------------------
     @cached_property
@@ -432,54 +396,44 @@ class Socket(AtTargets):
             if name == first and (group, second) in split
         ]
 
-    def _gaps(self, places: Array) -> tuple[Array, Array]:
-        """(k,) by which pairs are too far apart, and the derivative (k, 3 C) by all coordinates of the cups."""
-        cups, gaps, slopes = places.reshape(-1, 3), [], np.zeros((len(self._pairs), len(self.at), 3))
-        for row, (a, b, length) in zip(slopes, self._pairs, strict=True):
-            across = cups[b] - cups[a]
-            gaps.append(float(np.linalg.norm(across)) - length)
-            row[b] = across / max(gaps[-1] + length, TOUCHES)
-            row[a] = -row[b]
-        return np.array(gaps), slopes.reshape(len(gaps), places.size)
-
     @cached_property
-    def _starts(self) -> Array:
-        """(3 C,) coordinates of all cups, nearest to `at` with the distances that are known."""
-        places = np.array([place for _, place in self.at], dtype=float).ravel()
+    def _tied(self) -> tuple[Array, dict[int, Array]]:
+        """(3 C,) coordinates of all cups, nearest to `at` with the distances that are known; and coordinate that
+        follows from the others -> by how much it closes each gap (k,), as there."""
+        cups, k = np.array([place for _, place in self.at], dtype=float).reshape(-1, 3), len(self._pairs)
+        one, other, lengths = np.array(self._pairs, dtype=float).reshape(k, 3).T
+        ends, slopes = (one.astype(int), other.astype(int)), np.zeros((k, len(cups), 3))
         for _ in range(100):  # effort: distances that can be true are reached in a few steps
-            gaps, slopes = self._gaps(places)
-            if np.abs(gaps).max(initial=0.0) < TOUCHES:
-                return places
-            places = places - np.linalg.pinv(slopes, rcond=DISTINCT) @ gaps
-        pairs = ", ".join(f"{self.at[a][0]} to {self.at[b][0]}" for a, b, _ in self._pairs)
-        raise InputError(
-            f"instrument.distances_mm: no cups are as far apart as {pairs}, allowed: distances that can all be true"
-        )
+            across = cups[ends[1]] - cups[ends[0]]
+            apart = np.linalg.norm(across, axis=1)
+            for end, sign in zip(ends, (-1.0, 1.0), strict=True):
+                slopes[np.arange(k), end] = sign * across / np.maximum(apart, TOUCHES)[:, None]
+            if np.abs(apart - lengths).max(initial=0.0) < TOUCHES:
+                break
+            cups = cups - (np.linalg.pinv(slopes.reshape(k, -1), rcond=DISTINCT) @ (apart - lengths)).reshape(-1, 3)
+        else:
+            pairs = ", ".join(f"{self.at[a][0]} to {self.at[b][0]}" for a, b, _ in self._pairs)
+            allowed = "allowed: distances that can all be true"
+            raise InputError(f"instrument.distances_mm: no cups are as far apart as {pairs}, {allowed}")
+        if not k:
+            return cups.ravel(), {}
+        from scipy.linalg import qr  # only cups with distances pay for the import
 
-    @cached_property
-    def _following(self) -> dict[int, Array]:
-        """Coordinate that follows from the others -> by how much it closes each gap (k,), as at the start."""
-        slopes = self._gaps(self._starts)[1]
-        left, chosen = slopes.copy(), list[int]()
-        while left.size and (sizes := np.linalg.norm(left, axis=0)).max() > DISTINCT:
-            chosen.append(int(np.argmax(sizes)))
-            direction = left[:, chosen[-1]] / sizes.max()
-            left = left - np.outer(direction, direction @ left)
-        return dict(zip(chosen, np.linalg.pinv(slopes[:, chosen], rcond=DISTINCT), strict=True))
+        table = slopes.reshape(k, -1)
+        _, triangle, order = qr(table, mode="economic", pivoting=True)
+        chosen = order[: np.count_nonzero(np.abs(np.diag(triangle)) > DISTINCT)]
+        return cups.ravel(), dict(zip(chosen.tolist(), np.linalg.pinv(table[:, chosen], rcond=DISTINCT), strict=True))
 
     def _cups(self, values: ca.SX) -> list[ca.SX]:
         """Centers (3,) of all cups at values of the parameters."""
-        free, following = iter(range(values.numel())), self._following
-        places = [ca.SX(float(x)) if k in following else values[next(free)] for k, x in enumerate(self._starts)]
-        lengths = ca.DM([length for _, _, length in self._pairs])
-        for step in range(5):  # effort: of Newton's method
-            cups = [ca.vertcat(*places[3 * k : 3 * k + 3]) for k in range(len(self.at))]
-            if step == 4 or not self._pairs:
-                break
-            apart = ca.vertcat(*(ca.norm_2(cups[b] - cups[a]) for a, b, _ in self._pairs))
-            for k, closing in following.items():
-                places[k] = places[k] - ca.dot(ca.DM(closing), apart - lengths)
-        return cups
+        starts, following = self._tied
+        places, cups = ca.SX(ca.DM(starts)), [slice(3 * k, 3 * k + 3) for k in range(len(self.at))]
+        free = [k for k in range(len(starts)) if k not in following]
+        places[free] = values
+        for _ in range(4 if following else 0):  # effort: of Newton's method
+            gaps = (ca.norm_2(places[cups[b]] - places[cups[a]]) - length for a, b, length in self._pairs)
+            places[[*following]] -= ca.mtimes(ca.DM(np.array([*following.values()])), ca.vertcat(*gaps))
+        return [places[cup] for cup in cups]
 
     # -- files ---------------------------------------------------------------------------------------------------------
     @classmethod
@@ -487,8 +441,3 @@ class Socket(AtTargets):
         cups = tuple((name, tuple(map(float, place))) for name, place in (table.get("cups") or {}).items())
         distances = tuple((str(a), str(b), float(d)) for a, b, d in table.get("distances_mm") or ())
         return cls(cups, distances)
-
-    def table(self) -> dict[str, Any]:
-        cups, distances = {name: list(place) for name, place in self.at}, [list(entry) for entry in self.distances]
-        keys = {"distances_mm": distances, "cups": cups}
-        return super().table() | {key: value for key, value in keys.items() if value}

@@ -5,20 +5,23 @@
 Positions are a closed form (`placed`): for a given t the best base is a rigid registration of two clouds of points
 (Kabsch 1976, Arun 1987), for a given base the best t a mean; taken in turns the sum of squares falls to a minimum.
 
-Any other reading is searched (`searched`): least squares from many starts at once, by damped Gauss-Newton steps
-(Levenberg 1944, Marquardt 1963); the start that ends with the least squares wins. Starts are random bases, or what the
-instrument makes of each t: those of t lie around the tip.
+Any other reading is searched (`searched`): least squares from many starts at once; the start that ends with the least
+squares wins. Starts are random bases, or what the instrument makes of each t: those of t lie around the tip.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.kinematics.frames import from_quaternions, nearest_rotation, pose, turned
+from identification.kinematics.frames import Frame, from_angles, from_quaternions, nearest_rotation, pose
 from identification.kinematics.parameters import error_names
+from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
+from identification.vectorized import Evaluate, vectorize
 
 if TYPE_CHECKING:
     from identification.instruments.base import Instrument
@@ -56,122 +59,84 @@ class Unplaced(NamedTuple):
             return self.tool[None]
         return np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * self.reach
 
-    def points(self, tools: Array) -> Array:
-        """(s, m, 3) measured points in the base for tools (s, 3)."""
-        return self.frames[:, :3, 3] + np.tensordot(tools, self.frames[:, :3, :3], (1, 2))
+    @property
+    def points(self) -> Array:
+        """(s, m, 3) measured points in the base for these tools."""
+        return self.frames[:, :3, 3] + np.tensordot(self.tools, self.frames[:, :3, :3], (1, 2))
 
 
-class Starts(NamedTuple):
-    """s starts: rotations (s, 3, 3), shifts (s, 3) of the base, tools (s, 3), own values (s, k) of the instrument."""
-
-    rotations: Array
-    shifts: Array
-    tools: Array
-    values: Array
-
-    @classmethod
-    def of(cls, rotations: Array, shifts: Array, tools: Array, values: Array) -> Starts:
-        """Each for all starts, or one for each of s tools (s, 3)."""
-        parts = (rotations, (3, 3)), (shifts, (3,)), (tools, (3,)), (values, np.shape(values)[-1:])
-        return cls(*(np.array(np.broadcast_to(part, (len(tools), *shape))) for part, shape in parts))
-
-    def best(self, squares: Array, count: int) -> Starts:
-        """Those of the smallest sums of squares (s,)."""
-        chosen = np.argsort(squares, kind="stable")[:count]
-        return Starts(*(part[chosen] for part in self))
-
-    def moved(self, change: Array) -> Starts:
-        """After steps (s, 9 + k) of shift, rotation about the axes of the instrument, tool and values."""
-        rotations = turned(change[:, 3:6]) @ self.rotations
-        return Starts(rotations, self.shifts + change[:, :3], self.tools + change[:, 6:9], self.values + change[:, 9:])
+def random_bases(reach: float) -> Array:
+    """(3000, 4, 4) turned anyhow, within three times the reach [mm] along each axis."""
+    generator, bases = np.random.default_rng(0), np.tile(np.eye(4), (3000, 1, 1))  # effort
+    bases[:, :3, :3] = from_quaternions(generator.standard_normal((len(bases), 4)))
+    bases[:, :3, 3] = 3.0 * reach * generator.uniform(-1.0, 1.0, (len(bases), 3))
+    return bases
 
 
-def random_starts(instrument: Instrument, rows: Unplaced) -> Starts:
-    """Random bases, those of the tools in turns; of a base that is known one for each tool."""
-    neutral = np.array([parameter.neutral for parameter in instrument.parameters])
-    if rows.base is not None:
-        return Starts.of(rows.base[:3, :3], rows.base[:3, 3], rows.tools, neutral)
-    generator, count = np.random.default_rng(0), 3000  # effort
-    rotations = from_quaternions(generator.standard_normal((count, 4)))
-    # bases are looked for within three times the reach
-    shifts = 3.0 * rows.reach * generator.uniform(-1.0, 1.0, (count, 3))
-    return Starts.of(rotations, shifts, np.resize(rows.tools, (count, 3)), neutral)
+def searched(instrument: Instrument, rows: Unplaced, bases: Array) -> Placement:
+    """Base and measured point that explain readings best, of the base what they depend on.
 
-
-def searched(instrument: Instrument, rows: Unplaced, starts: Starts) -> Placement:
-    """Base and measured point that explain readings best, of the base what they depend on."""
-    # effort: of starts that the readings were fitted with, the best of 99 of 100 wrong readings leaves after 3 steps at
-    # most 1.5 times what its end leaves; of random ones later
-    patience = 3 if len(starts.tools) <= 100 else 15
-    # effort: of many starts 100 are followed with rows that tell good ones, three times the nine unknowns and more; the
-    # best 5 with all rows
-    if len(starts.tools) > 100:
-        spread = np.unique(np.linspace(0, len(rows.frames) - 1, 30).astype(int))
-        few = rows._replace(frames=rows.frames[spread], readings=rows.readings[spread])
-        starts = starts.best(_linear(instrument, starts, few)[0], 100)
-        starts = Starts.best(*followed(instrument, few, starts, patience), 5)
-    starts, squares = followed(instrument, rows, starts, patience)
-    best = int(np.argmin(squares))
-    base = pose(starts.shifts[best], starts.rotations[best]) if rows.base is None else rows.base
-    return Placement(base, starts.tools[best], float(np.sqrt(squares[best] / len(rows.frames))))
-
-
-def followed(instrument: Instrument, rows: Unplaced, starts: Starts, patience: int) -> tuple[Starts, Array]:
-    """Where damped Gauss-Newton steps of starts end, and their sums of squares (s,).
-
-    patience : steps after which what is `Unplaced.hopeless` is given up
+    bases : (s, 4, 4) to start from, with the tools of the rows in turns; of a base that is known none is needed
     """
-    k, m = starts.values.shape[1], len(rows.frames)
-    scales = np.r_[np.full(3, rows.reach), np.ones(3), np.full(3, 0.1 * rows.reach), np.ones(k)]
-    shown = [name not in instrument.hidden(np.eye(4)) for name in error_names("base")]
-    free = np.r_[np.array(shown) & (rows.base is None), np.full(3, rows.tool is None), np.ones(k, dtype=bool)]
-    columns = np.diag(scales)[free]  # of the free unknowns, each divided by its scale
-    squares, gradient, matrix = _linear(instrument, starts, rows, columns)
-    damping = np.full(len(squares), 1e-3)  # what is added to a normal matrix, of its diagonal
-    for done in range(60):  # effort
-        diagonal = np.einsum("sii->si", matrix)
-        floor = 1e-12 * np.max(diagonal, axis=1, keepdims=True, initial=0.0) + np.finfo(float).tiny
-        added = np.eye(matrix.shape[-1]) * (damping[:, None] * np.maximum(diagonal, floor))[:, None]
-        step = np.linalg.solve(matrix + added, gradient[..., None])[..., 0]
-        promised = np.einsum("sf,sf->s", gradient, step)  # fall of the sum of squares, half of it or more
-        # of lengths 1e-12 reaches are rounding
-        settled = np.all(promised <= ENOUGH * squares + m * (1e-12 * rows.reach) ** 2)
-        moved = starts.moved(step @ columns)
-        new = _linear(instrument, moved, rows, columns)
-        better = new[0] < squares
-        old = *starts, squares, gradient, matrix
-        chosen = (
-            np.where(better.reshape(-1, *(1,) * (a.ndim - 1)), b, a) for a, b in zip(old, (*moved, *new), strict=True)
-        )
-        *parts, squares, gradient, matrix = chosen
-        starts = Starts(*parts)
-        # so far that a step stands still, and is that of Gauss and Newton
-        damping = np.clip(np.where(better, damping / 5.0, damping * 4.0), 1e-12, 1e12)
-        # nothing is to be gained, or some steps have shown that it is hopeless
-        if settled or (done >= patience and np.min(squares) > m * rows.hopeless**2):
+    if rows.base is not None:
+        bases = np.broadcast_to(rows.base, (len(rows.tools), 4, 4))
+    tools = np.resize(rows.tools, (len(bases), 3))
+    starts = np.concatenate([bases[:, :3].reshape(-1, 12), tools], axis=1)
+    hidden = instrument.hidden(np.eye(4)) if rows.base is None else error_names("base")
+    free = np.array([name not in hidden for name in error_names("base")] + [rows.tool is None] * 3)
+    unknown, moves = np.eye(9)[free], np.array([1.0, rows.reach, 1.0]).repeat(3)[free]
+    evaluate, changes = _reading(instrument), np.zeros((len(starts), len(unknown)))
+
+    def followed(chosen: Index, part: slice, steps: int) -> Array:
+        """(k,) root mean squares that part of the rows leave after at most so many steps from the starts of these
+        numbers, of which `changes` keeps where they led."""
+        frames, readings = rows.frames[part, :3].reshape(-1, 12), rows.readings[part]
+
+        def linearize(change: Array, index: Index) -> tuple[Array, Array]:
+            with np.errstate(all="ignore"):  # of places that no instrument reads
+                read, slopes = evaluate(starts[chosen[index], None], frames, (change @ unknown)[:, None])
+            residuals = (readings - read[..., 0]).reshape(len(index), -1)
+            return residuals, (slopes @ unknown.T).reshape(*residuals.shape, -1)
+
+        rounding = np.full(len(chosen), 1e-12 * rows.reach * np.sqrt(len(frames)))  # of lengths 1e-12 reaches
+        bounds = np.full(len(moves), -np.inf), np.full(len(moves), np.inf)
+        problem = LeastSquares(linearize, *bounds, moves, rounding, iterations=steps)
+        solution = levenberg_marquardt(problem, changes[chosen])
+        changes[chosen] = solution.parameters
+        return np.sqrt(np.nan_to_num(solution.rss, nan=np.inf) / len(frames))
+
+    # effort: of many starts 100 are followed with some 30 rows, which tell good ones: three times the nine unknowns and
+    # more. Of starts that the readings were fitted with, the best of 99 of 100 wrong readings leaves after 3 steps at
+    # most 1.5 times what its end leaves
+    every, some = slice(None), slice(None, None, max(len(rows.frames) // 30, 1))
+    stages = [(some, 0, 100), (some, 15, 5)] if len(starts) > 100 else []
+    chosen = np.arange(len(starts))
+    for part, steps, count in (*stages, (every, 3, 5), (every, 60, 1)):
+        left = followed(chosen, part, steps)
+        chosen = chosen[np.argsort(left, kind="stable")[:count]]
+        if part is every and np.min(left) > rows.hopeless:
             break
-    return starts, squares
+    start, change = starts[chosen[0]], changes[chosen[0]] @ unknown
+    base = pose(start[3:12:4] + change[:3], from_angles(change[3:6]) @ start[:12].reshape(3, 4)[:, :3])
+    return Placement(base, start[12:] + change[6:], float(np.min(left)))
 
 
-def _linear(instrument: Instrument, starts: Starts, rows: Unplaced, columns: Array | None = None) -> tuple[Array, ...]:
-    """(s,) sums of squares, infinite where there is no reading; with columns (f, 9 + k), directions in the unknowns,
-    the gradient (s, f) and the normal matrix (s, f, f) in these, too."""
-    rotations, shifts, tools, values = starts
-    arms = rows.points(tools) @ np.swapaxes(rotations, 1, 2)  # (s, m, 3) in the frame of the base
-    with np.errstate(all="ignore"):
-        read, by_point, by_values = instrument.linearized(arms + shifts[:, None], values[:, None], np.zeros((1, 1, 1)))
-        left = rows.readings - read
-        squares = np.nan_to_num(np.sum(left**2, axis=(1, 2)), nan=np.inf)
-        if columns is None:
-            return (squares,)
-        by_turn = np.cross(arms[:, :, None], by_point)  # a row times d(w x a) / dw
-        by_tool = by_point @ rotations[:, None] @ rows.frames[:, :3, :3]
-        slopes = np.concatenate([by_point, by_turn, by_tool, by_values], axis=-1)
-        seen = np.isfinite(squares)[:, None, None]
-        slopes = np.where(seen, slopes.reshape(len(left), -1, slopes.shape[-1]) @ columns.T, 0.0)
-        left = np.where(seen, left.reshape(len(left), -1, 1), 0.0)
-    across = np.swapaxes(slopes, 1, 2)
-    return squares, (across @ left)[..., 0], across @ slopes
+@lru_cache(maxsize=32)
+def _reading(instrument: Instrument) -> Evaluate:
+    """Of arrays (start, frame, change): the reading (d) and its derivative (d, 9) by the change.
+
+    start : (15) base, by rows, and tool;  frame : (12) of the tip, by rows
+    change : (9) of these: shift, angles about the axes of the instrument, and shift of the tool
+    """
+    start, tip, change = (ca.SX.sym(name, size) for name, size in (("start", 15), ("tip", 12), ("change", 9)))
+    base, frame = (ca.reshape(each[:12], 4, 3).T for each in (start, tip))
+    turned = Frame.world().shifted(change[:3]).turned_about(range(3), change[3:6]).axes
+    arm = ca.mtimes(base[:, :3], ca.mtimes(frame[:, :3], start[12:] + change[6:]) + frame[:, 3])
+    point = (ca.mtimes(turned, arm) + base[:, 3] + change[:3])[: len(instrument.axes)]
+    values = ca.DM([parameter.neutral for parameter in instrument.parameters])
+    reading = ca.densify(ca.SX(instrument.reading(point, ca.SX(values), ca.SX(0))))
+    outputs = [reading, ca.densify(ca.jacobian(reading, change))]
+    return vectorize(ca.Function("reading", [start, tip, change], ca.cse(outputs)))
 
 
 # -- positions ---------------------------------------------------------------------------------------------------------

@@ -81,10 +81,10 @@ INSTRUMENTS = (
         'distance"\ncenter_mm = [0.0, 0.0, 0.0]',
         'distance"\ncenter_mm = [1e9, 0.0, 0.0]',
     ),
-    *('sphere"\nradius_mm = 30.0', 'sphere"\nradius_mm = 1e-6', 'plane"', 'sphere"', f'sphere"\nradius_mm = 30.0{AT}'),
+    *('sphere"\nradius_mm = 30.0', 'sphere"\nradius_mm = 1e-6', 'plane"', f'sphere"\nradius_mm = 30.0{AT}'),
 )
 ODD_INSTRUMENTS = ('plane"\nradius_mm = 5.0', 'distance"\nradius_mm = 5.0', 'none"', f'plane"{AT}')
-ODD_INSTRUMENTS += ('sphere"\nradius_mm = -1.0',)
+ODD_INSTRUMENTS += ('sphere"\nradius_mm = -1.0', 'sphere"')
 TWO_TOOLS = "[tool.1]\nz_mm = 60.0\n[tool.2]\ny_mm = "
 TOOLS = ("", "[tool]\nx_mm = 50.0", "[tool]\ny_mm = 50.0", f"{TWO_TOOLS}100.0", f"{TWO_TOOLS}1e9")
 LOAD = "\npayload_at_mm = [10.0, 0.0, 80.0]\npayload_kg = 5"

@@ -11,11 +11,10 @@ from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import workspace
 from doe.solvers import solve
 from identification import for_design
-from identification.arm import Arm, Calibration
+from identification.arm import Arm
 from identification.errors import InputError
 from identification.for_design import ArmModel
 from identification.instruments import Plane, Sphere
-from identification.instruments.library import RADIUS
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.frames import pose, rotation_to_z
 from identification.model import Model
@@ -98,16 +97,3 @@ def test_what_no_plan_can_be_made_for() -> None:
     far = replace(arm.chain, base=pose(-20.0 * CENTER), settled=frozenset({BASE, TOOL}))
     with pytest.raises(InputError, match="sphere is touched within limits and constraints at 0 of 40000 random"):
         DesignProblem.of(Model(replace(arm, chain=far)))
-    unknown = replace(arm, chain=replace(arm.chain, instrument=Sphere()))
-    with pytest.raises(InputError, match="radius_mm is not known"):
-        DesignProblem.of(Model(unknown))
-
-
-@pytest.mark.usefixtures("few")
-def test_a_calibration_says_the_radius() -> None:
-    arm = arm_of("sphere")
-    chain = replace(arm.chain, instrument=Sphere())
-    found = Model(replace(arm, chain=chain, calibration=Calibration({RADIUS: BALL})))
-    problem = DesignProblem.of(found)
-    expected = DesignProblem.of(Model(arm)).choices
-    np.testing.assert_allclose(problem.choices, expected, atol=1e-6)

@@ -10,7 +10,7 @@ import pytest
 from identification.arm import EffectSpec
 from identification.errors import InputError, JobError
 from identification.estimation import estimate, estimate_batch
-from identification.estimation.levenberg_marquardt import Solution
+from identification.levenberg_marquardt import Solution
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.minimal import minimal

@@ -36,19 +36,18 @@ def test_a_center(frames: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("radius", [3.0, 40.0, 300.0])
-def test_a_ball_of_unknown_radius(radius: float) -> None:
-    """Where the point touches it: the center and the point as for a known one."""
+def test_a_ball(radius: float) -> None:
     generator = np.random.default_rng(2)
     frames = np.tile(np.eye(4), (40, 1, 1))
     frames[:, :3, :3] = Rotation.random(40, random_state=3).as_matrix()
     normals = generator.standard_normal((40, 3))
     places = CENTER + radius * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     frames[:, :3, 3] = places - frames[:, :3, :3] @ TOOL
-    found = Sphere().place(Unplaced(frames, np.zeros((40, 1)), REACH))
+    found = Sphere(radius).place(Unplaced(frames, np.zeros((40, 1)), REACH))
     np.testing.assert_allclose(found.base[:3, 3], -CENTER, atol=1e-6)
     np.testing.assert_allclose(found.tool, TOOL, atol=1e-6)
     assert found.rms < 1e-7
-    by_base = Sphere().place(Unplaced(frames, np.zeros((40, 1)), REACH, base=found.base))
+    by_base = Sphere(radius).place(Unplaced(frames, np.zeros((40, 1)), REACH, base=found.base))
     np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
 
 

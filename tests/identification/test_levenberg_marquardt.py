@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from identification.estimation.levenberg_marquardt import (
+from identification.levenberg_marquardt import (
     GRADIENT_TOLERANCE,
     PATIENCE,
     LeastSquares,
