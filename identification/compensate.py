@@ -106,13 +106,13 @@ def compensate(
     where = replace(conditions or Conditions(), orientation=turned)
     near = np.tile(np.add(*familiar) / 2.0, (len(goals), 1)) if nominal is None else nominal
     task, sided = Task(model, goals, near, where, *limits, constraints, enough), tuple[str, ...]()
-    commands = searched(task, boxes) if nominal is None else nominal
+    commands = reaching(task, boxes) if nominal is None else nominal
     if where.directions is None and len(goals):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
         past = past_from_order(commands) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(commands), past=past)
     if nominal is not None or sided:
-        commands = searched(task._replace(near=commands, conditions=where), boxes)
+        commands = reaching(task._replace(near=commands, conditions=where), boxes)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
     barred, beyond = barred_by(constraints, commands), outside(arm, commands)
     if beyond is not None:  # nobody drives to what misses a constraint
@@ -404,14 +404,14 @@ def merged(*ranked: tuple[Array, Array]) -> tuple[Array, Array]:
     return np.take_along_axis(postures, order[:, :, None], axis=1), np.take_along_axis(ranks, order, axis=1)
 
 
-def searched(task: Task, boxes: Sequence[tuple[Array, Array]]) -> Array:
+def reaching(task: Task, boxes: Sequence[tuple[Array, Array]]) -> Array:
     """(k, n) postures that reach the goals within the first of the limits in which one does; where none does, the
     closest to the goal within the first."""
     if not len(task.goals):
         return task.near
     if len(task.goals) > 1_000:
         parts = np.split(np.arange(len(task.goals)), range(1_000, len(task.goals), 1_000))
-        return np.concatenate([searched(task.at(rows), boxes) for rows in parts])
+        return np.concatenate([reaching(task.at(rows), boxes) for rows in parts])
     first, *wider = (task.within(*limits) for limits in boxes)
     several, ranks = tried(first)
     postures, rank = several[:, 0], ranks[:, 0]
