@@ -439,8 +439,8 @@ def tried(task: Task) -> tuple[Array, Array]:
         at_once = 8_000 // (last - first)
         for start in range(0, len(missed), at_once):
             rows = missed[start : start + at_once]
-            ends = task.at(rows).best(np.broadcast_to(seeds[first:last], (len(rows), last - first, n)))
-            postures[rows], rank[rows] = merged((postures[rows], rank[rows]), ends)
+            further = task.at(rows).best(np.broadcast_to(seeds[first:last], (len(rows), last - first, n)))
+            postures[rows], rank[rows] = merged((postures[rows], rank[rows]), further)
             if bad == MISSED and np.all(rank[rows, 0] >= bad):
                 break
     return postures, rank
