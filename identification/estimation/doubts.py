@@ -12,6 +12,7 @@ and along the axis where it turns about one only, however many rows there are.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,9 +21,9 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
-from identification.estimation.problem import Contradiction
-from identification.estimation.uncertainty import LEVEL, decomposed_groups
-from identification.information import ALONE, RANK_TOLERANCE, product_inverse
+from identification.estimation.problem import Contradiction, Problem
+from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
+from identification.information import ALONE, RANK_TOLERANCE, product_inverse, spectrum
 from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import (
     BASE,
@@ -413,25 +414,19 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     """
     if fit.not_identifiable or len(measurements) != len(fit.residuals_after):
         return None
-    kept, weights = measurements.originals == np.arange(len(measurements)), np.ones(len(measurements))
-    if (sigma := measurements.sigma) is not None:
-        weights = np.sqrt(np.mean(sigma**2)) / sigma
-    _, jacobian = fit.model.linearize(measurements.postures, fit.parameters, measurements.conditions)
-    weights = weights[kept]
-    rows = weights[:, None, None] * jacobian[kept]
-    m, d, p = rows.shape
-    prior = np.zeros((0, p)) if fit.prior is None else fit.prior.rows(fit.model.parameters, fit.scatter or 0.0)
-    whole = np.concatenate([rows.reshape(-1, p), prior])
-    whole /= np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
-    basis = np.linalg.qr(whole)[0][: m * d].reshape(m, d, -1)
-    residuals = weights[:, None] * fit.residuals_after[kept]
-    postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
-    leverages, vectors, scores = decomposed_groups(basis, residuals, postures)
+    problem = Problem.of(fit.model, measurements, prior=fit.prior)
+    problem = replace(problem, noise=(fit.scatter or 0.0) / (problem.sigma or 1.0))
+    rows = WhiteRows.of(problem, measurements, fit.parameters, 0.0)
+    free = np.array([name not in fit.held for name in fit.names])
+    whole = rows.jacobian[..., free], fit.model.scales[free], RANK_TOLERANCE, problem.prior_rows[:, free]
+    columns = rows.jacobian[..., free] @ spectrum(*whole).root
+    leverages, vectors, scores = decomposed_groups(columns, rows.residual, rows.postures)
     if leverages.max() > 1.0 - ALONE:
         return None
     pull = ((scores / (1.0 - leverages))[:, None, :] @ vectors)[:, 0]
-    without = residuals + np.einsum("mdr,mr->md", basis, pull[postures])
-    return np.asarray((without / weights[:, None])[np.cumsum(kept)[measurements.originals] - 1])
+    without = rows.residual + np.einsum("mdr,mr->md", columns, pull[rows.postures])
+    kept = problem.weights > 0.0
+    return np.asarray((without / problem.root_weights[kept])[np.cumsum(kept)[measurements.originals] - 1])
 
 
 def left_out_rms(fit: Identification, measurements: Measurements) -> float | None:
