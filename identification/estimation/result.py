@@ -76,7 +76,6 @@ class Identification(Documented):
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     held : names of parameters that were not estimated, with the covariance of an earlier calibration
     contradictions : parameters whose prior, an earlier calibration, the measurements contradict
-    flange_turns : (3,) see `doubts.flange_turns`, of a fit of both base and measured points; None: of others
     """
 
     model: Model
@@ -103,7 +102,6 @@ class Identification(Documented):
     machining_factor: float | None = None
     held: frozenset[str] = frozenset()
     contradictions: tuple[Contradiction, ...] = ()
-    flange_turns: Array | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
