@@ -92,11 +92,11 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
 
     measurements : the rows of the fit
     """
-    names = [] if before is None else [name for name in fit.model.fixed if name in before.parameter_names]
+    names = [] if before is None else [name for name in fit.model.held or () if name in before.parameter_names]
     if before is None or before.covariance is None or not names or not np.all(np.isfinite(fit.covariance)):
         return fit
     held, model = before.about(names), fit.model
-    whole = replace(model, held={name: value for name, value in model.held.items() if name not in names})
+    whole = replace(model, held={name: value for name, value in (model.held or {}).items() if name not in names})
     x, known = whole.parameters.vector(fit.values), freedom_of(before)
     estimated, others = (np.array([whole.names.index(n) for n in each]) for each in (model.names, held.parameter_names))
     problem = Problem.of(whole, measurements)

@@ -108,7 +108,8 @@ class Validation(Documented):
         sessions = zip(self.measurements.sessions, self.measurements.session_rows, strict=False)
         groups = [("session", name, rows) for name, rows in sessions]
         out = outside(self.arm, self.measurements.postures)
-        if out is not None and 0 < (beyond := out.any(axis=1)).sum() < len(beyond):
+        beyond = np.zeros(len(self.residuals), dtype=bool) if out is None else np.any(out, axis=1)
+        if 0 < np.count_nonzero(beyond) < len(beyond):
             groups += [("range", "inside", np.flatnonzero(~beyond)), ("range", "outside", np.flatnonzero(beyond))]
         blocks = [
             {"kind": kind, "name": name, "rows": len(rows), **millimetres(figures_of(self.residuals[rows]))}

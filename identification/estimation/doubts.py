@@ -334,16 +334,13 @@ def hardly_determined(fit: Identification) -> list[str]:
     open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
+    both = {BASE, TOOL} <= {p.kind for p in fit.model.parameters}  # fitted: they are told apart by turns alone
+    turns = ", which turn the flange about all its axes to tell base and tool apart" if both else ""
     if few:
         doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
-        kinds = {p.kind for p in fit.model.parameters}
-        turns = (
-            ", which turn the flange about all its axes, to tell base and tool apart" if {BASE, TOOL} <= kinds else ""
-        )
         return [f"{FEW}: {doubt}{was}. Measure more postures{turns}{open_size}"]
     doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-    remedy = f"Keep near these postures, or measure others{open_size}"
-    return [f"away from the postures measured {doubt}. {remedy}"]
+    return [f"away from the postures measured {doubt}. Keep near these postures, or measure others{turns}{open_size}"]
 
 
 # -- postures left out -------------------------------------------------------------------------------------------------
