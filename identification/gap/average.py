@@ -167,16 +167,13 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     if held is not posterior:
-        variance_with_all = 0.0
-        of_noise = np.bincount(
-            [e.noise for e in posterior.explanations], [e.probability for e in posterior.explanations]
-        )
-        for problem, draws, share in zip(
-            posterior.problems, posterior.draws, np.bincount(noises, chances_of).tolist(), strict=True
-        ):
+        of_all, shares = 0.0, np.zeros(len(posterior.problems))
+        for one in posterior.explanations:
+            shares[one.noise] += one.probability
+        for problem, draws, share in zip(posterior.problems, posterior.draws, shares.tolist(), strict=True):
             noise = sum(count * problem.products.state(key).variance for key, count in draws.items()) / draws.total()
-            variance_with_all += share * noise
-        more += jacobian.shape[1] * max(variance - variance_with_all, 0.0)
+            of_all += share * noise
+        more += jacobian.shape[1] * max(variance - of_all, 0.0)
     sigma = float(np.sqrt(variance))
     written = PredictingModel(model, values, held.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
     return written.allowing(more)
