@@ -318,9 +318,11 @@ class KinematicChain(ByValue):
         return point, self.angle_scale * rotation_vector(ca.mtimes(frame.axes, ca.reshape(reference, 3, 3)))
 
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
-        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
+        """n + 2 points (d,) [mm] of base, joints and the first measured point, in the frame of the base; n + 1 of a
+        planar arm, whose joint 1 is the base."""
         *frames, _, measured = self._in_base(q, values)
-        return [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
+        points = [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
+        return [point[: self.dimension] for point in points[self.planar :]]
 
     def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
@@ -331,7 +333,7 @@ class KinematicChain(ByValue):
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
         """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
-        return np.delete(self.frames_at(values)(postures)[..., :3, 3], -2, axis=-2)
+        return np.delete(self.frames_at(values)(postures)[..., self.planar :, : self.dimension, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
@@ -408,13 +410,6 @@ class PlanarChain(KinematicChain):
 
     def _base_axes(self, values: Values) -> Any:
         return Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
-
-    def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
-        """n + 1 points (2,), since joint 1 is the base."""
-        return [point[:2] for point in super().symbolic_points(q, values)[1:]]
-
-    def points(self, postures: Array, values: Numbers) -> Array:
-        return super().points(postures, values)[..., 1:, :2]
 
 
 def planar_chain(lengths: ArrayLike) -> KinematicChain:
