@@ -183,12 +183,6 @@ class ArmModel(Model):
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
         return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
 
-    def only(self, words: Sequence[str]) -> ArmModel:
-        """The same of which only these parameters are estimated, see `identification.reuse.only`."""
-        from identification.reuse import only
-
-        return design_model(only(self.arm, words))
-
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property
     def complete(self) -> bool:
