@@ -163,10 +163,7 @@ class ArmModel(Model):
         return np.asarray(np.all(chain.instrument.readings(points, own)[..., 0] > -2.0 * TOUCHES, axis=1))
 
     # -- what accuracy is about ------------------------------------------------------------------------------------
-    @property
-    def points_read(self) -> int:
-        """Number of measured points."""
-        return len(self.arm.chain.tools)
+    points_read = property(lambda self: len(self.arm.chain.tools))  # number of measured points
 
     def _of_each_point(self, model: Model, postures: Array, conditions: Conditions) -> Array:
         """(m, d, p) derivative of the coordinates of all measured points, at the parameters' best known values."""

@@ -135,10 +135,8 @@ class KinematicChain(ByValue):
             reason = f"kind {self.instrument.kind}: where it is touched follows from the arm"
             raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
-    @property
-    def dimension(self) -> int:
-        """d, coordinates of a position: 3 in space, 2 in the plane."""
-        return len(self.axes)
+    dimension = property(lambda self: len(self.axes))  # d, coordinates of a position: 3 in space, 2 in the plane
+    joint_types = property(lambda self: tuple(joint.type for joint in self.joints))  # (n) `revolute` or `prismatic`
 
     @property
     def redundant(self) -> bool:
@@ -180,11 +178,6 @@ class KinematicChain(ByValue):
         """(n,) distances [mm] over which each joint acts, in order of magnitude: from joint to tip as parts could add
         up, not below a tenth of the reach; in the plane the length of its link (paper)."""
         return np.maximum(np.cumsum(self.lengths[::-1])[::-1], self.reach / 10.0)
-
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute` or `prismatic`."""
-        return tuple(joint.type for joint in self.joints)
 
     # -- parameters ----------------------------------------------------------------------------------------------------
     @cached_property
