@@ -75,10 +75,8 @@ class ArmModel(Model):
     space = property(attrgetter("arm.dimension"))  # 2 in the plane, 3 in space
     cell = property(attrgetter("arm.cell"))  # bodies of the arm and around it; None: nothing is known of any
 
-    @property
-    def joint_axes(self) -> Array:
-        """(n, 3) directions of the joints, each in its own frame."""
-        return np.array([joint.axis for joint in self.arm.chain.joints])
+    # (n, 3) directions of the joints, each in its own frame
+    joint_axes = property(lambda self: np.array([joint.axis for joint in self.arm.chain.joints]))
 
     @cached_property
     def joint_frames(self) -> Callable[[Array], Array]:
@@ -106,10 +104,8 @@ class ArmModel(Model):
         model = replace(self, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return design_model(minimal(model)) if model.sigma is None and model.prior else model
 
-    @property
-    def tied(self) -> bool:
-        """Whether the instrument allows some postures only, as a probe that touches a surface."""
-        return self.arm.chain.instrument.contact
+    # whether the instrument allows some postures only, as a probe that touches a surface
+    tied = property(attrgetter("arm.chain.instrument.contact"))
 
     def tied_postures(
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
@@ -247,10 +243,8 @@ class ArmModel(Model):
         return detectability(without_prior(self.arm), postures)
 
     # -- what theory knows -----------------------------------------------------------------------------------------
-    @property
-    def planar(self) -> bool:
-        """Whether it is a chain of links in a plane, of which Table I of the paper holds."""
-        return self.arm.chain.positions_in_plane
+    # whether it is a chain of links in a plane, of which Table I of the paper holds
+    planar = property(attrgetter("arm.chain.positions_in_plane"))
 
     @property
     def theorem_joints(self) -> tuple[int, ...] | None:

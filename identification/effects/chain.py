@@ -60,11 +60,8 @@ class Chain:
         turned, shifted = ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension)
         return cls(arm.chain, arm.gravity, q, turned, shifted, **at)
 
-    @property
-    def previous(self) -> ca.SX:
-        """(n,) the posture before [rad]; in the first row the posture itself."""
-        return self.q if self.past is None else self.past[:, -1]
-
+    # (n,) the posture before [rad]; in the first row the posture itself
+    previous = property(lambda self: self.q if self.past is None else self.past[:, -1])
     links = property(lambda self: len(self.geometry))  # n, the number of links
     lengths = property(attrgetter("geometry.lengths"))  # (n,) of the links, nominal [mm]
 

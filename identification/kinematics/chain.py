@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -376,13 +377,8 @@ class PlanarChain(KinematicChain):
     def held(self) -> frozenset[str]:
         return self.fixed | self.instrument.hidden(self.base)
 
-    @property
-    def levers(self) -> Array:
-        return self.lengths
-
-    @property
-    def every_parameter(self) -> ParameterSet:
-        return self.parameters()
+    levers = property(attrgetter("lengths"))
+    every_parameter = property(lambda self: self.parameters())
 
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """Length errors, joint offsets and those of the instrument.
