@@ -48,11 +48,7 @@ TOUCHES = 1e-6  # [mm] how near is on the surface
 class ArmModel(Model):
     """The model of an arm, all of its measured points read at every posture: d is that of one times their number."""
 
-    @property
-    def dimension(self) -> int:
-        """d, coordinates per posture, point by point."""
-        return self.arm.chain.coordinates * self.points_read
-
+    dimension = property(lambda self: self.arm.chain.coordinates * self.points_read)  # d per posture, point by point
     lower, upper = property(attrgetter("arm.lower")), property(attrgetter("arm.upper"))  # (n,) limits [rad, mm]
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:

@@ -125,10 +125,8 @@ class KinematicChain(ByValue):
     def __len__(self) -> int:
         return len(self.joints)
 
-    @property
-    def positions_in_plane(self) -> bool:
-        """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
-        return not self.frame_kinds and self.instrument.reads_positions
+    # whether it is a planar arm of which positions are measured, as the closed form and the theorem have it
+    positions_in_plane = property(lambda self: self.planar and self.instrument.reads_positions)
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
@@ -139,15 +137,10 @@ class KinematicChain(ByValue):
     dimension = property(lambda self: len(self.axes))  # d, coordinates of a position: 3 in space, 2 in the plane
     joint_types = property(lambda self: tuple(joint.type for joint in self.joints))  # (n) `revolute` or `prismatic`
 
-    @property
-    def redundant(self) -> bool:
-        """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
-        return bool(self.frame_kinds) and not self.fixed
-
-    @property
-    def held(self) -> frozenset[str]:
-        """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
-        return self.fixed
+    # whether it has more free errors than measurements can show, so that a fit needs a prior of them
+    redundant = property(lambda self: not self.planar and not self.fixed)
+    # names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows
+    held = property(lambda self: self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset()))
 
     @property
     def coordinates(self) -> int:
@@ -372,10 +365,6 @@ class PlanarChain(KinematicChain):
     frame_kinds = ()
     projection = None
     planar = True
-
-    @property
-    def held(self) -> frozenset[str]:
-        return self.fixed | self.instrument.hidden(self.base)
 
     levers = property(attrgetter("lengths"))
     every_parameter = property(lambda self: self.parameters())

@@ -151,8 +151,7 @@ def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
 
 def by_joint(values: Mapping[str, float], kind: str) -> Array:
     """(n,) the values of a kind, `kind:1` to `kind:n`, of a mapping from names."""
-    count = sum(name.startswith(f"{kind}:") for name in values)
-    return readonly([values[f"{kind}:{j}"] for j in range(1, count + 1) if f"{kind}:{j}" in values])
+    return readonly([values[name] for j in range(1, MAX_LINKS + 1) if (name := f"{kind}:{j}") in values])
 
 
 def of_effects(values: Mapping[str, float]) -> dict[str, float]:

@@ -108,10 +108,7 @@ class Model:
     # (p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one
     scales = property(attrgetter("parameters.scales"))
 
-    @property
-    def dimension(self) -> int:
-        """d, measured coordinates per posture: 2, 3, 6 of a pose, or 1 of a length."""
-        return self.arm.chain.coordinates
+    dimension = property(attrgetter("arm.chain.coordinates"))  # d per posture: 2, 3, 6 of a pose, or 1 of a length
 
     @property
     def dimensions(self) -> tuple[int, ...]:
