@@ -22,9 +22,10 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -55,9 +56,22 @@ def canonical(key: Key) -> str:
     return json.dumps(key, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def short_hash(content: str) -> str:
-    """Twelve hexadecimal digits that identify a long input in the keys of tasks."""
-    return hashlib.sha256(content.encode()).hexdigest()[:12]
+def short_hash(*data: Any) -> str:
+    """Twelve hexadecimal digits that identify long inputs in the keys of tasks, of plain data and dataclasses, the same
+    in every process."""
+    return hashlib.sha256(_text(data).encode()).hexdigest()[:12]
+
+
+def _text(data: Any) -> str:
+    if is_dataclass(data):
+        return type(data).__name__ + _text([getattr(data, each.name) for each in fields(data)])
+    if isinstance(data, Mapping):
+        return f"{{{', '.join(sorted(map(_text, data.items())))}}}"
+    if isinstance(data, np.ndarray | np.generic):
+        return _text(data.tolist())
+    if isinstance(data, Set):
+        return f"{{{', '.join(sorted(map(_text, data)))}}}"
+    return f"[{', '.join(map(_text, data))}]" if isinstance(data, list | tuple) else repr(data)
 
 
 def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:

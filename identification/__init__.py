@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # isort: off
     from identification.kinematics.parameters import Parameter, ParameterSet
     from identification.kinematics.counting import turned_into
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
-    from identification.files.arm import dump_arm, load_arm, with_effects
+    from identification.files.arm import load_arm, with_effects
     from identification.files.measurement import Plan
     from identification.workflow import load_sessions
     from identification.campaign import Campaign
@@ -31,7 +31,6 @@ if TYPE_CHECKING:  # isort: off
     from identification.gap.fit import fitted_arm
     from identification.gap.result import Diagnosis
     from identification.validate import predicted_95
-    from identification.documents.pictures import Compared
     from identification.replications import Replications, StudyFile
 
     # what designs need

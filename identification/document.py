@@ -11,9 +11,10 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from html import escape
-from typing import TYPE_CHECKING, Any, Self, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,8 +72,7 @@ class Section:
         return html(self, picture)
 
 
-@dataclass(frozen=True)
-class Action:
+class Action(NamedTuple):
     """What to do next, in words, and the command for it where there is one."""
 
     text: str
@@ -89,7 +89,7 @@ class Document:
     title: str
     verdict: Sequence[str]
     parts: Sequence[Part]
-    actions: Sequence[Action] = ()
+    actions: Sequence[tuple[str, str]] = ()
     warnings: Sequence[str] = ()
 
     def plus(self, *parts: Part) -> Document:
@@ -120,6 +120,7 @@ class Documented:
 
 
 Part: TypeAlias = str | Sheet | Pictures | Section | Document
+Files: TypeAlias = dict[Path, tuple[str, Any]]  # path -> what it is, and its content, as `write_together` takes it
 
 
 @dataclass
@@ -129,6 +130,7 @@ class Answer:
     data : the object of --json;  shown : documents and lines for people;  result : what both are of, for Python
     exit_code : 0 done, 1 the job failed
     warnings : doubts that `shown` has too, for those who read `data`
+    files : to be written: what each is, and its content
     """
 
     data: dict[str, Any]
@@ -136,6 +138,7 @@ class Answer:
     result: Any = None
     exit_code: int = 0
     warnings: Sequence[str] = ()
+    files: Files = field(default_factory=dict)
 
     def rendered(self, width: int) -> Iterator[RenderableType]:
         """What a terminal of this many characters shows (rich), from the top."""
@@ -175,7 +178,7 @@ def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name:
     if isinstance(part, Section):
         head = f"<h2>{escape(part.title)}</h2>\n"
         return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if part.folded else head + inside
-    steps = html_lines(f"{action.text} {action.command}".strip() for action in part.actions)
+    steps = html_lines(f"{text} {command}".strip() for text, command in part.actions)
     return html_lines(map(in_symbols, [*part.warnings, *part.verdict]), strong=True) + inside + steps
 
 
@@ -239,8 +242,8 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
         yield from (Text(sentence, "bold") for sentence in (*part.warnings, *part.verdict) if sentence)
         for one in part.parts:
             yield from rendered(one, width)
-        for action in part.actions:
-            yield Text(f"next: {action.text}" + (f"\n      {action.command}" if action.command else ""))
+        for text, command in part.actions:
+            yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
 
 
 def terminal_table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> RenderableType:

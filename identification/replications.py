@@ -7,7 +7,6 @@ point, or frame, is measured at every posture.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -21,12 +20,13 @@ from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
 from identification.estimation import estimate_batch
-from identification.files.arm import arm_from_tables, dump_arm, load_arm
+from identification.files.arm import described, load_arm
 from identification.files.io import named_file, read_toml
 from identification.files.measurement import Plan
 from identification.files.schema import StrictTable, validated
 from identification.for_design import with_points, without_prior
 from identification.information import spectrum
+from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -40,7 +40,7 @@ class ModelTable(StrictTable):
 
     def of(self, arm: Arm) -> Arm:
         """The arm as the fit knows it: nominal, with its measured points in place."""
-        return replace(self._described(arm, {}), calibration=None)
+        return described(replace(arm, chain=with_points(arm.chain)), self.effects)
 
     def model(self, arm: Arm) -> Model:
         """What is fitted of an arm. Raises `InputError` where it cannot have the entry, or it cannot be simulated."""
@@ -54,14 +54,6 @@ class ModelTable(StrictTable):
             raise InputError("needs temperatures, allowed: effects without them")
         return model
 
-    def _described(self, arm: Arm, tables: dict[str, Any]) -> Arm:
-        """The arm with these effects, and these tables, as its file would say it."""
-        arm = replace(arm, chain=with_points(arm.chain))
-        bare = replace(arm, effects=arm.effects if self.effects is None else (), calibration=None)
-        effects = {} if self.effects is None else {"effects": self.effects}
-        described = arm_from_tables(tomllib.loads(dump_arm(bare)) | effects | tables)
-        return replace(arm, effects=described.effects, calibration=described.calibration)
-
 
 class TruthTable(ModelTable):
     """`[[truths]]`: what is really there; what is left out is as in the arm's own calibration and effects."""
@@ -72,16 +64,15 @@ class TruthTable(ModelTable):
 
     def of(self, arm: Arm) -> Arm:
         """The true arm. Raises `InputError` for errors and effects that the arm cannot have."""
-        own = tomllib.loads(dump_arm(arm)).get("calibration", {})
-        errors: dict[str, Any] = {"values": {}}
-        if arm.chain.planar:
-            errors = {"length_errors_mm": [0.0] * arm.links, "joint_offsets_deg": [0.0] * arm.links}
-        kept = ("base", "tools", *errors, *(("effects",) if self.effects is None else ()))
-        given = self.model_dump(exclude={"name", "effects"}, exclude_none=True)
-        calibration = errors | {key: own[key] for key in kept if key in own} | given
-        true = self._described(arm, {"calibration": calibration})
-        assert true.calibration is not None
-        return replace(true, calibration=Calibration(true.calibration.values))
+        lists = {LENGTH_ERROR: "length_errors_mm", JOINT_OFFSET: "joint_offsets_deg"} if arm.chain.planar else {}
+        table: dict[str, Any] = {key: [0.0] * arm.links for key in lists.values()} or {"values": {}}
+        table |= self.model_dump(exclude={"name", "effects"}, exclude_none=True)
+        true = described(replace(arm, chain=with_points(arm.chain)), self.effects, table)
+        values = {} if true.calibration is None else dict(true.calibration.values)
+        for name, value in ({} if arm.calibration is None else arm.calibration.values).items():
+            key = lists.get(name.partition(":")[0], "values") if GEOMETRY.fullmatch(name) else "effects"
+            values |= {name: value} if getattr(self, key) is None else {}
+        return replace(true, calibration=Calibration(values))
 
 
 NotEmpty = Field(min_length=1)

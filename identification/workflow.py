@@ -14,12 +14,13 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, ParamSpec
 
-from identification.document import Answer, Document
+from identification.document import Answer, Document, Files
 from identification.errors import InputError
-from identification.files.io import PathLike, read_bytes, read_text, read_toml, write_together
+from identification.files.io import read_bytes, read_text, read_toml, write_together
 from identification.running import Progress, Status
 
 if TYPE_CHECKING:
@@ -28,28 +29,46 @@ if TYPE_CHECKING:
     from identification.estimation.result import CorrectedValue
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
-    from identification.model import Model
+
+P = ParamSpec("P")
+
+
+class Declared(dict[str, tuple[Callable[..., Answer], str]]):
+    """Name of a verb -> what it does, and an example of it."""
+
+    def declare(self, example: str) -> Callable[[Callable[P, Answer]], Callable[P, Answer]]:
+        """The function below is the verb of its example, `armcal NAME ...`. The files of its answer are written last,
+        all or none."""
+
+        def declared(function: Callable[P, Answer]) -> Callable[P, Answer]:
+            @wraps(function)
+            def verb(*arguments: P.args, **options: P.kwargs) -> Answer:
+                answer = function(*arguments, **options)
+                write_together(
+                    {path: content for path, (_, content) in answer.files.items()}, bool(options.get("force"))
+                )
+                lines = [f"{what} written to {path}" for path, (what, _) in answer.files.items()]
+                *before, last = answer.shown or [Document("", (), ())]
+                answer.shown = [*before, last.plus(*lines)] if isinstance(last, Document) else [*answer.shown, *lines]
+                return answer
+
+            self[example.split()[1]] = verb, example
+            return verb
+
+        return declared
+
+
+VERBS = Declared()
+
+
+def words(text: str) -> list[str]:
+    """`a, b` as ["a", "b"]."""
+    return [word.strip() for word in text.split(",")]
+
 
 Written = NewType("Written", Path)  # a file that a verb writes
 Folder = NewType("Folder", Path)  # that a verb writes files into
-Names = Annotated[str, "NAMES"]
-Verb = TypeVar("Verb", bound=Callable[..., Answer])
-VERBS: dict[str, tuple[Callable[..., Answer], str]] = {}  # name -> what it does, and an example of it
-
-
-def declares(example: str) -> Callable[[Verb], Verb]:
-    """The function below is the verb of its example, `armcal NAME ...`."""
-
-    def declare(function: Verb) -> Verb:
-        VERBS[example.split()[1]] = function, example
-        return function
-
-    return declare
-
-
-def words_in(text: str) -> list[str]:
-    """The words of `a, b`."""
-    return [word.strip() for word in text.split(",") if word.strip()]
+Names = Annotated[list[str], words, "NAMES"]
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
@@ -79,8 +98,22 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     return read[0] if len(read) == 1 else pooled_sessions(dict(zip(names, read, strict=True)))
 
 
+def arm_files(path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path, name: str) -> Files:
+    """The arm file of `path` with these effects and this calibration, as `out`, and its URDF file if not there yet."""
+    from identification.files.arm import with_calibration, with_effects
+
+    folder, urdf = Path(path).parent, read_toml(path).get("urdf")
+    text = with_calibration(with_effects(read_text(path), effects, folder), calibration, folder)
+    files: Files = {out: (name, text)}
+    if urdf is not None:
+        copy, content = Path(out).parent / urdf, (folder / urdf).read_bytes()
+        if not copy.exists() or copy.read_bytes() != content:
+            files[copy] = "nominal URDF file", content
+    return files
+
+
 # -- the first files ---------------------------------------------------------------------------------------------------
-@declares("armcal init --urdf robot.urdf --out calibration")
+@VERBS.declare("armcal init --urdf robot.urdf --out calibration")
 def init_files(
     *,
     links: Annotated[str, "N|LENGTHS"] | None = None,
@@ -119,14 +152,15 @@ def init_files(
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
     if instrument is not None and instrument not in (kinds := KINDS["xyz"]):
         raise InputError.unknown("--instrument: found", instrument, kinds)
+    copied, missing = dict[str, Path](), list[str]()
     if robot is not None:
         files = urdf_files(robot, base_link, tip_link, instrument or "")
+        copied, missing = mesh_files(robot, package_dir)
     else:
         files = planar_files(links or "3") if dh is None else dh_files(dh, instrument or "")
-    copied, missing = ({}, []) if robot is None else mesh_files(robot, package_dir)
     new: dict[Path, str | bytes] = {out / name: text for name, text in files.items()}
     new |= {out / name: read_bytes(source) for name, source in copied.items()}
-    for name, source in ({robot.name: robot} | copied).items() if robot is not None else ():
+    for name, source in ({} if robot is None else {robot.name: robot} | copied).items():
         if (copy := out / name).exists() and copy.samefile(source):  # it stands there already
             del new[copy]
     try:
@@ -138,18 +172,21 @@ def init_files(
     written = list(map(str, new))
     first = ("armcal design", "armcal check")  # of touches there is no plan
     step = next(line for word in first for line in files[STEPS].splitlines() if line.startswith(word))
-    made_up = ["replace what is marked EXAMPLE in " + str(out / ARM)] if "EXAMPLE" in files[ARM] else []
-    upright = "gravity: the masses of the URDF file, on a base that stands upright; if it does not, change [gravity]"
-    made_up += [upright] if "\n[gravity]" in files[ARM] else []
+    steps = [f"{out / STEPS} says what to do, step by step"]
+    if "EXAMPLE" in files[ARM]:
+        steps.append(f"replace what is marked EXAMPLE in {out / ARM}")
+    if "\n[gravity]" in files[ARM]:
+        upright = "the masses of the URDF file, on a base that stands upright; if it does not, change [gravity]"
+        steps.append(f"gravity: {upright}")
     if missing:
         looked = "plans will not look at collisions of these links; armcal init --package-dir finds and copies them"
-        made_up.append(f"{len(missing)} meshes are not found, the first of them {missing[0]}: {looked}")
-    steps = [f"{out / STEPS} says what to do, step by step", *made_up, f"in {out}: {step.partition('  #')[0].rstrip()}"]
+        steps.append(f"{len(missing)} meshes are not found, the first of them {missing[0]}: {looked}")
+    steps.append(f"in {out}: {step.partition('  #')[0].rstrip()}")
     return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
 
 
 # -- check, simulate ---------------------------------------------------------------------------------------------------
-@declares("armcal check arm.toml measurements.csv")
+@VERBS.declare("armcal check arm.toml measurements.csv")
 def check_files(
     arm: Path,
     data: Path,
@@ -182,9 +219,9 @@ def check_files(
         q = Plan.load(data, loaded.joint_types).postures
         outside = (np.flatnonzero(np.any((q < loaded.lower - 1e-6) | (q > loaded.upper + 1e-6), axis=1)) + 1).tolist()
         near = [each for clearance in bodies for each in clearance.to_json(q)]
-        said = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
-        said += f": {', '.join(map(str, outside))}" if outside else ""
-        lines = [said, *(line for clearance in bodies for line in clearance.in_words(q))]
+        summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
+        summary += f": {', '.join(map(str, outside))}" if outside else ""
+        lines = [summary, *(line for clearance in bodies for line in clearance.in_words(q))]
         return Answer({"ok": not outside and not near, "outside_limits": outside, "collisions": near}, lines)
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
@@ -196,7 +233,7 @@ def check_files(
     return answer
 
 
-@declares("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
+@VERBS.declare("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")
 def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: bool = False, seed: int = 0) -> Answer:
     """Simulate the measurements of a plan.
 
@@ -234,24 +271,20 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     except InputError as error:
         raise InputError(f"{truth}: {error}") from None
     text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
-    write_together({out: text}, force=force)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
-    return Answer(summary, [f"{len(data)} measurements, sigma {sigma:g} mm, written to {out}"], data)
+    return Answer(summary, [], data, files={out: (f"{len(data)} measurements, sigma {sigma:g} mm,", text)})
 
 
 # -- identify ----------------------------------------------------------------------------------------------------------
-@declares("armcal identify arm.toml data.csv --out calibrated.toml")
+@VERBS.declare("armcal identify arm.toml data.csv --out calibrated.toml")
 def identify_files(
     arm: Path,
     data: Path,
     *,
-    method: str | None = None,
-    sigma: Literal["given", "estimated"] | None = None,
     prior: Annotated[bool | None, "--library-prior/--no-library-prior"] = None,
     missing: Names | None = None,
     prior_from: Path | None = None,
     only: tuple[Names, ...] = (),
-    parameters: Literal["minimal", "all"] | None = None,
     without_outliers: bool = False,
     urdf: Written | None = None,
     out: Written | None = None,
@@ -263,20 +296,15 @@ def identify_files(
     With 95 % intervals. Where a column session distinguishes sessions, each gets a base of its own; the file has that
     of the first. With --only all other parameters stay at the values of ARM.
 
-    method : linear or gauss_newton; left out: the best for the model.
-    sigma : What intervals rely on: sigma_mm, or the residuals. Left out: sigma_mm, unless chi2 rejects it.
     prior : Fit the library's effects too, each held by a prior of its typical size, or not; left out: as the plan asks.
     missing : Only these effects, for --library-prior: backlash,gear_ratio
     prior_from : An earlier calibration with its covariance as the prior.
     only : Estimate only these, with commas: lengths, joint_offsets, base, tool, effects, names such as joint_offset:2.
-    parameters : Of a spatial arm: all errors of its geometry, held by [machining] (left out: this), or as many as are
-        free.
     without_outliers : Leave rows out that nothing of the model explains, and say which.
     urdf : Write the corrected URDF file of a spatial arm.
     out : Write a calibrated arm file (TOML).
     """
-    import identification.estimation as estimation
-    from identification import reuse
+    from identification import estimation, reuse
     from identification.documents.identification import (
         hardly_better,
         identification_actions,
@@ -285,103 +313,90 @@ def identify_files(
     )
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
-    from identification.files.arm import load_arm
+    from identification.files.arm import corrected_urdf, load_arm
     from identification.gap.library_prior import given_by, library_prior
     from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
     from identification.model import Model
     from identification.origin import diagnosed, identified
-    from identification.sessions import with_sessions
+    from identification.sessions import SESSIONS, with_sessions, without_sessions
     from identification.simulate import following_errors, with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
     # the arm, its rows, and how they are to be fitted
-    loaded, words, minimal = load_arm(arm), [each for text in only for each in words_in(text)], parameters == "minimal"
-    for option, value in (("--parameters", parameters), ("--urdf", urdf)):
-        if value is not None and loaded.chain.planar:
-            raise InputError(f"{option}: found for a planar arm, allowed: for spatial arms")
+    loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
+    if urdf is not None and loaded.chain.planar:
+        raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
-    keys: dict[str, Any] = {"only": words} if words else {}
     if errors := following_errors(measurements, loaded.joint_types):
         keys["servo_error"] = [error.to_json() for error in errors]
     loaded = with_servo_errors(loaded, measurements)
     reference = identified(old or loaded).get("mean_temperature_C")
-    if reference is not None and (old or words or any(effect.values for effect in loaded.effects)):
+    if reference is not None and (old or chosen or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
         measurements = replace(measurements, reference=float(reference))
-    lines = []
     if asked := measurements.fit:  # by the plan
-        refused = {"--no-library-prior": prior is False, f"--method {method}": method not in (None, "gauss_newton")}
-        refused |= {"--parameters minimal": minimal, "--only": bool(words)}
-        against = None if prior else next((option for option, given in refused.items() if given), None)
-        keys["fit"] = {"asked": asked, "followed": against is None, "against": against}
+        refused = "--no-library-prior" if prior is False else "--only" if chosen and not prior else None
+        keys["fit"] = {"asked": asked, "followed": refused is None, "against": refused}
         meant = f"{data} says # fit: {asked}"
-        if against is None:
-            prior, missing = True, missing or asked.partition("--missing ")[2] or None
+        if refused is None:
+            prior, listed = True, asked.partition("--missing ")[2]
+            missing = missing or (words(listed) if listed else None)
             how = "Fitted with the prior of the library, as the plan is meant"
             lines.append(f"{how}: {meant} (--no-library-prior fits without).")
         else:
-            how = f"Not fitted with the prior of the library, because of {against}"
+            how = f"Not fitted with the prior of the library, because of {refused}"
             lines.append(f"{how}, although {meant}: what the plan promises is of a fit with it.")
     if missing is not None and not prior:
         raise InputError("--missing: found without --library-prior, allowed: with --library-prior")
-    if (prior or old is not None) and (minimal or method not in (None, "gauss_newton")):
-        option = "--parameters minimal" if minimal else f"--method {method}"
-        raise InputError(f"{option}: found with a prior, allowed: without one")
 
     def library(rows: Measurements) -> LibraryPrior | None:
-        names = None if missing is None else words_in(missing)
-        return library_prior(with_sessions(loaded, rows), given_by(rows), names) if prior else None
+        return library_prior(with_sessions(loaded, rows), given_by(rows), missing) if prior else None
 
     def fit(rows: Measurements) -> Identification:
-        wide, held = with_sessions(loaded, rows), Prior({})
-        if (of_library := library(rows)) is not None:
-            wide, held = of_library.arm, of_library.prior
-        model = reuse.only(wide, [*words, *held.deviations], rows) if words else Model(wide)
-        if of_library is None and old is None:
-            model = minimal_model(model, rows) if minimal else model
-            return with_repeats_doubted(estimation.estimate(model, rows, method=method, sigma=sigma), rows)
+        of_library = library(rows)
+        wide, held = (with_sessions(loaded, rows), None) if of_library is None else (of_library.arm, of_library.prior)
+        model = reuse.only(wide, [*chosen, *(held.deviations if held else ())], rows) if chosen else Model(wide)
         if old is not None:
             try:
-                held = replace(held, earlier=reuse.earlier(old, model, rows))
+                held = replace(held or Prior({}), earlier=reuse.earlier(old, model, rows))
             except InputError as error:
                 raise InputError(f"{prior_from}: {error}") from None
-        return with_repeats_doubted(estimation.estimate(model, rows, prior=held, sigma=sigma), rows)
+        return with_repeats_doubted(estimation.estimate(model, rows, prior=held), rows)
 
     # the fit, and what is doubtful about it
     progress(0, None, f"fitting {len(measurements)} rows")
-    if without_outliers:
+    fitted, rows = (None if without_outliers else fit(measurements)), measurements
+    if fitted is None:
         fitted, left_out = estimation.without_outliers(fit, measurements)
         keys["left_out"] = list(left_out)
         rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
         numbers = ", ".join(map(str, left_out))
         lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
-    else:
-        fitted, rows = fit(measurements), measurements
-    if fitted.prior is not None and (known := fitted.prior.earlier) is not None:
+    if fitted.prior is not None and (earlier := fitted.prior.earlier) is not None:
         free = [name for name in fitted.names if name not in {*fitted.prior.names, *fitted.model.prior}]
         contradicted = [one._asdict() for one in fitted.contradictions]
-        keys["prior_from"] = {"file": str(prior_from), "parameters": list(known.parameter_names)}
+        keys["prior_from"] = {"file": str(prior_from), "parameters": list(earlier.parameter_names)}
         keys["prior_from"] |= {"anew": free, "contradicted": contradicted}
         without = f"; without a prior: {', '.join(free)}" if free else ""
-        lines.append(f"Prior: {len(known.parameter_names)} parameters from {prior_from}{without}.")
-    if words:
-        fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), words, rows)
+        lines.append(f"Prior: {len(earlier.parameter_names)} parameters from {prior_from}{without}.")
+    if chosen:
+        keys["only"] = chosen
+        fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), chosen, rows)
         exact = "taken as exact: what they are off by is in no interval and no expected error"
-        lines.append(f"Estimated: {', '.join(words)}; the others stay as in the arm file, {exact}.")
+        lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {exact}.")
     fitted = reuse.with_mounting_doubt(fitted, rows, fit)
-    doubts = [*fitted.warnings]
+    doubts, hidden = [*fitted.warnings], frozenset[str]()  # parameters of the library's effects
     if (effects := library(rows)) is not None:
-        keys["prior"] = effects.to_json()
+        keys["prior"], hidden = effects.to_json(), frozenset(effects.prior.deviations)
         lines.append(effects.sentence)
         geometry = Model(with_sessions(loaded, rows))
-        alone_too = not words and old is None
+        alone_too = not chosen and old is None
         judged = prior_judged(lambda: estimation.estimate(geometry, rows), fitted, rows) if alone_too else None
         if judged is not None:
             keys["offered"] = judged
             doubts += [] if judged["better"] else [hardly_better(judged)]
-
     result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
     with suppress(InputError):  # too few rows
         result["rms_drawing_mm"] = rms_distance(drawing_residuals(loaded, rows))
@@ -389,30 +404,31 @@ def identify_files(
         table, places = dh_lines(fitted.calibrated_arm(), fitted.corrected_values, arm)
         result |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
     result |= unit_key(fitted.arm) | keys
-    hidden = frozenset(effects.prior.deviations if effects else ())  # parameters of the library's effects
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
-    kept = loaded.calibration if words else None, None if old is None else old.calibration
-    written, refused_files = _write_calibrated(fitted, arm, (out, urdf), force, hidden, kept)
-    document = identification_document(fitted, result, hidden).plus(*lines, *written)
-    if failed := bool(fitted.not_identifiable) or refused_files:
+
+    # the files, all or none
+    refusal, asked_for = "", [path for path in (out, urdf) if path is not None]
+    if fitted.not_identifiable:
+        refusal = "not every parameter is estimable from the data"
+    elif fitted.status is Status.implausible and not force:
+        refusal = "the fit is implausible; --force writes it all the same"
+    files = Files()
+    if out is not None and not refusal:
+        kinds, before = loaded.joint_types, loaded.calibration if chosen else None
+        calibration = reuse.with_held(fitted.calibration().about(set(fitted.names) - hidden), before, kinds)
+        calibration = without_sessions(reuse.with_data_of(calibration, None if old is None else old.calibration, kinds))
+        specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
+        files |= arm_files(arm, specs, calibration, out, "calibrated arm")
+    if urdf is not None and fitted.geometry is not None and not refusal:
+        files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry.real)
+    lines += [f"{path} was not written: {refusal}" for path in asked_for] if refusal else []
+    if urdf in files and (labels := ", ".join(effect.label for effect in fitted.model.effects)):
+        lines.append(f"a URDF file has no effects: {labels} left out")
+    document = identification_document(fitted, result, hidden).plus(*lines)
+    if failed := bool(fitted.not_identifiable or (refusal and asked_for)):
         return Answer(result, [document], fitted, int(failed), doubts)
     actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(loaded))
-    return Answer(result, [replace(document, actions=actions)], fitted, warnings=doubts)
-
-
-def minimal_model(model: Model, measurements: Measurements) -> Model:
-    """The model reduced to parameters that the measurements determine; warns of those that are hardly determined."""
-    from identification.model.minimal import PRACTICAL, minimal_of
-
-    readings, _ = model.arm.chain.instrument.size_is_open
-    if readings:
-        reduced = f"minimal for {readings}, which leave the size of the arm open"
-        raise InputError(f"--parameters: found {reduced}, allowed: all, with the prior of [machining]")
-    kept = minimal_of(model, measurements, PRACTICAL)
-    if hardly := [name for name in minimal_of(model, measurements).names if name not in kept.names]:
-        left = f"{', '.join(hardly)} would move no coordinate by {PRACTICAL:g} mm RMS"
-        warnings.warn(f"left as drawn, {len(kept.names)} parameters stay: {left}", UserWarning, stacklevel=2)
-    return kept
+    return Answer(result, [replace(document, actions=actions)], fitted, warnings=doubts, files=files)
 
 
 def dh_lines(
@@ -442,75 +458,14 @@ def dh_lines(
     return rows, [*lines, *touched]
 
 
-def _calibrated_file(
-    path: Path, effects: Sequence[EffectSpec], calibration: Calibration, out: Path
-) -> dict[PathLike, str | bytes]:
-    """The arm file of `path` with these effects and this calibration, as `out`, and its URDF file if not there yet."""
-    from identification.files.arm import with_calibration, with_effects
-
-    folder, name = Path(path).parent, read_toml(path).get("urdf")
-    text = with_calibration(with_effects(read_text(path), effects, folder), calibration, folder)
-    if name is None or name.lstrip().startswith("<"):
-        return {out: text}
-    copy, content = Path(out).parent / name, (folder / name).read_bytes()
-    return {out: text} if copy.exists() and copy.read_bytes() == content else {out: text, copy: content}
-
-
-def _write_calibrated(
-    fit: Identification,
-    path: Path,
-    names: tuple[Path | None, Path | None],
-    force: bool,
-    hidden: frozenset[str],
-    kept: tuple[Any, Any],
-) -> tuple[list[str], bool]:
-    """Write the calibrated arm and the corrected URDF file (`names`), all or none; the lines that report them, and
-    whether they are refused.
-
-    path : of the arm file, which gets the calibration, and the effects of the fit that it lacks
-    hidden : parameters whose covariance is left out
-    kept : the calibration before, of which parameters that were not estimated keep covariance and data, and the one
-        that was the prior
-    """
-    from identification.files.arm import corrected_urdf
-    from identification.reuse import with_data_of, with_held
-    from identification.sessions import SESSIONS, without_sessions
-
-    out, urdf = names
-    refusal = ""
-    if fit.not_identifiable:
-        refusal = "not every parameter is estimable from the data"
-    elif fit.status is Status.implausible and not force:
-        refusal = "the fit is implausible; --force writes it all the same"
-    if refusal:
-        lines = [f"{name} was not written: {refusal}" for name in names if name is not None]
-        return lines, bool(lines)
-    files, lines = dict[PathLike, str | bytes](), list[str]()
-    if out is not None:
-        kinds = fit.model.arm.joint_types
-        calibration = with_held(fit.calibration().about(set(fit.names) - hidden), kept[0], kinds)
-        calibration = without_sessions(with_data_of(calibration, kept[1], kinds))
-        effects = [spec for spec in fit.model.arm.effects if spec.name != SESSIONS]
-        files |= _calibrated_file(path, effects, calibration, out)
-        lines += [f"{'calibrated arm' if name == out else 'nominal URDF file'} written to {name}" for name in files]
-    if fit.geometry is not None and urdf is not None:
-        files[urdf] = corrected_urdf(path, fit.geometry.real)
-        lines.append(f"corrected URDF file written to {urdf}")
-        if left_out := ", ".join(effect.label for effect in fit.model.effects):
-            lines.append(f"a URDF file has no effects: {left_out} left out")
-    write_together(files, force=force)
-    return lines, False
-
-
 # -- diagnose ----------------------------------------------------------------------------------------------------------
-@declares("armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html")
+@VERBS.declare("armcal diagnose arm.toml data.csv --holdout more.csv --report gap.html")
 def diagnose_files(
     arm: Path,
     data: tuple[Path, ...],
     *,
     holdout: Path | None = None,
     report: Written | None = None,
-    curves: Written | None = None,
     named_only: bool = False,
     out: Written | None = None,
     force: bool = False,
@@ -526,13 +481,11 @@ def diagnose_files(
 
     holdout : Measurements used for nothing but the confirmation.
     report : Write an HTML page with pictures.
-    curves : Write the error curves of joints as a table (CSV).
     named_only : Write what is named alone, without what is less likely and curves.
     out : Write the arm file of the model that predicts best; --force also where it is not confirmed.
     """
     from identification.documents.diagnosis import holds_in_words, tests_of
     from identification.files.arm import load_arm
-    from identification.gap.average import curves_text
     from identification.gap.diagnose import diagnose
     from identification.measurements import rms_distance
     from identification.simulate import with_servo_errors
@@ -545,33 +498,24 @@ def diagnose_files(
     held_out = None if holdout is None else load_sessions([holdout], loaded)
     loaded = with_servo_errors(loaded, measurements)
     diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
-    result = diagnosis.to_json()
+    result, names, files = diagnosis.to_json(), [*map(str, (arm, *data))], Files()
     refuted = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]
-    doubts = [*diagnosis.warnings, *refuted[:1]]
-    if curves is not None and loaded.counting is not None:
-        meaning = "angles and corrections are those of the model's joints, from the link before, not of [joints]"
-        warnings.warn(f"{curves}: {meaning}; armcal compensate writes commands as the controller counts", stacklevel=2)
-    names = [*map(str, (arm, *data))]
-    files: dict[PathLike, str | bytes] = {}
     if out is not None and diagnosis.confirmed is False and not force:
         warnings.warn(f"{out} was not written: not confirmed; --force writes it all the same", stacklevel=2)
     elif out is not None:
         model = diagnosis.extended_arm(diagnosis.named if named_only else None)
         assert model.calibration is not None  # a diagnosis has one
-        files |= _calibrated_file(arm, model.effects, model.calibration, out)
-    if curves is not None:
-        files[curves] = curves_text(diagnosis.curves)
+        files |= arm_files(arm, model.effects, model.calibration, out, "extended arm")
     if report is not None:
         nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
         read = [arm, *data, *([] if holdout is None else [holdout])]
-        files[report] = page(diagnosis.document(names, out, nominal), read)
-    write_together(files, force=force)
-    document = diagnosis.document(names, out).plus(*(f"written: {path}" for path in files))
-    return Answer(result | {"files": names}, [document], diagnosis, warnings=doubts)
+        files[report] = "page", page(diagnosis.document(names, out, nominal), read)
+    shown, doubts = [diagnosis.document(names, out)], [*diagnosis.warnings, *refuted[:1]]
+    return Answer(result | {"files": names}, shown, diagnosis, warnings=doubts, files=files)
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
-@declares("armcal validate calibrated.toml other_session.csv")
+@VERBS.declare("armcal validate calibrated.toml other_session.csv")
 def validate_files(
     model: Path,
     data: Path,
@@ -601,7 +545,7 @@ def validate_files(
     return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
 
 
-@declares("armcal compensate calibrated.toml targets.csv --out commands.csv")
+@VERBS.declare("armcal compensate calibrated.toml targets.csv --out commands.csv")
 def compensate_files(
     calibrated: Path,
     targets: Path,
@@ -632,15 +576,12 @@ def compensate_files(
     wanted = load_targets(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
-    lines = []
-    if out is not None:
-        write_together({out: commands.text()}, force)
-        lines = [f"commands written to {out}"]
-    return Answer(commands.to_json(), [commands.document().plus(*lines)], commands, warnings=commands.warnings)
+    files: Files = {} if out is None else {out: ("commands", commands.text())}
+    return Answer(commands.to_json(), [commands.document()], commands, warnings=commands.warnings, files=files)
 
 
 # -- the library -------------------------------------------------------------------------------------------------------
-@declares("armcal effects joint_compliance")
+@VERBS.declare("armcal effects joint_compliance")
 def effects(name: str | None = None) -> Answer:
     """The physical effects that armcal knows, and the data that each needs.
 
@@ -649,10 +590,11 @@ def effects(name: str | None = None) -> Answer:
     packages (entry points armcal.effects) are in the list.
     """
     from identification.documents.identification import entry_document, library_document
-    from identification.effects.catalogue import entries, entry
+    from identification.effects import library
+    from identification.effects.catalogue import entry
 
     if name is not None:
         effect = entry(name.partition(":")[0])
-        return Answer(effect.to_json(), [entry_document(effect)])
-    listed = entries()
-    return Answer({"effects": [effect.to_json() for effect in listed]}, [library_document(listed)])
+        return Answer(effect, [entry_document(effect)])
+    listed = [entry(each) for each in library()]
+    return Answer({"effects": listed}, [library_document(listed)])

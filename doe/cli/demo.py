@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from doe.cli.plans import with_collisions
-from doe.cli.verb import interruptible, verb
+from doe.cli.verb import interruptible
 from identification import InputError, Progress
 from identification.document import Answer, Document
 from identification.files.io import write_together
-from identification.workflow import Folder
+from identification.workflow import VERBS, Folder
 
 
-@verb("armcal demo --spatial --out my-demo")
-def command(
+@VERBS.declare("armcal demo --spatial --out my-demo")
+def demo_files(
     *,
     spatial: bool = False,
     out: Folder = Folder(Path("armcal-demo")),  # noqa: B008

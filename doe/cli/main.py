@@ -11,8 +11,8 @@ from typing import Any
 import click
 
 from doe import SINGLE_THREAD
-from doe.cli import demo, plans, study
-from doe.cli.verb import in_one_line, say, verb
+from doe.cli import demo, plans, study  # noqa: F401 - they declare their verbs
+from doe.cli.verb import command, in_one_line, say
 from identification import InputError
 from identification.document import Answer
 from identification.workflow import VERBS
@@ -80,7 +80,7 @@ def main() -> None:
         os.environ.setdefault(variable, number)
 
 
-@verb("armcal help formats")
+@VERBS.declare("armcal help formats")
 def help_of(topic: str = "formats") -> Answer:
     """The help of a verb, or the file formats.
 
@@ -98,7 +98,5 @@ def help_of(topic: str = "formats") -> Answer:
     return Answer({"topic": topic, "text": text}, [text])
 
 
-here = [each for part in (demo, plans, study) for each in vars(part).values() if isinstance(each, click.Command)]
-commands = [*here, *(verb(example)(function) for function, example in VERBS.values())]
-for command in sorted([*commands, help_of], key=lambda command: ORDER.index(command.name or "")):
-    main.add_command(command)
+for name in ORDER:
+    main.add_command(command(*VERBS[name]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter, process_time
@@ -17,15 +17,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
-from doe.cli.verb import Count, JobOptions, Names, Picture, Seconds, WholeNumbers, interruptible, verb
+from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
 from identification import InputError, Progress
 from identification.document import Answer, Document, Sheet
 from identification.files.io import write_together
-from identification.workflow import VERBS, Written
+from identification.workflow import VERBS, Names, Written
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from doe.problem.problem import DesignProblem
     from identification import Arm
 
@@ -105,13 +103,6 @@ def design_problem(
     return problem
 
 
-def written(contents: Mapping[Path | None, str | Figure], force: bool, what: str) -> list[str]:
-    """Write the files that were asked for (None: not), all or none; the lines that report the texts, of `what`."""
-    wanted = {path: content for path, content in contents.items() if path is not None}
-    write_together(wanted, force=force)
-    return [f"{what} written to {path}" for path, content in wanted.items() if isinstance(content, str)]
-
-
 def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
     """The answer with what is known of collisions at postures (m, n), None: it has no plan; nothing is said of arms in
     a plane whose bodies nobody has described."""
@@ -141,7 +132,7 @@ def with_clearance(arm: Arm, clearance: float | None) -> Arm:
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
-@verb("armcal design arm.toml --runs 20 --out plan.csv")
+@VERBS.declare("armcal design arm.toml --runs 20 --out plan.csv")
 def design_files(
     arm: Path,
     *,
@@ -228,20 +219,19 @@ def design_files(
     data |= driven.to_json()
     extra += driven.in_words()
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
-    files: dict[Path | None, str | Figure] = {out: text}
+    files: dict[Path, tuple[str, Any]] = {} if out is None else {out: ("plan", text)}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
 
-        files[picture] = plan_figure(loaded, design.plan.postures)
-    extra += written(files, force, "plan")
+        files[picture] = "picture", plan_figure(loaded, design.plan.postures)
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    answer = Answer(design.to_json() | data, [design_document(design).plus(*extra)])
+    answer = Answer(design.to_json() | data, [design_document(design).plus(*extra)], files=files)
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
-@verb("armcal score arm.toml plan.csv")
+@VERBS.declare("armcal score arm.toml plan.csv")
 def score_files(
     arm: Path,
     plan: Path,
@@ -304,12 +294,11 @@ def score_files(
     return with_collisions(Answer(data, [document]), problem, judged.postures)
 
 
-@verb("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
+@VERBS.declare("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
 def advise_files(
     arm: Path,
     *,
-    runs: Annotated[str, "A:B"] | None = None,
-    only: tuple[Names, ...] = (),
+    runs: Annotated[str, "A:B"] = "4:40",
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
     package_dir: tuple[Path, ...] = (),
@@ -318,43 +307,33 @@ def advise_files(
 ) -> Answer:
     """How many measurements are needed?
 
-    Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy. With --only
-    how few postures are enough to find these parameters again, the others as in ARM, for `identify --only`.
+    Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy.
 
-    runs : Numbers of runs, A to B; left out: 4:40, with --only from the fewest.
-    only : Estimate only these, as `identify --only`.
-    target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
+    runs : Numbers of runs, A to B.
+    target_mm : Wanted largest std of a link length; in space error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import design_model, load_arm
+    from identification import load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
-    named = [word for words in only for word in words]
-    model = design_model(loaded)
-    problem = DesignProblem.of(model.only(named) if named else model)
-    fewest = problem.fewest_runs
-    text = runs or (f"{fewest}:40" if named else "4:40")
-    ends = text.split(":")
+    problem = DesignProblem.of(loaded)
+    fewest, ends = problem.fewest_runs, runs.split(":")
     if not 1 <= len(ends) <= 2 or not all(re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII) for part in ends):
-        raise InputError(f"--runs: {text!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
+        raise InputError(f"--runs: {runs!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
     low, high = int(ends[0]), int(ends[-1])
     if low > high or high < fewest:
-        raise InputError(f"--runs: {text!r}, allowed: A <= B, and B >= {fewest} for this arm")
+        raise InputError(f"--runs: {runs!r}, allowed: A <= B, and B >= {fewest} for this arm")
     numbers = range(max(low, fewest), high + 1)
     advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
-    data, shown, doubts = advice.to_json(), list[Any](), [given_sigma] if given_sigma else []
-    if named:
-        data |= {"only": named, "fewest_runs": fewest}
-        enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
-        shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
-    shown.append(advice_document(advice).plus(*doubts))
-    return with_collisions(Answer(data, shown, warnings=doubts), problem)
+    doubts = [given_sigma] if given_sigma else []
+    answer = Answer(advice.to_json(), [advice_document(advice).plus(*doubts)], warnings=doubts)
+    return with_collisions(answer, problem)
 
 
-@verb("armcal relax arm.toml --grid 9 --solver clarabel")
+@VERBS.declare("armcal relax arm.toml --grid 9 --solver clarabel")
 def relax_files(
     arm: Path,
     *,
@@ -423,12 +402,13 @@ def relax_files(
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
-    document = relax_document(relaxation, compared)
-    answer = Answer(data, [document, *written({out: text}, force, "plan with weights")])
+    answer = Answer(data, [relax_document(relaxation, compared)])
+    if out is not None:
+        answer.files[out] = "plan with weights", text
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
-@verb("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
+@VERBS.declare("armcal compare arm.toml --runs 10,20 --solvers exchange,ipopt --out runs")
 def compare_files(
     arms: Annotated[tuple[Path, ...], "ARM..."],
     *,
@@ -486,7 +466,7 @@ def compare_files(
         return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
 
 
-@verb("armcal program arm.toml plan.csv --robot ur --out plan.script")
+@VERBS.declare("armcal program arm.toml plan.csv --robot ur --out plan.script")
 def program_files(
     arm: Path,
     plan: Path,
@@ -523,7 +503,6 @@ def program_files(
         made = program(loaded, file, robot, **options)
     except InputError as error:
         raise InputError(str(error) if str(error).startswith(("--", str(template))) else f"{plan}: {error}") from None
-    lines = written({out: made.text}, force, "program")
     vias = sum(move["kind"] == "via" for move in made.moves)
     runs = len(file) - vias
     data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
@@ -533,12 +512,12 @@ def program_files(
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
-    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts, *lines]
-    return Answer(data, shown, warnings=[line.strip() for line in doubts])
+    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts]
+    return Answer(data, shown, warnings=[line.strip() for line in doubts], files={out: ("program", made.text)})
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------
-@verb("armcal discriminate arm.toml data.csv --runs 4 --out next.csv")
+@VERBS.declare("armcal discriminate arm.toml data.csv --runs 4 --out next.csv")
 def discriminate_files(
     arm: Path,
     data: tuple[Path, ...],
@@ -603,13 +582,14 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, runs, seed, masses, stop=late)
-    lines = written({out: chosen.plan.text(further=chosen.columns)}, force, "next postures")
-    lines = [f"{line}; measure them and append the rows to {data[-1]}" for line in lines]
-    shown = [next_document(diagnosis, chosen).plus(*lines)]
-    return with_collisions(Answer(keys | chosen.to_json(), shown), problem, chosen.plan.postures)
+    answer = Answer(keys | chosen.to_json(), [next_document(diagnosis, chosen)])
+    if out is not None:
+        answer.files[out] = "next postures", chosen.plan.text(further=chosen.columns)
+        answer.shown.append(f"Measure these postures and append the rows to {data[-1]}.")
+    return with_collisions(answer, problem, chosen.plan.postures)
 
 
-@verb("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html")
+@VERBS.declare("armcal report arm.toml calibrated.toml plan.csv data.csv --out page.html")
 def report_files(
     files: tuple[Path, ...],
     *,
@@ -632,10 +612,10 @@ def report_files(
     from identification import Campaign
 
     campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict, package_dirs=package_dir)
-    write_together({out: page(campaign.document(), files)}, force=force)
+    text = page(campaign.document(), files)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
         for name, size, digest in hashes(files)
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
-    return Answer(data, [*campaign.verdict, f"page written to {out}"])
+    return Answer(data, [*campaign.verdict], files={out: ("page", text)})

@@ -6,10 +6,11 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-from doe.cli.verb import Count, JobOptions, interruptible, verb
+from doe.cli.verb import Count, JobOptions, interruptible
 from identification import InputError, JobError, Progress
 from identification.document import Answer
 from identification.files.io import write_together
+from identification.workflow import VERBS
 
 BUILT_IN = ("blind", "blind-spatial")
 
@@ -46,8 +47,8 @@ where study.toml has, for instance (names of files are beside it):
     effects = []"""
 
 
-@verb(EXAMPLE)
-def command(
+@VERBS.declare(EXAMPLE)
+def study_files(
     study: Annotated[str, "STUDY.toml|NAME"],
     *,
     replications: Count | None = None,
@@ -81,7 +82,8 @@ def command(
             named = cells or reported_cells(space=study == "blind-spatial")
             tables = blind_study(named, replications, folder, job.where(), **options)
             if len(tables["reliability"]):
-                write_together({folder / "reliability.png": reliability_figure(tables["reliability"])}, force=True)
+                picture = reliability_figure(tables["reliability"])
+                write_together({folder / "reliability.png": picture}, force=True)
             shown, sets = blind_parts(tables), tables.pop("sets")
             passed = "failed" not in sets["status"]
             rows = {name: table.to_dicts() for name, table in tables.items()}

@@ -18,7 +18,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -70,11 +70,6 @@ def whole_numbers(text: str) -> list[int]:
     return numbers
 
 
-def words(text: str) -> list[str]:
-    """`a, b` as ["a", "b"]."""
-    return [word.strip() for word in text.split(",")]
-
-
 FOLDER = FilePath("dir", written=True)
 FILES: dict[Any, click.ParamType] = {
     Path: FilePath(),
@@ -84,7 +79,6 @@ FILES: dict[Any, click.ParamType] = {
 }
 Seconds = Annotated[float, seconds_above_zero, "SECONDS"]
 Workers = Annotated[int, range(1, 4097)]  # each is a process of about 100 MB
-Names = Annotated[list[str], words, "NAMES"]
 Count = Annotated[int, click.IntRange(min=1)]
 WholeNumbers = Annotated[list[int], whole_numbers, "M,.."]
 
@@ -111,7 +105,7 @@ class JobOptions:
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
-def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
+def command(function: Callable[..., Answer], example: str) -> click.Command:
     """Turn `function(argument, .., *, option, ..) -> Answer` into the click command of its example, `armcal NAME ...`.
 
     Positional parameters are arguments, the others options, those of a dataclass a group of them. Their types are those
@@ -124,62 +118,57 @@ def verb(example: str) -> Callable[[Callable[..., Answer]], click.Command]:
     `constraints` is given the seed, a callback for its progress, what makes a page of a document and of files that were
     read, and what makes the constraints of a model.
     """
+    name, (text, helps) = example.split()[1], documented(function)
+    hints, groups, parameters = get_type_hints(function, include_extras=True), dict[str, Any](), list[click.Parameter]()
+    signature = inspect.signature(function).parameters
+    for each in signature.values():
+        hint, option = hints[each.name], each.kind is inspect.Parameter.KEYWORD_ONLY
+        if each.name in PROVIDED:
+            continue
+        if is_dataclass(hint):
+            groups[each.name] = hint
+            inner, of_group = get_type_hints(hint, include_extras=True), documented(hint)[1]
+            for one in fields(hint):
+                default = inspect.Parameter.empty if one.default is MISSING else one.default
+                parameters.append(declared(one.name, inner[one.name], default, of_group[one.name]))
+        else:
+            parameters.append(declared(each.name, hint, each.default, helps[each.name] if option else None))
+    parameters += [
+        click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),
+        declared("seed", Annotated[int, click.IntRange(min=0)], 0, "Random seed."),
+        declared("quiet", bool, False, "No progress and no warnings on standard error."),
+    ]
 
-    def decorate(function: Callable[..., Answer]) -> click.Command:
-        called = example.split()[1]
-        text, helps = documented(function)
-        hints, parameters = get_type_hints(function, include_extras=True), list[click.Parameter]()
-        groups: dict[str, Any] = {}
-        signature = inspect.signature(function).parameters
-        for each in signature.values():
-            hint, option = hints[each.name], each.kind is inspect.Parameter.KEYWORD_ONLY
-            if each.name in PROVIDED:
-                continue
-            if is_dataclass(hint):
-                groups[each.name] = hint
-                inner, of_group = get_type_hints(hint, include_extras=True), documented(hint)[1]
-                for one in fields(hint):
-                    default = inspect.Parameter.empty if one.default is MISSING else one.default
-                    parameters.append(declared(one.name, inner[one.name], default, of_group[one.name]))
-            else:
-                parameters.append(declared(each.name, hint, each.default, helps[each.name] if option else None))
-        parameters += [
-            click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),
-            declared("seed", Annotated[int, click.IntRange(min=0)], 0, "Random seed."),
-            declared("quiet", bool, False, "No progress and no warnings on standard error."),
-        ]
+    def page(document: Document, read: Sequence[Path]) -> str:
+        from doe.report import page
 
-        def page(document: Document, read: Sequence[Path]) -> str:
-            from doe.report import page
+        context = click.get_current_context()
+        typed = shlex.join(("armcal", *(context.find_root().obj or ())))
+        return page.page(document, page.origin(typed, context.params["seed"], read))
 
-            context = click.get_current_context()
-            typed = shlex.join(("armcal", *(context.find_root().obj or ())))
-            return page.page(document, page.origin(typed, context.params["seed"], read))
+    def constraints(model: Any) -> Any:
+        from doe.problem.constraints import constraints_of
 
-        def constraints(model: Any) -> Any:
-            from doe.problem.constraints import constraints_of
+        return constraints_of(model)
 
-            return constraints_of(model)
+    def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
+        for group, type_ in groups.items():
+            values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
+        with warnings_as_lines(quiet), shown_progress(name, quiet) as progress:
+            provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints}
+            values |= {key: value for key, value in provided.items() if key in signature}
+            with errors_as_lines(), stoppable():
+                check_outputs(click.get_current_context())
+                answer = function(**values)
+            for sentence in answer.warnings if as_json else ():
+                warnings.warn(sentence, UserWarning, stacklevel=2)
+        shown(answer, as_json)
+        sys.stdout.flush()
+        sys.exit(answer.exit_code)
 
-        def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
-            for group, type_ in groups.items():
-                values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
-            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
-            with warnings_as_lines(quiet), shown_progress(called, quiet) as progress:
-                provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints}
-                values |= {key: value for key, value in provided.items() if key in signature}
-                with errors_as_lines(), stoppable(check_outputs(click.get_current_context())):
-                    answer = function(**values)
-                for sentence in answer.warnings if as_json else ():
-                    warnings.warn(sentence, UserWarning, stacklevel=2)
-            shown(answer, as_json)
-            sys.stdout.flush()
-            sys.exit(answer.exit_code)
-
-        texts: dict[str, Any] = {"short_help": text.split("\n")[0], "epilog": f"\b\nExample:\n  {example}"}
-        return click.Command(called, callback=run, params=parameters, help=text, **texts)
-
-    return decorate
+    texts: dict[str, Any] = {"short_help": text.split("\n")[0], "epilog": f"\b\nExample:\n  {example}"}
+    return click.Command(name, callback=run, params=parameters, help=text, **texts)
 
 
 def documented(thing: Any) -> tuple[str, dict[str, str]]:
@@ -241,12 +230,9 @@ def say(sentence: str) -> None:
     click.echo(f"armcal: {in_one_line(sentence)}", err=True)
 
 
-def check_outputs(context: click.Context) -> list[Path]:
-    """The files that a verb writes, those in folders aside.
-
-    Raises `InputError`, before any work, for one that cannot be written, or that is also an input or another output:
-    one would overwrite the other.
-    """
+def check_outputs(context: click.Context) -> None:
+    """Raises `InputError`, before any work, for a file to write that cannot be written, or that is also an input or
+    another output: one would overwrite the other."""
     paths = [
         (parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name, kind, path)
         for parameter in context.command.params
@@ -263,7 +249,6 @@ def check_outputs(context: click.Context) -> list[Path]:
                 raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
             if kind is not FOLDER:
                 check_writable(path, context.params["force"], picture=kind.picture)
-    return [path for _, kind, path in paths if kind.written and kind is not FOLDER]
 
 
 @contextmanager
@@ -289,18 +274,15 @@ def errors_as_lines() -> Iterator[None]:
 
 
 @contextmanager
-def stoppable(outputs: Sequence[Path] = ()) -> Iterator[None]:
-    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does.
-
-    Whoever catches it may answer with the best so far. Once an output is written it comes too late: the verb is done.
-    """
-    stops, before = list[KeyboardInterrupt](), [written_at(path) for path in outputs]
+def stoppable() -> Iterator[None]:
+    """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does. Whoever catches
+    it may answer with the best so far."""
+    stops = list[KeyboardInterrupt]()
 
     def stop(number: int, _: object) -> None:
-        if [written_at(path) for path in outputs] == before:
-            stops.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
-            threading.excepthook = lambda _: None  # of threads whose processes are killed next
-            raise stops[-1]
+        stops.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
+        threading.excepthook = lambda _: None  # of threads whose processes are killed next
+        raise stops[-1]
 
     with ExitStack() as stack:
         if threading.current_thread() is threading.main_thread():
@@ -331,14 +313,6 @@ def stoppable(outputs: Sequence[Path] = ()) -> Iterator[None]:
             if stops:
                 raise stops[0] from None
             raise
-
-
-def written_at(path: Path) -> tuple[int, int] | None:
-    """Which file has this name, and of when; None: none."""
-    with suppress(OSError):
-        state = path.stat()
-        return state.st_ino, state.st_mtime_ns
-    return None
 
 
 def stopped_by(error: BaseException) -> str:

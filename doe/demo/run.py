@@ -27,11 +27,11 @@ from identification import (
     Plan,
     Progress,
     design_model,
-    dump_arm,
     load_arm,
     rms_distance,
+    with_effects,
 )
-from identification.document import Action, Answer, Document, Pictures, Section, Sheet, number
+from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
 
@@ -158,7 +158,7 @@ def run_demo(
     progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
     progress(5, 8, "identification again")
-    write("extended.toml", dump_arm(arm.with_effects(*diagnosed.result.named.specs)))
+    write("extended.toml", with_effects(path.read_text(), diagnosed.result.named.specs, directory))
     named = Written(directory / "extended.toml")
     extended = identify(named, rows, out=named, force=True)
     progress(6, 8, "commands")
@@ -244,8 +244,8 @@ def demo_document(demo: Demo) -> Document:
         ),
     ]
     actions = [
-        Action("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
-        Action("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
+        ("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
+        ("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
     test = diagnosis.confirmation
     average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""

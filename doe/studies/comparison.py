@@ -19,7 +19,7 @@ from doe.jobs import Key, Row, RowTable, Workers, call, run_tasks, short_hash, w
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
 from doe.solvers.solving import check_runs
-from identification import Arm, InputError, Progress, dump_arm
+from identification import Arm, InputError, Progress
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -73,7 +73,7 @@ def compare(
         raise InputError(f"solvers: {', '.join(by_name)}, allowed: each name once")
     for arm, m in product(arms, runs):
         check_runs(compared_problem(arm, criteria[0]), m)
-    by_hash = {short_hash(dump_arm(arm)): arm for arm in arms}
+    by_hash = {short_hash(arm): arm for arm in arms}
     grid = product(
         ({"arm": arm.name, "arm_hash": digest} for digest, arm in by_hash.items()),
         criteria,

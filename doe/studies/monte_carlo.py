@@ -22,17 +22,7 @@ from doe.problem.model import PRISMATIC
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
-from identification import (
-    Arm,
-    Array,
-    InputError,
-    JobError,
-    Plan,
-    Progress,
-    Replications,
-    StudyFile,
-    dump_arm,
-)
+from identification import Arm, Array, InputError, JobError, Plan, Progress, Replications, StudyFile
 from identification.files.io import write_together
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
@@ -118,7 +108,7 @@ def run_study(
     resume : go on with an interrupted or extended study in `folder`;  force : replace what is there
     Failures (no plan for so many runs, a plan that cannot identify the model) are rows with `status` and `error`.
     """
-    arms = {short_hash(dump_arm(arm)): arm for arm in study.arms}
+    arms = {short_hash(arm): arm for arm in study.arms}
     solvers = [name for name, plan in study.plans.items() if plan is None and name not in (DFT, RANDOM)]
     keys: list[Key] = [
         {"arm": arm.name, "plan": plan, "runs": runs, "limit_s": study.asked.solver_seconds, "inputs": digest}
@@ -190,7 +180,7 @@ def _tasks(study: Study, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]
                     degrees = tuple(map(tuple, np.where(angles, np.degrees(postures), postures).tolist()))
                 cell = postures if isinstance(postures, str) else (fitted, true, postures, runs, float(sigma))
                 key = dict(zip(CELL, (arm.name, name, runs, sigma, truth.name, model.name), strict=True))
-                key["inputs"] = short_hash(repr(((dump_arm(fitted), dump_arm(true)), degrees)))
+                key["inputs"] = short_hash(fitted, true, degrees)
                 size = RANDOM_BLOCK if name == RANDOM else BLOCK
                 size = max(1, min(size, MOST_ROWS // (runs * max(1, len(arm.chain.tools)))))
                 starts = [0] if isinstance(cell, str) else range(0, asked.replications, size)

@@ -73,7 +73,7 @@ def segment(start: Sequence[float], end: Sequence[float]) -> tuple[Array, Array]
     return pose(0.5 * (a + b), rotation_to_z((b - a) / length) if length else None), np.array([length])
 
 
-def covered(body: GivenBody, reach: float, foot: bool = False) -> Body:
+def covered(name: str, joint: int, shapes: Sequence[Shape], reach: float, foot: bool = False) -> Body:
     """The body of its shapes, covered: by capsules if it moves, by boxes if it stands still.
 
     reach : [mm] of the arm;  foot : it is the arm's own, for which capsules do as well in half the time, if it is no
@@ -81,68 +81,45 @@ def covered(body: GivenBody, reach: float, foot: bool = False) -> Body:
     """
     from identification.cover import boxes_around, capsules_around
 
-    shapes = body.shapes
     triangles = [shape.triangles() for shape in shapes]
     for shape, own in zip(shapes, triangles, strict=True):
-        if shape.kind != "mesh":
-            continue
-        long = float(np.ptp(own, axis=(0, 1)).max())
+        long = float(np.ptp(own, axis=(0, 1)).max()) if shape.kind == "mesh" else reach
         if not 1e-3 * reach < long < 20.0 * reach:
             unit = "millimetres as metres" if long > reach else "metres as millimetres"
-            compared = f"{long:.4g} mm long beside an arm that reaches {reach:.4g} mm"
-            raise InputError(
-                f"{shape.file}: body {body.name} is {compared}, like {unit}, allowed: another unit or scale"
-            )
+            state = f"body {name} is {long:.4g} mm long beside an arm that reaches {reach:.4g} mm, like {unit}"
+            raise InputError(f"{shape.file}: {state}, allowed: another unit or scale")
     drawn = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(shapes, triangles, strict=True)]
-    exact, rest = _exact(shapes)
-    boxes = np.empty((0, 15))
+    # exact are spheres, capsules, and a cylinder with spheres at both ends, as URDF has capsules
+    exact = {k: shape.capsule for k, shape in enumerate(shapes) if shape.kind in ("sphere", "capsule")}
+    for k in (k for k, shape in enumerate(shapes) if shape.kind == "cylinder"):
+        start, end, radius = np.split(shapes[k].capsule, [3, 6])
+        balls = [[j for j in exact if np.allclose(exact[j], [*c, *c, *radius], 0.0, 0.1)] for c in (start, end)]
+        if all(balls):
+            exact = {j: exact[j] for j in exact if j not in balls[0] + balls[1]} | {k: shapes[k].capsule}
+    rest = [k for k, shape in enumerate(shapes) if k not in exact and shape.kind not in ("sphere", "capsule")]
+    capsules, boxes = np.array([exact[k] for k in sorted(exact)]).reshape(-1, 7), np.empty((0, 15))
     if rest:
         solid = np.concatenate([drawn[k] for k in rest])
         size = np.ptp(solid, axis=(0, 1))
-        if body.joint or (foot and size.min() > 0.3 * size.max()):
-            exact = np.concatenate([exact, capsules_around(solid)])
+        if joint or (foot and size.min() > 0.3 * size.max()):
+            capsules = np.concatenate([capsules, capsules_around(solid)])
         else:
             boxes = np.concatenate([boxes_around(triangles[k], shapes[k].place) for k in rest])
-    return Body(body.name, body.joint, exact, boxes, np.concatenate(drawn))
-
-
-def _exact(shapes: Sequence[Shape]) -> tuple[Array, list[int]]:
-    """(k, 7) capsules that are exact, and the numbers of the other shapes. A cylinder with spheres at both ends is a
-    capsule, which URDF does not have."""
-    spheres = [k for k, shape in enumerate(shapes) if shape.kind == "sphere"]
-    exact = [k for k, shape in enumerate(shapes) if shape.kind == "capsule"]
-    for k in (k for k, shape in enumerate(shapes) if shape.kind == "cylinder"):
-        start, end, radius = np.split(shapes[k].capsule, [3, 6])
-        at = [[j for j in spheres if np.allclose(shapes[j].capsule, [*c, *c, *radius], 0.0, 0.1)] for c in (start, end)]
-        if all(at):
-            exact.append(k)
-            spheres = [j for j in spheres if j not in at[0] + at[1]]
-    exact += spheres
-    capsules = np.array([shapes[k].capsule for k in sorted(exact)]).reshape(-1, 7)
-    return capsules, [k for k, shape in enumerate(shapes) if shape.kind not in ("sphere", "capsule") and k not in exact]
-
-
-@dataclass(frozen=True, eq=False)
-class GivenBody(ByValue):
-    """What a file says of a body."""
-
-    name: str
-    joint: int
-    shapes: tuple[Shape, ...]
+    return Body(name, joint, capsules, boxes, np.concatenate(drawn))
 
 
 @dataclass(frozen=True, eq=False)
 class ShapedBodies(ByValue, Sequence[Body]):
     """The bodies of an arm file and of its URDF file, which are read when they are first asked for.
 
-    given : those of the arm file
+    given : of the arm file, the body, the joint that it moves with and its shape; those of one name are one body
     urdf : text of the URDF file, "": it has none, or they are not wanted;  path : its name
     ends : links at base and tip
     folders : that meshes may be read from, that of the URDF file first
     reach : [mm] of the arm
     """
 
-    given: tuple[GivenBody, ...]
+    given: tuple[tuple[str, int, Shape], ...]
     urdf: str
     path: str
     ends: tuple[str, str]
@@ -152,9 +129,12 @@ class ShapedBodies(ByValue, Sequence[Body]):
     @cached_property
     def _bodies(self) -> tuple[Body, ...]:
         drawn = self._of_urdf() if self.urdf else []
-        for name in {body.name for body in drawn} & {body.name for body in self.given}:
+        for name in {name for name, _, _ in drawn} & {name for name, _, _ in self.given}:
             raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")
-        return tuple(covered(body, self.reach, body.name == self.ends[0]) for body in (*drawn, *self.given))
+        parts = dict[tuple[str, int], list[Shape]]()
+        for name, joint, shape in (*drawn, *self.given):
+            parts.setdefault((name, joint), []).append(shape)
+        return tuple(covered(*key, shapes, self.reach, key[0] == self.ends[0]) for key, shapes in parts.items())
 
     def __len__(self) -> int:
         return len(self._bodies)
@@ -162,50 +142,40 @@ class ShapedBodies(ByValue, Sequence[Body]):
     def __getitem__(self, index: Any) -> Any:
         return self._bodies[index]
 
-    def _of_urdf(self) -> list[GivenBody]:
-        urdf, found, missing, loose = parse_urdf(self.urdf, self.path), [], dict[str, str](), []
+    def _of_urdf(self) -> list[tuple[str, int, Shape]]:
+        urdf, shapes, missing, loose = parse_urdf(self.urdf, self.path), [], dict[str, str](), dict[str, None]()
         for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
-            shapes = []
             for kind, sizes, name, origin in urdf.collisions(link):
-                file = mesh_file(name, self.folders) if kind == "mesh" else Path()
-                if file is None:
+                if (file := mesh_file(name, self.folders) if kind == "mesh" else Path()) is None:
                     missing[link] = name
-                else:
-                    shapes.append(Shape(kind, place @ origin, sizes, str(file)))
-            if shapes:
-                found.append(GivenBody(link, joint, tuple(shapes)))
-                loose += [link] if aside else []
+                    continue
+                shapes.append((link, joint, Shape(kind, place @ origin, sizes, str(file))))
+                loose |= {link: None} if aside else {}
         if missing:
             links = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"
-            found_none = (
-                f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not looked at"
-            )
+            state = f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not looked at"
             ways = f"{' or '.join(READERS)} files beside the arm file or below, or in a folder of --package-dir"
-            warnings.warn(f"{self.path}: {found_none}, allowed: {ways}", UserWarning, stacklevel=2)
+            warnings.warn(f"{self.path}: {state}, allowed: {ways}", UserWarning, stacklevel=2)
         if loose:
             drawn = "drawn where joints that are not the arm's stand at zero"
             warnings.warn(f"{self.path}: {', '.join(loose)}: {drawn}", UserWarning, stacklevel=2)
-        return found
+        return shapes
 
 
 def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
     """The file that a URDF file names; None: it is not there, in none of the folders, or of another type.
 
-    folders : in which it may be, that of the URDF file first; the package that this is in is another
+    folders : in which it may be, that of the URDF file first; the package that this is in (`package.xml`) is another
     """
-    beside = Path(folders[0])
+    beside, words = Path(folders[0]), PACKAGE.fullmatch(name)
     package = next((above for above in (beside / "x").resolve().parents if (above / "package.xml").is_file()), None)
-    roots: list[PathLike] = [*folders, *([] if package is None else [package])]
-    places = [(root, Path(root, inner)) for root in folders if (inner := name_beside(name)) is not None]
-    if (words := PACKAGE.fullmatch(name)) is not None:
-        places += [(root, Path(root, words[2])) for root in folders]
-        if package is not None and words[1] in (package.name, _package_name(package)):
-            places.append((package, package / words[2]))
-    else:
-        places = [(root, beside / re.sub(r"^file://", "", name)) for root in roots] + places
+    roots = [*map(Path, folders), *([] if package is None else [package])]
+    places = [] if words else [(root, beside / name.removeprefix("file://")) for root in roots]
+    inside = [name_beside(name), words[2] if words else None]
+    places += [(root, root / each) for each in inside if each is not None for root in roots]
     for root, path in places:
-        inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root))
-        if inside and path.suffix.lower() in READERS and path.is_file():
+        within = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root))
+        if within and path.suffix.lower() in READERS and path.is_file():
             return path
     return None
 
@@ -216,12 +186,6 @@ def name_beside(name: str) -> str | None:
     inner = "/".join(words.groups()) if words else re.sub(r"^(\.\.?/+)+", "", name)
     absolute = inner.startswith(("/", "file:")) or ".." in inner.split("/")
     return None if absolute else inner
-
-
-def _package_name(folder: Path) -> str:
-    """Of a ROS package, from its `package.xml`."""
-    path = folder / "package.xml"
-    return (xml_root(decode(path, read_bytes(path)), path, "a ROS package").findtext("name") or "").strip()
 
 
 def pairs_apart(path: PathLike) -> frozenset[frozenset[str]]:

@@ -1,15 +1,18 @@
 """The tables of an arm file, of the plane or of space, and one line for what cannot be.
 
-Keys that only one kind of arm has are marked; points have a number for each of its axes; a magnitude is at most
-`LARGEST`. What pydantic says of a value is the end of a message, or the sentence of a check of ours.
+A key is declared once: its name ends with its unit, its type says what is allowed there, and an angle is turned from
+degrees into radians where it is read. Keys that only one kind of arm has are marked; points have a number for each of
+its axes; a magnitude is at most `LARGEST`. What pydantic says of a value is the end of a message, or the sentence of a
+check of ours.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
+from typing import Annotated, Any, Literal, NoReturn, TypeVar, get_args
 
 import numpy as np
 from pydantic import (
@@ -23,7 +26,6 @@ from pydantic import (
     create_model,
     model_validator,
 )
-from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
@@ -32,33 +34,35 @@ from identification.errors import InputError, nearest
 from identification.instruments import KINDS
 
 AXES = {"planar": "xy", "spatial": "xyz"}  # kind of an arm -> of its points
-CURVE, CURVE_KEYS = "joint_error_curve", ("from_deg", "to_deg", "values_deg")
-OTHER_KEYS = {  # what people write for keys of an arm file
-    "lengths_mm": "links_mm",
-    "link_lengths_mm": "links_mm",
-    "min": "lower",
-    "max": "upper",
-    "g": "acceleration_m_s2",
-    "theta_deg": "offset_deg",
-}
+CURVE = "joint_error_curve"
 # kind -> keys of a planar and of a spatial arm, those with ? may be left out
-CONSTRAINTS = {
-    "workspace_box": {"planar": "x_mm y_mm", "spatial": "x_mm y_mm z_mm"},
-    "keep_out_circle": {"planar": "center_mm radius_mm"},
-    "keep_out_sphere": {"spatial": "center_mm radius_mm"},
-    "keep_out_cylinder": {"spatial": "start_mm end_mm radius_mm"},
-    "line_of_sight": {
-        "planar": "tracker_mm half_angle_deg toward_mm",
-        "spatial": "tracker_mm half_angle_deg toward_mm range_mm? facing? acceptance_deg?",
-    },
-}
 POSE = {"planar": "x_mm? y_mm? rz_deg?", "spatial": "x_mm? y_mm? z_mm? rx_deg? ry_deg? rz_deg?"}
-BODIES = {  # besides name and joint
-    "box": {kind: f"size_mm {keys}" for kind, keys in POSE.items()},
-    "sphere": dict.fromkeys(AXES, "center_mm radius_mm"),
-    "capsule": dict.fromkeys(AXES, "start_mm end_mm radius_mm"),
-    "cylinder": {"spatial": "start_mm end_mm radius_mm"},
-    "mesh": {"spatial": f"file unit? {POSE['spatial']}"},
+KEYS_OF_KIND = {
+    "constraints": {
+        "workspace_box": {"planar": "x_mm y_mm", "spatial": "x_mm y_mm z_mm"},
+        "keep_out_circle": {"planar": "center_mm radius_mm"},
+        "keep_out_sphere": {"spatial": "center_mm radius_mm"},
+        "keep_out_cylinder": {"spatial": "start_mm end_mm radius_mm"},
+        "line_of_sight": {
+            "planar": "tracker_mm half_angle_deg toward_mm",
+            "spatial": "tracker_mm half_angle_deg toward_mm range_mm? facing? acceptance_deg?",
+        },
+    },
+    "bodies": {
+        "box": {kind: f"name? joint? size_mm {keys}" for kind, keys in POSE.items()},
+        "sphere": dict.fromkeys(AXES, "name? joint? center_mm radius_mm"),
+        "capsule": dict.fromkeys(AXES, "name? joint? start_mm end_mm radius_mm"),
+        "cylinder": {"spatial": "name? joint? start_mm end_mm radius_mm"},
+        "mesh": {"spatial": f"name? joint? file unit? {POSE['spatial']}"},
+    },
+    "instrument": {
+        word: {
+            kind: " ".join(f"{key}?" for key in KINDS[axes][word].keys)
+            for kind, axes in AXES.items()
+            if word in KINDS[axes]
+        }
+        for word in KINDS["xyz"]
+    },
 }
 
 
@@ -99,10 +103,12 @@ def _only(kind: str, value: Any, *, needed: bool = False) -> Any:
 F = TypeVar("F", bound=BaseModel)
 Tables: Any = list
 Named: Any = dict
+Radians = AfterValidator(math.radians)
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]
 NotNegative = Annotated[float, Field(ge=0, le=LARGEST)]
-Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE)]
+Angle = Annotated[float, Field(ge=-LARGEST_ANGLE, le=LARGEST_ANGLE), Radians]
+Opening = Annotated[float, Field(gt=0, le=180), Radians]
 Length = Annotated[float, Field(ge=LENGTH_RANGE[0], le=LENGTH_RANGE[1])]
 Sigma = Annotated[float, Field(ge=SIGMA_RANGE[0], le=SIGMA_RANGE[1])]
 Lengths = Annotated[list[Length], AfterValidator(_per_axis)]
@@ -127,20 +133,18 @@ class StrictTable(BaseModel):
         if not isinstance(values, dict):
             return values
         kind = _kind(info)
-        fields = {key: field for key, field in cls.model_fields.items() if _mark(field).get("of", kind) == kind}
-        for key in (key for key in values if key not in cls.model_fields):  # first: what is misspelt is missing, too
+        marks: dict[str, Any] = {key: field.json_schema_extra or {} for key, field in cls.model_fields.items()}
+        fields = {key: field for key, field in cls.model_fields.items() if marks[key].get("of", kind) == kind}
+        for key in (key for key in values if key not in marks):  # first: what is misspelt is missing, too
             tables = {name: (field.annotation, *get_args(field.annotation)) for name, field in fields.items()}
             below = [name for name, types in tables.items() for t in types if key in getattr(t, "model_fields", ())]
             if len(below) == 1:
                 _refuse(key, f"found outside of a table, allowed: under [{below[0]}]")
-            _refuse(key, f"unknown key, {nearest(key, fields, OTHER_KEYS)}")
+            _refuse(key, f"unknown key, {nearest(key, fields)}")
         for key in (key for key in values if key not in fields):
-            _refuse(
-                key,
-                f"found in the file of a {kind} arm, allowed: in that of a {_mark(cls.model_fields[key])['of']} arm",
-            )
+            _refuse(key, f"found in the file of a {kind} arm, allowed: in that of a {marks[key]['of']} arm")
         for key, field in fields.items():
-            if key not in values and (field.is_required() or _mark(field).get("needed")):
+            if key not in values and (field.is_required() or marks[key].get("needed")):
                 _refuse(key, missing(key))
         return values
 
@@ -149,10 +153,6 @@ def missing(key: str) -> str:
     """That a key is missing, and in which unit its value is, which stands at the end of its name."""
     unit = key.rpartition("_")[2]
     return f"is missing, allowed: a value for it{f' [{unit}]' if unit in ('mm', 'deg', 'kg') else ''}"
-
-
-def _mark(field: FieldInfo) -> dict[str, Any]:
-    return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
 
 def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None, /, **keys: Any) -> Any:
@@ -166,34 +166,34 @@ def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None,
     return create_model(name, __base__=StrictTable, __validators__=validators, **fields)  # type: ignore[call-overload]
 
 
-def _has_keys_of_its_kind(table: Any, info: ValidationInfo) -> Any:
-    """Refuses a kind that there is not, keys that it does not have or lacks, and those that need or exclude others."""
-    arm, keys = _kind(info), dict[str, dict[str, bool]]()  # kind -> key -> whether it is needed
-    if isinstance(table, InstrumentTable):
-        keys = {kind: dict.fromkeys(each.keys, False) for kind, each in KINDS[AXES[arm]].items()}
-    else:
-        tables, more = (BODIES, " name? joint?") if isinstance(table, BodyTable) else (CONSTRAINTS, "")
-        words = {kind: f"{of[arm]}{more}".split() for kind, of in tables.items() if arm in of}
-        keys = {kind: {word.rstrip("?"): word[-1] != "?" for word in of} for kind, of in words.items()}
-    if table.kind not in keys:
-        _refuse("kind", f"found {table.kind!r} for a {arm} arm, {nearest(table.kind, keys)}")
-    present = {key for key, value in table if value is not None and key != "kind"}
-    for key in type(table).model_fields:
-        if key in present and key not in keys[table.kind]:
-            owners = sorted(kind for kind, of in keys.items() if key in of)
-            allowed = f"for {', '.join(owners)}" if owners else "left out"
-            _refuse(key, f"found for kind {table.kind}, allowed: {allowed}")
-        if key not in present and keys[table.kind].get(key):
+def _table_of_kinds(title: str, place: str, /, **keys: Any) -> Any:
+    """A table whose key `kind` says which of these keys it has and needs;  place : in `KEYS_OF_KIND`"""
+
+    def check(table: Any, info: ValidationInfo) -> Any:
+        arm = _kind(info)
+        words = {word: of[arm].split() for word, of in KEYS_OF_KIND[place].items() if arm in of}
+        if table.kind not in words:
+            _refuse("kind", f"found {table.kind!r} for a {arm} arm, {nearest(table.kind, words)}")
+        present = {key for key, value in table if value is not None and key != "kind"}
+        allowed = {key.rstrip("?") for key in words[table.kind]}
+        for key in (key for key in keys if key in present - allowed):
+            owners = sorted(word for word, of in words.items() if {key, f"{key}?"} & {*of})
+            elsewhere = f"for {', '.join(owners)}" if owners else "left out"
+            _refuse(key, f"found for kind {table.kind}, allowed: {elsewhere}")
+        for key in (key for key in words[table.kind] if key[-1] != "?" and key not in present):
             _refuse(key, missing(key))
-    for key, other in (("end_mm", "start_mm"), ("toward_mm", "tracker_mm")):
-        if {key, other} <= present and table.kind != "capsule" and getattr(table, key) == getattr(table, other):
-            _refuse(key, f"found {getattr(table, key)}, allowed: another point than {other}")
-    if "acceptance_deg" in present and "facing" not in present:
-        _refuse("acceptance_deg", "found without facing, allowed: with facing")
-    for key, other in (("normal", "center_mm"), ("center_mm", "normal")):
-        if "normal" in keys[table.kind] and key not in present and other in present:
-            _refuse(key, f"is missing beside {other}, allowed: both or none")
-    return table
+        for key, other in (("end_mm", "start_mm"), ("toward_mm", "tracker_mm")):
+            if {key, other} <= present and table.kind != "capsule" and getattr(table, key) == getattr(table, other):
+                _refuse(key, f"found {getattr(table, key)}, allowed: another point than {other}")
+        for key, other in (("normal", "center_mm"), ("center_mm", "normal")):
+            if "normal" in allowed and key not in present and other in present:
+                _refuse(key, f"is missing beside {other}, allowed: both or none")
+        if "acceptance_deg" in present and "facing" not in present:
+            _refuse("acceptance_deg", "found without facing, allowed: with facing")
+        return table
+
+    kind = Annotated[str, Field(json_schema_extra={"enum": [*KEYS_OF_KIND[place]]})]
+    return _table(title, "kind", check, kind=kind, **keys)
 
 
 def _covariance(table: Any) -> Any:
@@ -244,6 +244,16 @@ def _together(file: Any) -> Any:
     return file
 
 
+def _curve(table: Any) -> Any:
+    """Keys of an error curve: all of them, and for nothing else."""
+    for key in ("from_deg", "to_deg", "values_deg", "geometry"):
+        if table.name != CURVE and getattr(table, key) is not None:
+            _refuse(key, f"unknown key of {table.name}, allowed: for {CURVE} only")
+        if table.name == CURVE and getattr(table, key) is None and key != "geometry":
+            _refuse(key, "is missing, allowed: as `armcal diagnose --out` writes it")
+    return table
+
+
 def _by_marker(table: Any) -> Any:
     """Tables of markers by name; the table of an arm with a single marker under an empty name."""
     several = isinstance(table, dict) and table and all(isinstance(value, dict) for value in table.values())
@@ -261,15 +271,7 @@ class EffectTable(BaseModel):
     to_deg: Angle | None = None
     values_deg: list[Angle] | None = None
     geometry: dict[str, float] | None = None
-
-    @model_validator(mode="after")
-    def _has_its_keys(self) -> Self:
-        for key in (*CURVE_KEYS, "geometry"):
-            if self.name != CURVE and getattr(self, key) is not None:
-                _refuse(key, f"unknown key of {self.name}, allowed: for {CURVE} only")
-            if self.name == CURVE and getattr(self, key) is None and key != "geometry":
-                _refuse(key, "is missing, allowed: as `armcal diagnose --out` writes it")
-        return self
+    _check = model_validator(mode="after")(_curve)
 
 
 class ProvenanceTable(BaseModel):
@@ -286,10 +288,11 @@ class ProvenanceTable(BaseModel):
 PoseTable = _table(
     "PoseTable", **{f"{axis}_mm": (Number, 0.0) for axis in "xyz"} | {f"r{x}_deg": (Angle, 0.0) for x in "xyz"}
 )
-LimitsTable = _table("LimitsTable", "lower upper", lower=list[Angle], upper=list[Angle])
+AngleLimits = _table("AngleLimits", "lower upper", lower=list[Angle], upper=list[Angle])
+SlideLimits = _table("SlideLimits", "lower upper", lower=list[Number], upper=list[Number])
 JointsTable = _table("JointsTable", sign=list[int], coupled_to=list[int], zero_deg=list[Angle])
 MachiningTable = _table("MachiningTable", translation_mm=Length, rotation_deg=Annotated[Angle, Field(gt=0)])
-MeasurementTable = _table("MeasurementTable", sigma_mm=Sigma, sigma_deg=_only("spatial", Positive))
+MeasurementTable = _table("MeasurementTable", sigma_mm=Sigma, sigma_deg=_only("spatial", Annotated[Positive, Radians]))
 RowTable = _table(
     "RowTable",
     "a_mm alpha_deg d_mm",
@@ -309,23 +312,19 @@ GravityTable = _table(
     payload_kg=(NotNegative, 0.0),
     payload_at_mm=_only("spatial", Point),
 )
-ConstraintTable = _table(
+ConstraintTable = _table_of_kinds(
     "ConstraintTable",
-    "kind",
-    _has_keys_of_its_kind,
-    kind=Annotated[str, Field(json_schema_extra={"enum": [*CONSTRAINTS]})],
+    "constraints",
     **dict.fromkeys(("x_mm", "y_mm", "z_mm"), Rising),
     **dict.fromkeys(("center_mm", "start_mm", "end_mm", "tracker_mm", "toward_mm"), Point),
-    **dict.fromkeys(("half_angle_deg", "acceptance_deg"), Annotated[float, Field(gt=0, le=180)]),
+    **dict.fromkeys(("half_angle_deg", "acceptance_deg"), Opening),
     radius_mm=Positive,
     range_mm=Annotated[Rising, _checked("two numbers >= 0, the lower one first", lambda pair: pair[0] >= 0.0)],
     facing=Direction,
 )
-BodyTable = _table(
+BodyTable = _table_of_kinds(
     "BodyTable",
-    "kind",
-    _has_keys_of_its_kind,
-    kind=Annotated[str, Field(json_schema_extra={"enum": [*BODIES]})],
+    "bodies",
     name=Annotated[str, Field(min_length=1)],
     joint=Annotated[int, Field(ge=1, le=MAX_LINKS)],
     size_mm=Lengths,
@@ -345,11 +344,9 @@ CellTable = _table(
     apart=(list[Annotated[tuple[str, str], Field(strict=False)]], []),
     bodies=(Tables[BodyTable], []),
 )
-InstrumentTable = _table(
+InstrumentTable = _table_of_kinds(
     "InstrumentTable",
-    "kind",
-    _has_keys_of_its_kind,
-    kind=Annotated[str, Field(json_schema_extra={"enum": [*KINDS["xyz"]]})],
+    "instrument",
     radius_mm=Positive,
     center_mm=Point,
     normal=Direction,
@@ -382,8 +379,8 @@ ArmFile = _table(
     tip_link=_only("spatial", str),
     dh=_only("spatial", Annotated[Tables[RowTable], Field(min_length=1, max_length=MAX_LINKS)]),
     link_width_mm=_only("planar", Length),
-    joint_limits_deg=LimitsTable,
-    joint_limits_mm=_only("spatial", LimitsTable),
+    joint_limits_deg=AngleLimits,
+    joint_limits_mm=_only("spatial", SlideLimits),
     joints=JointsTable,
     base=_only("spatial", PoseTable),
     tool=_only("spatial", Annotated[Named[str, PoseTable], BeforeValidator(_by_marker)]),
@@ -397,12 +394,6 @@ ArmFile = _table(
     effects=(list[EffectTable], []),
     calibration=CalibrationTable,
 )
-
-
-def require_count(key: str, values: list[Any], count: int, whose: str = "joints") -> None:
-    """Raises `InputError` unless there is one value for each joint."""
-    if len(values) != count:
-        raise InputError(f"{key}: found {len(values)} values for {count} {whose}, allowed: {count}")
 
 
 # -- validation --------------------------------------------------------------------------------------------------------

@@ -234,28 +234,16 @@ class Curve:
         """Description of its shape, and the waves that it consists of, strongest first."""
         return shape_and_waves(self.angles, self.error, self.std)
 
-    def table_rows(self) -> list[tuple[float, ...]]:
-        """Rows of `--curves`: joint, then angle, correction, standard deviation and error [deg]; with the correction
-        added to the command the joint reaches the angle."""
-        correction = -self.error
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `curves` (identification/files/README.md, "JSON keys"): at every half node the correction that,
+        added to the command, brings the joint to the angle."""
+        correction, (shape, waves) = -self.error, self.described
         for _ in range(3):  # the error at the corrected command; slopes are far below one
             correction = -self.table.at(self.angles + correction)
-        columns = np.degrees([self.angles, correction, self.std, self.error])
-        return [(self.joint, *(round(float(v), 7) for v in row)) for row in columns.T]
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `curves` (identification/files/README.md, "JSON keys")."""
-        columns, (shape, waves) = list(zip(*self.table_rows(), strict=True))[1:], self.described
         start, stop, length = np.degrees([self.table.start, self.table.stop, self.table.spacing]).tolist()
         head = {"joint": self.joint, "from_deg": start, "to_deg": stop, "length_deg": length, "shape": shape}
-        tables = {name: list(column) for name, column in zip(COLUMNS, columns, strict=True)}
-        return {**head, "waves": waves, **tables}
-
-
-def curves_text(curves: Sequence[Curve]) -> str:
-    """The CSV table of `armcal diagnose --curves`: the correction of the commanded angle at every half node."""
-    rows = [row for curve in curves for row in curve.table_rows()]
-    return "".join(",".join(map(str, line)) + "\n" for line in (("joint", *COLUMNS), *rows))
+        columns = np.degrees([self.angles, correction, self.std, self.error]).round(7).tolist()
+        return {**head, "waves": waves, **dict(zip(COLUMNS, columns, strict=True))}
 
 
 def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[dict[str, Any]]]:

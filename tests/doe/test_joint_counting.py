@@ -15,9 +15,8 @@ from identification import Plan
 from identification.arm import Arm, Calibration
 from identification.estimation import estimate
 from identification.estimation.doubts import outside_limits
-from identification.files.arm import dump_arm, load_arm
+from identification.files.arm import load_arm
 from identification.files.measurement import load_targets, measurement_text
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting, JointKinds
 from identification.measurements import Measurements, load_measurements
 from identification.model import Model
@@ -70,23 +69,6 @@ def test_limits_are_the_controllers(arm: Arm) -> None:
     said = outside_limits(arm, Measurements(q[~within], np.zeros((np.sum(~within), 2))))
     first = np.flatnonzero((columns[~within][0] < [-170, -60, -150]) | (columns[~within][0] > [170, 80, 40]))[0]
     assert f"row 1: joint {first + 1} at {columns[~within][0][first]:.5g} deg, allowed -150 to 40" in said[0]
-
-
-@pytest.mark.parametrize("space", [False, True])
-def test_an_arm_file_is_written_as_it_is_read(tmp_path: Path, arm: Arm, space: bool) -> None:
-    if space:
-        slide = DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(-100.0, 300.0))
-        rows = [DHRow(0.0, 1.5, 300.0), DHRow(400.0, 0.0, 0.0), DHRow(300.0, 0.0, 0.0), slide]
-        counting = Counting((1, 1, -1, -1), (0, 0, -2, 0), (0.1, 0.2, 0.3, 0.0))
-        arm = Arm(chain_of(rows), counting=counting)
-    (tmp_path / "again.toml").write_text(dump_arm(arm))
-    again = load_arm(tmp_path / "again.toml")
-    assert again.counting.coupled_to == arm.counting.coupled_to
-    np.testing.assert_allclose(again.counting.matrix, arm.counting.matrix)
-    np.testing.assert_allclose(again.counting.zero, arm.counting.zero, atol=1e-14)
-    np.testing.assert_allclose([again.lower, again.upper], [arm.lower, arm.upper], atol=1e-12)
-    assert len(again.constraints) == len(arm.constraints) == (0 if space else 1)
-    assert dump_arm(again) == dump_arm(arm)
 
 
 @settings(max_examples=25)

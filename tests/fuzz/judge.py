@@ -126,8 +126,6 @@ def readers(case: Case, name: str) -> list[Callable[[Path], object]]:
         return [read for end, read in ends.items() if name.endswith(end)]
     if option == "--urdf" or (verb in ("identify", "diagnose") and option == "--out"):
         return [read_urdf if option == "--urdf" else load_arm]
-    if option == "--curves":  # a header alone where no joint has a curve
-        return [_without_nan]
     found: list[Callable[[Path], object]] = [_without_nan, read_table]
     if "arm.toml" in case.words and verb in ("design", "relax"):  # compensate leaves cells empty without a command
         found.append(lambda path: Plan.load(path, load_arm(path.parent / "arm.toml").joint_types))

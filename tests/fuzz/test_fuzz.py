@@ -15,7 +15,7 @@ from doe.studies.monte_carlo import load_study
 from identification import Plan
 from identification.arm import Arm
 from identification.errors import InputError
-from identification.files.arm import dump_arm, load_arm
+from identification.files.arm import load_arm
 from identification.files.csv import read_table
 from identification.files.measurement import load_targets
 from identification.measurements import load_measurements
@@ -46,14 +46,10 @@ def refused_or_read(read: Callable[..., object], *arguments: object) -> object |
 @few(100)
 @given(arm=arms(), data=st.data())
 def test_arm_files(tmp_path_factory: pytest.TempPathFactory, arm: ArmText, data: st.DataObject) -> None:
-    """Read or refused; what is read is written so that it is read again."""
+    """Read or refused."""
     folder = tmp_path_factory.mktemp("arm")
     prepare(Case([], {"arm.toml": data.draw(mostly_valid(arm.text)), "robot.urdf": arm.urdf}), folder)
-    read = refused_or_read(load_arm, folder / "arm.toml")
-    if read is not None:
-        (folder / "again.toml").write_text(dump_arm(read))  # type: ignore[arg-type]
-        again = refused_or_read(load_arm, folder / "again.toml")
-        assert again.links == read.links  # type: ignore[attr-defined]
+    refused_or_read(load_arm, folder / "arm.toml")
 
 
 READERS = {

@@ -102,12 +102,6 @@ def test_misfit_is_the_first_line_a_warning_and_in_json(folder: Folder) -> None:
     assert "armcal: warning: misfit: " in with_json.err
     assert with_json.data["intervals"] in ("sandwich", "scatter")
     assert with_json.data["warnings"][0].startswith("misfit: ")
-    given, free = (folder.said(f"{IDENTIFY} --sigma {sigma}") for sigma in ("given", "estimated"))
-    assert (given["intervals"], given["sigma_mm"], given["clusters"]) == ("given", 0.1, None)
-    assert (free["intervals"], free["chi2"], free["warnings"]) == ("scatter", None, [])
-    assert free["sigma_mm"] == pytest.approx(given["scatter_mm"])
-    widths = [[p["high_95"] - p["low_95"] for p in kind["parameters"]] for kind in (given, free)]
-    assert all(narrow < wide for narrow, wide in zip(*widths, strict=True))
 
 
 def test_data_in_the_frame_of_a_tracker(folder: Folder) -> None:
@@ -171,12 +165,12 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
 
 def test_a_prior_is_the_library_and_a_file(folder: Folder) -> None:
     folder.simulated()
-    folder.said(f"{IDENTIFY} --sigma given --out calibrated.toml")
+    folder.said(f"{IDENTIFY} --out calibrated.toml")
     flag = folder.said("identify arm.toml data.csv --library-prior --missing backlash")
     assert flag["prior"]["effects"] == [f"backlash:{j}" for j in (1, 2, 3, 4)]
     assert flag["offered"]["better"] is False  # no effect is there, and four more can only harm
-    folder.simulated("again.csv", seed=1)
-    again = "arm.toml again.csv --sigma given"
+    folder.simulated("again.csv", seed=2)
+    again = "arm.toml again.csv"
     named = f"identify {again} --prior-from calibrated.toml"
     found = folder.said(named)
     assert found["prior_from"]["file"] == "calibrated.toml"
@@ -185,7 +179,7 @@ def test_a_prior_is_the_library_and_a_file(folder: Folder) -> None:
     alone = folder.said(f"identify {again}")
     for with_prior, without in zip(found["parameters"], alone["parameters"], strict=True):
         assert with_prior["std"] == pytest.approx(without["std"] / np.sqrt(2.0), rel=0.1)  # the same plan, twice
-    both = folder.said(f"{named} --library-prior --missing backlash".replace("--sigma given", ""))
+    both = folder.said(f"{named} --library-prior --missing backlash")
     assert (both["prior"]["parameters"], both["prior_from"]["anew"]) == (4, [])
     assert "found no covariance" in folder.armcal(named.replace("calibrated", "arm")).err
 

@@ -55,7 +55,7 @@ def test_a_design_that_is_stopped_leaves_no_process_and_no_half_file(tmp_path: P
 
 
 def test_a_search_that_is_stopped_answers_with_its_best(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The signal comes while a plan is judged, in no library; a second one, when the plan is written, is too late."""
+    """The signal comes while a plan is judged, in no library; after a second one nothing is written."""
 
     def interrupted(function: Callable[..., Any], call: int) -> Callable[..., Any]:
         calls = count(1)
@@ -68,9 +68,11 @@ def test_a_search_that_is_stopped_answers_with_its_best(folder: Folder, monkeypa
         return run
 
     monkeypatch.setattr("doe.solvers.solving.separated", interrupted(separated, 2))
-    monkeypatch.setattr("doe.report.design.design_document", interrupted(design_document, 1))
     data = folder.said("design arm.toml --runs 5 --solver exchange --out new.csv")
     assert (data["status"], folder.read("new.csv").count("\n")) == ("interrupted", 6)
+    monkeypatch.setattr("doe.report.design.design_document", interrupted(design_document, 1))
+    folder.refused("design arm.toml --runs 5 --solver exchange --out other.csv", "nothing was written", code=1)
+    assert not (folder.path / "other.csv").exists()
 
 
 def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> None:

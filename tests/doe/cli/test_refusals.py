@@ -62,25 +62,17 @@ CASES: list[Case] = [
     # arm files and measurements: what each reader says of them is tested beside it
     case(DESIGN, "bad.toml; joint 2; 120; lower < upper", toml=changed("-120.0, -100.0", "120.0, -100.0")),
     case(IDENTIFY, "2 m; 6; 8; m >= 4", csv=data(ROW * 3)),
-    case("identify bad.toml data.csv --sigma given", "sigma", toml=BARE),
     case("discriminate arm.toml data.csv --runs 2 --payloads 0,5", "--payloads; [gravity]"),
     case("diagnose arm.toml Cal.TOML", "Cal.TOML; arm file", Cal_TOML=ARM + CALIBRATION),
     case("discriminate arm.toml bad.csv --runs 1", "60 rows of 1 posture; at least 4", csv=data("".join(ONE_POSTURE))),
     # arms and measurements in space
     case("identify arm.toml data.csv --urdf x.urdf", "--urdf; planar"),
-    case("identify arm.toml data.csv --parameters all", "--parameters; planar"),
     case(FIT, "'z_mm'", toml=SPATIAL),
     case(
         "identify bad.toml bad.csv",
         "fewer equations",
         toml=BAR,
         csv=data("1,2,3,4,700\n", HEADER.replace("x_mm,y_mm", "distance_mm")),
-    ),
-    case(
-        "identify bad.toml bad.csv --parameters minimal",
-        "minimal; planes",
-        toml=LENGTHS + 'kind = "plane"\n',
-        csv=data("1,2,3,4\n" * 40, HEADER.replace(",x_mm,y_mm", "")),
     ),
     case(
         "simulate bad.toml plan.csv --truth arm.toml --out out.file",
@@ -131,7 +123,6 @@ CASES: list[Case] = [
     case("relax arm.toml --solver clarabel --seconds 1"),
     *(case(f"relax arm.toml --grid {n}", "grid", n, "allowed: 2 to 256") for n in ("513", "9999999", "9" * 20)),
     case("compare arm.toml --runs 8 --workers 99999999999999999999", "--workers; 1<=x<=4096"),
-    case("identify arm.toml data.csv --method linaer", "linaer; linear"),
     case("identify arm.toml data.csv --only length", "'lengths'"),
     case("identify arm.toml data.csv more.csv", "extra argument"),
     case("validate arm.toml data.csv", "calibration"),
@@ -182,7 +173,7 @@ CASES: list[Case] = [
             ("calibrate", "identify"),
             ("help format", "formats"),
             ("design arm.toml --run 8", "--runs"),
-            ("effects friction", "joint_hysteresis"),
+            ("effects joint_hysteresys", "joint_hysteresis"),
         )
     ),
 ]

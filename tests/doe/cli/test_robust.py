@@ -80,14 +80,14 @@ def test_a_plan_carries_how_it_is_to_be_fitted_and_identify_follows(two: Folder)
     two.simulated(plan="best.csv")
     assert two.read("data.csv").startswith(f"# fit: {ASKED}\n")
     two.write("bare.csv", two.read("data.csv").partition("\n")[2])
-    followed, plain, explicit, refused, linear = (
+    followed, plain, explicit, refused, partial = (
         two.said(f"identify arm.toml {words}")
         for words in (
             "data.csv",
             "bare.csv",
             f"bare.csv --{ASKED}",
             "data.csv --no-library-prior",
-            "data.csv --method linear",
+            "data.csv --only joint_offsets",
         )
     )
     assert followed["fit"] == {"asked": ASKED, "followed": True, "against": None}
@@ -96,7 +96,7 @@ def test_a_plan_carries_how_it_is_to_be_fitted_and_identify_follows(two: Folder)
     assert "fit" not in plain | explicit
     assert refused["parameters"] == plain["parameters"]
     assert refused["fit"] == {"asked": ASKED, "followed": False, "against": "--no-library-prior"}
-    assert linear["fit"]["against"] == "--method linear"
+    assert partial["fit"]["against"] == "--only"
 
 
 def test_every_reader_takes_the_comment(two: Folder) -> None:

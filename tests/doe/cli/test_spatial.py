@@ -219,18 +219,6 @@ def test_held_out_halves_of_the_ur10(series: str) -> None:
     assert np.mean(left) < bar * fewer * (1 + spread)
 
 
-def test_what_the_ur10_hardly_tells_stays_as_drawn(folder: Folder) -> None:
-    """Its target is 0.2 mm off the last axis: without a prior two of 27 parameters would run to centimetres."""
-    ur10 = DATA / "ur10"
-    done = folder.armcal(f"identify {ur10 / 'ur10.toml'} {ur10 / 'series_C.csv'} --parameters minimal --json")
-    assert done.code == 0, done.err
-    assert "left as drawn, 25 parameters stay: " in done.err
-    assert (len(done.data["parameters"]), done.data["status"]) == (25, "converged")
-    errors = [row for row in done.data["parameters"] if row["name"].startswith(("translation", "rotation", "joint"))]
-    assert max(abs(row["value"]) for row in errors) < 2.0
-    assert done.data["rms_after_mm"] < 0.5
-
-
 def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Folder) -> None:
     """In JSON, and once in words; no plan in the plane does."""
     weights = "relax arm.toml --candidates plan.csv --runs 20 --no-check"

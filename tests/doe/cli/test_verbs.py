@@ -24,18 +24,18 @@ from doe.cli import main
 from doe.cli.verb import (
     FOLDER,
     FilePath,
-    Names,
     WholeNumbers,
     check_outputs,
+    command,
     shown_progress,
     stoppable,
     stopped_by,
-    verb,
 )
 from doe.studies.monte_carlo import StudyFile
 from identification.document import Answer
 from identification.errors import InputError
 from identification.running import Progress
+from identification.workflow import Names
 from tests.doe.cli.conftest import Folder, without_progress
 
 FULL = Path("/dev/full")
@@ -59,8 +59,7 @@ class Size:
 def test_a_signature_and_its_docstring_declare_a_command() -> None:
     got: dict[str, Any] = {}
 
-    @verb("armcal paint wall.toml")
-    def command(
+    def paint(
         arm: Path,
         data: tuple[Path, ...],
         *,
@@ -89,22 +88,23 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         return Answer({"here": arm}, ["transmission_ripple:1[k=20] and [red]"])
 
     line = "a.toml b.csv c.csv --runs 3,4 --width 5 --only x --only y,z --no-check --seed 7"
-    done = CliRunner().invoke(command, [*line.split(), "--json"])
+    painting = command(paint, "armcal paint wall.toml")
+    done = CliRunner().invoke(painting, [*line.split(), "--json"])
     assert (done.exit_code, done.stdout) == (0, '{"here": "a.toml"}\n')
     assert got == {
         "arm": Path("a.toml"), "data": (Path("b.csv"), Path("c.csv")), "runs": [3, 4], "color": "red",
         "only": (["x"], ["y", "z"]), "check": False, "size": Size(5, 3), "in_all": None, "seed": 7,
     }  # fmt: skip
-    assert CliRunner().invoke(command, line.split()).stdout == "transmission_ripple:1[k=20] and [red]\n"  # no markup
+    assert CliRunner().invoke(painting, line.split()).stdout == "transmission_ripple:1[k=20] and [red]\n"  # no markup
     names = "arm data runs color only check width depth in_all as_json seed quiet"
-    assert [parameter.name for parameter in command.params] == names.split()  # the order of the help
-    page = " ".join(CliRunner().invoke(command, ["--help"]).stdout.split())
-    assert command.short_help == "Paint a wall."
+    assert [parameter.name for parameter in painting.params] == names.split()  # the order of the help
+    page = " ".join(CliRunner().invoke(painting, ["--help"]).stdout.split())
+    assert painting.short_help == "Paint a wall."
     for text in ("Paint a wall. More of it.", "--only NAMES These.", "How deep, in all. [default: 3; x<=9]", "paint"):
         assert text in page
     right = "a.toml b.csv --runs 3 --width 5"
     for part, wrong in ((" b.csv", ""), (" --runs 3", ""), (" --width 5", ""), ("3", "0"), ("5", "five")):
-        assert CliRunner().invoke(command, right.replace(part, wrong).split()).exit_code == 2
+        assert CliRunner().invoke(painting, right.replace(part, wrong).split()).exit_code == 2
 
 
 def test_help_formats_and_versions(folder: Folder) -> None:
@@ -142,7 +142,7 @@ def test_every_file_of_a_verb_is_read_or_written() -> None:
     for _, parameter in PATHS:
         assert isinstance(parameter.type, FilePath)
         names[parameter.type.written].add(str(parameter.name))
-    assert names[True] == {"out", "picture", "report", "curves", "urdf"}
+    assert names[True] == {"out", "picture", "report", "urdf"}
     assert not names[True] & names[False]
 
 

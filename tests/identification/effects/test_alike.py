@@ -11,7 +11,7 @@ import pytest
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import readonly
 from identification.estimation import estimate
-from identification.files.arm import dump_arm, load_arm
+from identification.files.arm import load_arm, with_calibration, with_effects
 from identification.gap.blocks import hypotheses
 from identification.measurements import Measurements
 from identification.model import Model
@@ -58,7 +58,8 @@ def test_files_hold_them_all(tmp_path: Path) -> None:
     values = dict(zip(names[6:], np.linspace(0.001, 0.006, 6), strict=True))
     zeros = readonly(np.zeros(3))
     arm = replace(ARM, calibration=Calibration.of(zeros, zeros, values, names, readonly(np.diag(np.arange(1.0, 13.0)))))
-    text = dump_arm(arm)
+    text = with_effects(f"links_mm = {LENGTHS}\n", ARM.effects)
+    text = with_calibration(text, arm.calibration)
     again = load(tmp_path, text)
     assert again.effects == arm.effects
     assert again.calibration is not None

@@ -20,7 +20,7 @@ from identification.documents.identification import corrected_section, corrected
 from identification.estimation import Identification, estimate
 from identification.estimation.problem import Prior
 from identification.estimation.result import CorrectedValue, corrected_values, dh_table
-from identification.files.arm import dump_arm, load_arm
+from identification.files.arm import load_arm, with_calibration
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
 from identification.measurements import Measurements
@@ -151,7 +151,8 @@ def test_a_calibrated_file_has_the_intervals_of_its_fit(kind: str, tmp_path: Pat
     rows = Measurements(q, model.position(q) + bent + 0.1 * generator.standard_normal((24, 2)))
     found = estimate(model, rows, sigma={"scatter": "estimated", "given": "given"}.get(kind))
     assert found.uncertainty.kind == kind
-    (tmp_path / "arm.toml").write_text(dump_arm(found.calibrated_arm()))
+    text = "links_mm = [260.0, 180.0, 120.0]\n[measurement]\nsigma_mm = 0.1\n"
+    (tmp_path / "arm.toml").write_text(with_calibration(text, found.calibration()))
     for row, kept in zip(found.corrected_values, corrected_values(load_arm(tmp_path / "arm.toml")), strict=True):
         assert (kept.low_95, kept.high_95) == pytest.approx((row.low_95, row.high_95), rel=1e-5, abs=1e-9)
 

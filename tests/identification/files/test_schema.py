@@ -159,12 +159,12 @@ ORIGIN = PLAIN + CALIBRATION + "[calibration.provenance]\n"
 BAD = [  # values that are of the right type
     # keys that stand elsewhere, or have another name
     ("sigma_mm = 0.1\n" + PLAIN, "[measurement]"),
-    ("lengths_mm = [1.0]\n" + PLAIN, "'links_mm'"),
+    ("lengths_mm = [1.0]\n" + PLAIN, "lengths_mm: unknown key, allowed: "),
     ("description = 'x'\n" + PLAIN, "description: "),
     (PLAIN + "[base]", "spatial"),
     (PLAIN + "[limits]", "'joint_limits_deg'"),
-    (LIMITS + "min = [0, 0]\nupper = [90, 90]", "'lower'"),
-    (PLANAR.replace("acceleration_m_s2", "g"), "'acceleration_m_s2'"),
+    (LIMITS + "min = [0, 0]\nupper = [90, 90]", "joint_limits_deg.min: unknown key, allowed: lower, upper"),
+    (PLANAR.replace("acceleration_m_s2", "g"), "gravity.g: unknown key, allowed: acceleration_m_s2, "),
     (LIMITS + "lower = [0, 0]\nupper = [90, -90]", "joint 2"),
     (PLAIN + "[joints]\nsign = [1, 0]", "joints.sign: found 0 for joint 2"),
     (PLAIN + "[joints]\ncoupled_to = [2, 1]", "joints.coupled_to: found"),

@@ -21,7 +21,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.stats import binom
 
-from doe.cli.study import command
+from doe.cli import main
 from doe.jobs import frame_of
 from doe.report.studies import blind_parts
 from doe.studies.blind import cells
@@ -98,7 +98,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("blind") / "study"
     named = [word for cell in (NONE, ONE, BEYOND) for word in ("--cell", cell)]
     options = ["blind", *named, "--replications", "2", "--workers", "1", "--out", str(folder)]
-    done = CliRunner().invoke(command, options)
+    done = CliRunner().invoke(main.commands["study"], options)
     assert done.exit_code == 0, done.output
     assert "6 blind data sets" in done.output
     return folder
