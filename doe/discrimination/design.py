@@ -269,11 +269,11 @@ def in_order(postures: Array, library: EffectLibrary, generator: Generator, budg
     data tell of the order's effects, beyond what the others explain; effort: it has a second in any case."""
     deadline = budget.deadline and max(budget.deadline, perf_counter() + 1.0)
     shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort
-    scores, base = list[float](), library.base
-    for order in shuffles if library.jacobian_by_order is not None else ():
-        if scores and deadline is not None and perf_counter() >= deadline:
+    scores, base, jacobian_of = list[float](), library.base, library.jacobian_by_order
+    for order in shuffles:
+        if jacobian_of is None or (scores and deadline is not None and perf_counter() >= deadline):
             break
-        jacobian = library.jacobian_by_order(postures[order])
+        jacobian = jacobian_of(postures[order])
         information = information_matrix(jacobian)
         cross = information[:base, base:]
         explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
