@@ -65,7 +65,8 @@ class ArmModel(Model):
             if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
                 conditions[at["marker"]] = point
             if "orientation" in at:
-                conditions[at["orientation"]] = ca.vec(chain.orientation(q, self.geometry, ca.SX(point)).T)
+                tip = chain.frames(q, self.geometry)[-1]
+                conditions[at["orientation"]] = ca.vec(chain.measured(tip, self.geometry, ca.SX(point)).axes.T)
             each.append(self.expressions.position_function(q, conditions, p))
         return ca.vertcat(*each)
 
