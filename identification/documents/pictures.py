@@ -39,8 +39,7 @@ def dots(axes: Axes, x: Array, pairs: Pairs) -> None:
     for (values, name), color in zip(pairs, (BEFORE, AFTER), strict=True):
         axes.plot(x, values, ".", color=color, **style)
         axes.plot([], [], ".", color=color, label=name)
-    if axes.get_yscale() == "linear":
-        axes.locator_params(axis="y", nbins=6)
+    axes.locator_params(axis="y", nbins=6)
 
 
 # -- against joints ----------------------------------------------------------------------------------------------------
@@ -76,21 +75,6 @@ def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditio
 
 
 # -- residuals ---------------------------------------------------------------------------------------------------------
-def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
-    """Residuals (m, d) before and after, over the workspace (arrows, enlarged) and against each joint."""
-    views = 1 + (before.shape[1] > 2)
-    figure = Figure(figsize=(10.0, 2.6 + 3.6 * views), layout="constrained")
-    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
-    pairs = (before, "before"), (after, "after")
-    draw_workspace(top, arm, positions, pairs)
-    (strips,) = bottom.subplots(1, postures.shape[1], sharey=True, squeeze=False)
-    for j, axis in enumerate(strips):
-        dots(axis, np.degrees(postures[:, j]), [(distances(residuals), name) for residuals, name in pairs])
-        axis.set(xlabel=f"$q_{j + 1}$ [deg]", yscale="log")
-    strips[0].set_ylabel(f"residual [{reading_unit(arm)}]")
-    return figure
-
-
 def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), on one scale."""
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
