@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType
 
 
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
@@ -86,9 +86,9 @@ class Document:
     verdict : sentences, the first of them the most important
     """
 
-    title: str
-    verdict: Sequence[str]
-    parts: Sequence[Part]
+    title: str = ""
+    verdict: Sequence[str] = ()
+    parts: Sequence[Part] = ()
     actions: Sequence[tuple[str, str]] = ()
     warnings: Sequence[str] = ()
 
@@ -101,6 +101,9 @@ class Document:
 
     def _repr_html_(self) -> str:
         return html(self)
+
+    def __rich_console__(self, _: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        return rendered(self, options.max_width)
 
 
 class Documented:
@@ -127,23 +130,18 @@ Files: TypeAlias = dict[Path, tuple[str, Any]]  # path -> what it is, and its co
 class Answer:
     """What a command answers.
 
-    data : the object of --json;  shown : documents and lines for people;  result : what both are of, for Python
+    data : the object of --json;  document : for people;  result : what both are of, for Python
     exit_code : 0 done, 1 the job failed
-    warnings : doubts that `shown` has too, for those who read `data`
+    warnings : doubts that `document` has too, for those who read `data`
     files : to be written: what each is, and its content
     """
 
     data: dict[str, Any]
-    shown: list[Any]
+    document: Document = Document()
     result: Any = None
     exit_code: int = 0
     warnings: Sequence[str] = ()
     files: Files = field(default_factory=dict)
-
-    def rendered(self, width: int) -> Iterator[RenderableType]:
-        """What a terminal of this many characters shows (rich), from the top."""
-        for part in self.shown:
-            yield from [part] if hasattr(part, "__rich_console__") else rendered(part, width)
 
 
 # -- HTML, everything escaped ------------------------------------------------------------------------------------------
@@ -217,13 +215,12 @@ def as_text(part: Part, width: int = 100) -> str:
 
     plain: dict[str, Any] = {"force_terminal": False, "force_jupyter": False, "color_system": None}
     console = Console(file=(text := io.StringIO()), width=width, highlight=False, markup=False, **plain)
-    for one in rendered(part, width):
-        console.print(one)
+    console.print(part if isinstance(part, Document) else Document(parts=[part]))
     return "".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines())
 
 
-def rendered(part: Part, width: int) -> Iterator[RenderableType]:
-    """What a terminal of this many characters shows of a part (rich), from the top."""
+def rendered(part: Any, width: int) -> Iterator[RenderableType]:
+    """What a terminal of this many characters shows of a part (rich), or of what rich itself can show, from the top."""
     from rich.text import Text
 
     if isinstance(part, str):
@@ -244,6 +241,8 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
             yield from rendered(one, width)
         for text, command in part.actions:
             yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
+    elif not isinstance(part, Sheet | Section | Pictures):
+        yield part
 
 
 def terminal_table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> RenderableType:

@@ -111,10 +111,10 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
     looked = [each for each in problem.constraints if isinstance(each, Clearance)]
     if looked or getattr(problem.model, "space", 0) == 3:
         answer.data["collisions_checked"] = bool(looked)
-        answer.shown.extend([] if looked else [COLLISIONS])
+        answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
     for clearance in looked if postures is not None else []:
         answer.data["collisions"] = clearance.to_json(postures)
-        answer.shown.extend(clearance.in_words(postures))
+        answer.document = answer.document.plus(*clearance.in_words(postures))
     return answer
 
 
@@ -227,7 +227,7 @@ def design_files(
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    answer = Answer(design.to_json() | data, [design_document(design).plus(*extra)], files=files)
+    answer = Answer(design.to_json() | data, design_document(design).plus(*extra), files=files)
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
@@ -291,7 +291,7 @@ def score_files(
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
-    return with_collisions(Answer(data, [document]), problem, judged.postures)
+    return with_collisions(Answer(data, document), problem, judged.postures)
 
 
 @VERBS.declare("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
@@ -329,7 +329,7 @@ def advise_files(
     numbers = range(max(low, fewest), high + 1)
     advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
     doubts = [given_sigma] if given_sigma else []
-    answer = Answer(advice.to_json(), [advice_document(advice).plus(*doubts)], warnings=doubts)
+    answer = Answer(advice.to_json(), advice_document(advice).plus(*doubts), warnings=doubts)
     return with_collisions(answer, problem)
 
 
@@ -402,7 +402,7 @@ def relax_files(
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
-    answer = Answer(data, [relax_document(relaxation, compared)])
+    answer = Answer(data, relax_document(relaxation, compared))
     if out is not None:
         answer.files[out] = "plan with weights", text
     return with_collisions(answer, problem, relaxation.plan.postures)
@@ -463,7 +463,8 @@ def compare_files(
             }
             write_together(files, force=True)
             shown.append(f"rows, summary and picture written to {job.out}")
-        return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
+        data = {"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}
+        return Answer(data, Document(parts=shown))
 
 
 @VERBS.declare("armcal program arm.toml plan.csv --robot ur --out plan.script")
@@ -512,8 +513,8 @@ def program_files(
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
-    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts]
-    return Answer(data, shown, warnings=[line.strip() for line in doubts], files={out: ("program", made.text)})
+    document = Document(parts=[sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts])
+    return Answer(data, document, warnings=[line.strip() for line in doubts], files={out: ("program", made.text)})
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------
@@ -573,7 +574,7 @@ def discriminate_files(
             "pairs": [],
             **dict.fromkeys(("payload_kg", "directions", "chance", "status")),
         }
-        return Answer(keys | nothing, lines)
+        return Answer(keys | nothing, Document(parts=lines))
     end = perf_counter() + seconds
 
     def late() -> bool:
@@ -582,10 +583,10 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, runs, seed, masses, stop=late)
-    answer = Answer(keys | chosen.to_json(), [next_document(diagnosis, chosen)])
+    then = f"Measure these postures and append the rows to {data[-1]}."
+    answer = Answer(keys | chosen.to_json(), next_document(diagnosis, chosen).plus(*([] if out is None else [then])))
     if out is not None:
         answer.files[out] = "next postures", chosen.plan.text(further=chosen.columns)
-        answer.shown.append(f"Measure these postures and append the rows to {data[-1]}.")
     return with_collisions(answer, problem, chosen.plan.postures)
 
 
@@ -618,4 +619,4 @@ def report_files(
         for name, size, digest in hashes(files)
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
-    return Answer(data, [*campaign.verdict], files={out: ("page", text)})
+    return Answer(data, Document(parts=campaign.verdict), files={out: ("page", text)})
