@@ -123,7 +123,7 @@ class Documented:
 
 
 Part: TypeAlias = str | Sheet | Pictures | Section | Document
-Files: TypeAlias = dict[Path, tuple[str, Any]]  # path -> what it is, and its content, as `write_together` takes it
+Files: TypeAlias = dict[Path | None, tuple[str, Any]]  # path, None: not asked for -> what it is, and its content
 
 
 @dataclass

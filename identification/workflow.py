@@ -44,10 +44,9 @@ class Declared(dict[str, tuple[Callable[..., Answer], str]]):
             @wraps(function)
             def verb(*arguments: P.args, **options: P.kwargs) -> Answer:
                 answer = function(*arguments, **options)
-                write_together(
-                    {path: content for path, (_, content) in answer.files.items()}, bool(options.get("force"))
-                )
-                lines = [f"{what} written to {path}" for path, (what, _) in answer.files.items()]
+                files = {path: file for path, file in answer.files.items() if path is not None}
+                write_together({path: content for path, (_, content) in files.items()}, bool(options.get("force")))
+                lines = [f"{what} written to {path}" for path, (what, _) in files.items()]
                 answer.document = answer.document.plus(*lines)
                 return answer
 
@@ -577,7 +576,7 @@ def compensate_files(
     wanted = load_targets(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
-    files: Files = {} if out is None else {out: ("commands", commands.text())}
+    files: Files = {out: ("commands", commands.text())}
     return Answer(commands.to_json(), commands.document(), commands, warnings=commands.warnings, files=files)
 
 

@@ -219,7 +219,7 @@ def design_files(
     data |= driven.to_json()
     extra += driven.in_words()
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
-    files: dict[Path, tuple[str, Any]] = {} if out is None else {out: ("plan", text)}
+    files: dict[Path | None, tuple[str, Any]] = {out: ("plan", text)}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
 
@@ -402,9 +402,7 @@ def relax_files(
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
-    answer = Answer(data, relax_document(relaxation, compared))
-    if out is not None:
-        answer.files[out] = "plan with weights", text
+    answer = Answer(data, relax_document(relaxation, compared), files={out: ("plan with weights", text)})
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
@@ -583,10 +581,9 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, runs, seed, masses, stop=late)
-    then = f"Measure these postures and append the rows to {data[-1]}."
-    answer = Answer(keys | chosen.to_json(), next_document(diagnosis, chosen).plus(*([] if out is None else [then])))
-    if out is not None:
-        answer.files[out] = "next postures", chosen.plan.text(further=chosen.columns)
+    document = next_document(diagnosis, chosen).plus(f"Measure these postures and append the rows to {data[-1]}.")
+    text = chosen.plan.text(further=chosen.columns)
+    answer = Answer(keys | chosen.to_json(), document, files={out: ("next postures", text)})
     return with_collisions(answer, problem, chosen.plan.postures)
 
 
