@@ -118,19 +118,6 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
     return answer
 
 
-def with_clearance(arm: Arm, clearance: float | None) -> Arm:
-    """The arm, whose bodies keep this far apart [mm]; None: as its file says. Raises `InputError`."""
-    if clearance is None:
-        return arm
-    if not 0.0 <= clearance < math.inf:
-        raise InputError(f"--clearance-mm: found {clearance:g}, allowed: a number >= 0")
-    if arm.cell is None:
-        raise InputError(
-            "--clearance-mm: found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
-        )
-    return replace(arm, cell=replace(arm.cell, clearance=clearance))
-
-
 # -- plans -------------------------------------------------------------------------------------------------------------
 @VERBS.declare("armcal design arm.toml --runs 20 --out plan.csv")
 def design_files(
@@ -183,7 +170,14 @@ def design_files(
 
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    loaded = with_clearance(load_arm(arm, package_dir), clearance_mm)
+    loaded = load_arm(arm, package_dir)
+    if clearance_mm is not None:
+        if not 0.0 <= clearance_mm < math.inf:
+            raise InputError(f"--clearance-mm: found {clearance_mm:g}, allowed: a number >= 0")
+        if loaded.cell is None:
+            lacks = "found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
+            raise InputError(f"--clearance-mm: {lacks}")
+        loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     check_order(order)
     check_approach(approach)
     if approach != "any" and loaded.chain.instrument.contact:
