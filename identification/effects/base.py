@@ -18,7 +18,6 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from identification.arm import Arm
@@ -105,7 +104,6 @@ class Number(NamedTuple):
     scale: float | Callable[[Any], float] = 1.0
     lower: float = -inf
     upper: float = inf
-    start: float | None = None
 
 
 LEVER, REACH = attrgetter("link_length"), attrgetter("reach")  # scales of numbers
@@ -159,7 +157,7 @@ class Effect:
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)  # of the arms that can have it: 2 in the plane, 3 in space
     disturb: ClassVar[Callable[..., Array]]
     curve: ErrorCurve | None = None
-    known: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
+    fixed: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
 
     def __init_subclass__(cls) -> None:
         cls.family = cls.family or getattr(cls, "name", "")
@@ -213,13 +211,6 @@ class Effect:
         if self.joint is None:
             raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.chain)}")
         return self.joint - 1
-
-    def at_joint(self, value: ca.SX, chain: Any = None) -> ca.SX:
-        """(n,) zeros except a value at this effect's joint, or (k n,) of a value (k,)."""
-        size = ca.SX(value).numel()
-        values = ca.SX.zeros(size * len(self.chain))
-        values[size * self.joint_index : size * (self.joint_index + 1)] = value
-        return values
 
 
 _LIBRARY: dict[str, type[Effect]] = {}
