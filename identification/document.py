@@ -10,7 +10,7 @@ import base64
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -41,9 +41,9 @@ class Sheet:
     where: str = "--out writes all"
 
     @classmethod
-    def facts(cls, facts: Iterable[tuple[str, str | None]]) -> Self:
+    def facts(cls, facts: Mapping[str, str | None]) -> Self:
         """Names and what is to be said of each, without those of which nothing is."""
-        return cls((), [(name, text) for name, text in facts if text])
+        return cls((), [(name, text) for name, text in facts.items() if text])
 
     def cut(self, most: int | None) -> tuple[Sequence[Sequence[str]], str]:
         """The first rows, and a line that says so if these are not all."""

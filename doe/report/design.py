@@ -102,7 +102,7 @@ def design_facts(data: Data, status: str) -> Sheet:
         "solver": searched if data["solver"] else None,
         "status": status,
     }
-    return Sheet.facts(facts.items())
+    return Sheet.facts(facts)
 
 
 def posture_headings(plan: Plan) -> list[str]:
@@ -352,15 +352,15 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> 
     rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= least]
     unseen = len(design.plan) - len(rows)
     rest = [f"and {unseen} more of less weight than {least:g}; --json and --out have them"] if unseen else []
-    facts: list[tuple[str, str | None]] = [
-        ("criterion", f"{design.criterion} over {where}, {len(design.plan)} with positive weight"),
-        ("value", number(design.value, 9)),
-        ("upper bound", "-" if design.bound is None else str(design.bound)),
-        (f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})", number(design.gap, 3)),
-        ("efficiency at least", number(design.efficiency_lower_bound, 9)),
-        ("solver", f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s"),
-        ("status", design.status.value),
-    ]
+    facts: dict[str, str | None] = {
+        "criterion": f"{design.criterion} over {where}, {len(design.plan)} with positive weight",
+        "value": number(design.value, 9),
+        "upper bound": "-" if design.bound is None else str(design.bound),
+        f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})": number(design.gap, 3),
+        "efficiency at least": number(design.efficiency_lower_bound, 9),
+        "solver": f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s",
+        "status": design.status.value,
+    }
     support = Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)
     digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
     answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]
