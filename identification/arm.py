@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.bodies import Cell
-from identification.document import html_lines, html_table
+from identification.document import Document, Sheet, html
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, require
 from identification.kinematics.chain import KinematicChain, planar_chain
@@ -272,4 +272,4 @@ class Arm(ByValue):
         for j, (kind, length, *limits) in enumerate(zip(*columns, strict=True), start=1):
             low, high = (f"{np.degrees(x):.6g} deg" if kind == REVOLUTE else f"{x:g} mm" for x in limits)
             rows.append((str(j), kind, f"{length:.6g}", low, high))
-        return html_lines([summary]) + html_table(("joint", "type", "length [mm]", "lower", "upper"), rows)
+        return html(Document(parts=[summary, Sheet(("joint", "type", "length [mm]", "lower", "upper"), rows)]))

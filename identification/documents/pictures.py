@@ -114,16 +114,6 @@ def draw_workspace(figure: Figure | SubFigure, arm: Arm, positions: Array, pairs
     return [list(column) for column in grid.T]
 
 
-def draw_distances(axis: Axes, x: Array, pairs: Pairs) -> None:
-    """Distances (m,) of two models as points, and their RMS in up to twelve groups of rows as lines."""
-    dots(axis, x, pairs)
-    groups = np.array_split(np.argsort(x, kind="stable"), min(12, max(1, len(x) // 4)))
-    middle = [np.mean(x[g]) for g in groups]
-    for (values, _), color in zip(pairs, (BEFORE, AFTER), strict=True):
-        axis.plot(middle, [np.sqrt(np.mean(values[g] ** 2)) for g in groups], color=color, lw=1.8)
-    axis.set(ylim=(0, None))
-
-
 # -- diagnoses, without outlier rows, which would set the scale --------------------------------------------------------
 def kept_rows(diagnosis: Diagnosis) -> tuple[NDArray[np.int64], Array, Pairs]:
     """Numbers of the rows that are no outliers, their postures (m, n) [rad], and what is left of them (m, d) [mm]."""
@@ -155,8 +145,16 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
 
     def draw(axis: Axes, name: str) -> None:
         values = diagnosis.residuals.against[name][kept]
-        draw_distances(axis, np.degrees(values) if "[rad]" in name else values, apart)
-        axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel=f"residual [{reading_unit(diagnosis.arm)}]")
+        x = np.degrees(values) if "[rad]" in name else values
+        dots(axis, x, apart)
+        # and the RMS in up to twelve groups of rows
+        groups = np.array_split(np.argsort(x, kind="stable"), min(12, max(1, len(x) // 4)))
+        for (distance, _), color in zip(apart, (BEFORE, AFTER), strict=True):
+            root = [np.sqrt(np.mean(distance[g] ** 2)) for g in groups]
+            axis.plot([np.mean(x[g]) for g in groups], root, color=color, lw=1.8)
+        axis.set(
+            xlabel=name.replace("[rad]", "[deg]"), ylabel=f"residual [{reading_unit(diagnosis.arm)}]", ylim=(0, None)
+        )
 
     return panels([*diagnosis.residuals.against], 3, 2.3, draw, sharey=True)
 
