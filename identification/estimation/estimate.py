@@ -140,7 +140,8 @@ def _with_prior(
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
         wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
-        posed = replace(problem, noise=noise, prior=replace(prior, deviations=wide))
+        widened = replace(prior, deviations=wide)
+        posed = replace(problem, noise=noise, prior=widened)
         rows, center = posed.prior_rows, posed.prior_center
 
         def linearize(x: Array, _: Index, rows: Array = rows, center: Array = center) -> tuple[Array, Array]:
@@ -169,10 +170,10 @@ def _with_prior(
         taken = f"taken as {width * of_zeros:g} times as large, as where a motor was changed or a drawing counts from"
         zeros_far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
         far.append(f"{zeros_far}: {taken} elsewhere")
-    contradictions = () if prior.earlier is None else contradicted(posed, x)
+    contradiction = None if prior.earlier is None else contradicted(posed, widened, prior.earlier, x)
     factor = width if model.prior else None
     return replace(
-        fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradictions=contradictions
+        fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradiction=contradiction
     )
 
 
