@@ -246,11 +246,9 @@ class Identification(Documented):
         """Values for the controller: nominal and corrected lengths, zeros, frames, effects; empty without an arm."""
         if self.arm is None:
             return ()
-        calibration = Calibration(self.values, self.names, self.covariance)
         unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
         factor = None if self.prior is None else self.prior.factor(self.model.parameters)
-        freedom = self.uncertainty.freedom
-        return corrected_values(self.arm, calibration, freedom, unknown, factor)
+        return corrected_values(self.arm, self.calibration(), unknown, factor)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
@@ -372,7 +370,6 @@ class _Spread(NamedTuple):
 def corrected_values(
     arm: Arm,
     calibration: Calibration | None = None,
-    freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
     factor: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
@@ -380,7 +377,6 @@ def corrected_values(
     and measured points; values of the instrument, where they were estimated; and parameters of effects.
 
     calibration : None: the arm's own calibration
-    freedom : degrees of freedom of the variances of `calibration.parameter_names`; None: as its provenance says
     unknown : names of parameters that are not estimable
     factor : (p, r) factor of the covariance of `calibration.parameter_names` before the measurements, 0 where
         there is none; None: that of the arm's machining, where all that it says something of was estimated
@@ -389,8 +385,7 @@ def corrected_values(
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    spread = freedom_of(calibration) if freedom is None else np.array([*freedom], dtype=float)
-    of, lengths, zeros = _Spread(names, calibration.covariance, spread, before, unknown), [], []
+    of, lengths, zeros = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), [], []
     for j, length in enumerate(arm.lengths.tolist() if chain.planar else (), start=1):
         value = length + values.get(name := f"{LENGTH_ERROR}:{j}", 0.0)
         lengths.append(of.row(f"length of link {j}", length, value, {name: 1.0}, "mm", "length of the link"))
