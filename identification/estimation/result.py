@@ -233,9 +233,7 @@ class Identification(Documented):
         freedom = freedom_kept(self.names, self.uncertainty.freedom)
         provenance = MappingProxyType({**self.provenance, **figures, **freedom})
         calibration = Calibration(self.values, self.names, cov, provenance)
-        if (geometry := self.geometry) is None:
-            return calibration
-        return replace(calibration, base=geometry.base, tools=geometry.tools, tool_axes=geometry.tool_axes)
+        return calibration if self.geometry is None else replace(calibration, **self.geometry.places)
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""

@@ -168,7 +168,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     if readings.counting is not None and set(readings.sentences) & set(problems):
         parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
         parts += [f"    {line}" for line in readings.counting.toml.splitlines()]
-    parts.append(Sheet.facts(facts))
+    parts.append(Sheet.facts(dict(facts)))
     if not units:
         headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
         parts += [Sheet(headings, ranges, "Joints"), *(f"note: {note}" for note in notes)]
