@@ -29,7 +29,6 @@ RANK_TOLERANCE = 1e-9  # of the largest singular value
 PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of that leaves three digits
 VISIBLE = 1e-6  # of the largest
 ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
-CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 TOUCHED = 1e-3  # a parameter with less than this in every null direction is estimable
 
 
@@ -84,24 +83,11 @@ def product_inverse(product: Array) -> Array:
     return np.asarray(inverse / lengths / lengths[:, None])
 
 
-def column_space(jacobian: Array, scales: Array) -> Array:
-    """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened."""
-    return column_space_of(jacobian, scales)[0]
-
-
-def column_space_of(jacobian: Array, scales: Array) -> tuple[Array, Array]:
-    """`column_space`, and (p, rank) of what combinations of the columns it consists."""
+def column_space(jacobian: Array, scales: Array) -> tuple[Array, Array]:
+    """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened, and (p, rank) of what
+    combinations of them it consists."""
     lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
-    unit = np.where(zero, 0.0, jacobian / lengths)
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    if values.min(initial=1.0) > CLEAR:
-        # columns that are orthonormal but for what a normal matrix loses, half the digits; a Newton step (A. Bjorck, C.
-        # Bowie, 1971) makes up for it. Products of matrices alone, in half the time of an SVD
-        turn = vectors / np.sqrt(values)
-        basis = unit @ turn
-        step = 1.5 * np.eye(len(turn)) - 0.5 * basis.T @ basis
-        return basis @ step, turn @ step / lengths[:, None]
-    left, singular, right = np.linalg.svd(unit, full_matrices=False)
+    left, singular, right = np.linalg.svd(np.where(zero, 0.0, jacobian / lengths), full_matrices=False)
     seen = significant(singular)
     return left[:, seen], right[seen].T / singular[seen] / lengths[:, None]
 
@@ -204,37 +190,14 @@ def describe(direction: Array, names: Sequence[str]) -> str:
 
 
 def sparse_basis(orthonormal: Array) -> Array:
-    """(p, k) sparse vectors that span the columns of an orthonormal (p, k).
-
-    For every parameter the vector of least sum |v| with a one there (a linear program, whose vertices are sparse);
-    then the sparsest independent ones. The reduced echelon form completes them where they do not span.
-    """
-    p, k = orthonormal.shape
-    if k == 0:
-        return np.zeros((p, 0))
+    """(p, k) vectors that span the columns of an orthonormal (p, k), each with a one where the others have none: the
+    reduced echelon form about the rows that are farthest from each other."""
     from scipy.linalg import qr  # deferred: only rank-deficient plans pay for the import
-    from scipy.optimize import linprog
 
-    _, _, pivots = qr(orthonormal.T, pivoting=True, mode="economic")
-    candidates = [*(orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])).T]
-    for one in np.flatnonzero(np.linalg.norm(orthonormal, axis=1) > TOUCHED):
-        # variables are coefficients z and bounds t >= |N z|
-        result = linprog(
-            np.r_[np.zeros(k), np.ones(p)],
-            A_ub=np.block([[orthonormal, -np.eye(p)], [-orthonormal, -np.eye(p)]]),
-            b_ub=np.zeros(2 * p),
-            A_eq=np.r_[orthonormal[one], np.zeros(p)][None],
-            b_eq=[1.0],
-            bounds=[(None, None)] * k + [(0.0, None)] * p,
-            method="highs-ds",
-        )
-        candidates += [orthonormal @ result.x[:k]] if result.status == 0 else []
-    vectors = [v / np.max(np.abs(v)) for v in (*candidates[k:], *candidates[:k])]
-    chosen: list[Array] = []
-    # fewest parameters first (greedy: the independent sets are a matroid)
-    for vector in sorted(vectors, key=lambda v: (int(np.sum(np.abs(v) > TOUCHED)), float(np.sum(np.abs(v))))):
-        clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
-        trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
-        if len(chosen) < k and np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
-            chosen.append(clean)
-    return np.array(sorted(chosen, key=lambda v: tuple(np.flatnonzero(np.abs(v) > TOUCHED)))).T
+    k = orthonormal.shape[1]
+    pivots = np.sort(qr(orthonormal.T, pivoting=True, mode="economic")[2][:k])
+    basis = orthonormal @ np.linalg.inv(orthonormal[pivots])
+    basis = basis / np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
+    basis[np.abs(basis) <= RANK_TOLERANCE] = 0.0
+    order = sorted(range(k), key=lambda j: tuple(np.flatnonzero(np.abs(basis[:, j]) > TOUCHED)))
+    return np.asarray(basis[:, order])
