@@ -131,6 +131,12 @@ def _in_bytes(path: PathLike, content: Content) -> bytes:
 
 def _checked_target(path: PathLike, force: bool) -> Path:
     target = Path(os.path.realpath(path))  # a link stays a link: its target is replaced
+    try:
+        os.stat(target)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:  # a name that is too long, links that lead in a circle
+        raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: another file name") from None
     folder = str(Path(path).parent)
     for wrong, sentence in (
         (not os.path.isdir(target.parent), f"there is no folder {folder!r}, allowed: a file in an existing folder"),
