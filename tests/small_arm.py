@@ -14,10 +14,8 @@ import numpy as np
 import polars as pl
 
 from doe.studies.blind.simulator import Drawn, TrueArm, position, session, shift, turn
-from identification.arm import Arm, Gravity
+from identification import Arm, DHRow, Gravity, Measurements, chain_of
 from identification.files.urdf import urdf_text
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
 
 HALF = np.pi / 2.0
 TABLE = np.array(  # a, alpha, d

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.problem.problem import DesignProblem
-from identification.arm import Arm, EffectSpec
-from identification.model import Model
+from doe import DesignProblem
+from identification import Arm, EffectSpec, Model
 
 FOUR = Arm([260.0, 180.0, 120.0, 100.0], np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]), 0.1)
 FIVE = Arm(

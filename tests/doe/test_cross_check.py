@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.bounds.column_generation import relax
 from doe.cross_check import cross_check
-from doe.problem.problem import DesignProblem
-from identification.arm import Arm
-from identification.model import Model
+from identification import Arm, Model
 
 # doe/README.md, "Planar theorem": only joint 3 with 160 deg is too narrow, 2 log(sin 80 deg) for each of its two links
 EXPECTED = 4.0 * np.log(np.sin(np.radians(80.0)))

@@ -8,17 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Arm, Calibration, Measurements, Model, load_arm
+from identification import Arm, Calibration, InputError, Measurements, Model, load_arm, load_sessions
 from identification.document import Document
-from identification.errors import InputError
-from identification.workflow import (
-    VERBS,
-    Written,
-    compensate_files,
-    identify_files,
-    load_sessions,
-    validate_files,
-)
+from identification.workflow import VERBS, Written, compensate_files, identify_files, validate_files
 
 LENGTHS = [300.0, 200.0]
 REAL = Arm(LENGTHS, calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))

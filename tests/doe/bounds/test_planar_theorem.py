@@ -16,8 +16,7 @@ from doe.bounds.planar_theorem import (
     pair_name,
     table_1_max_residual,
 )
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.errors import InputError
+from identification import Arm, Calibration, EffectSpec, InputError
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem, random_box
 
 ROUNDING = 1e-9  # log det of well-conditioned matrices of at most 14 rows, condition below 1e6

@@ -32,9 +32,8 @@ from doe.cli.verb import (
     stopped_by,
 )
 from doe.studies.monte_carlo import StudyFile
+from identification import InputError, Progress
 from identification.document import Answer
-from identification.errors import InputError
-from identification.running import Progress
 from identification.workflow import Names
 from tests.doe.cli.conftest import Folder, without_progress
 

@@ -12,8 +12,7 @@ from doe.bounds.certificate import Bound
 from doe.problem.postures import random_postures
 from doe.solvers import Exchange, solve
 from doe.solvers.solver import Budget
-from identification.arm import Arm
-from identification.errors import InputError
+from identification import Arm, InputError
 from tests.doe.arms import FOUR, OFFSET, problem
 from tests.doe.problem.test_spatial_constraints import BOX, SIGHT
 from tests.doe.six_axis import LIMITED, SIX_AXIS, difference_information, six_axis

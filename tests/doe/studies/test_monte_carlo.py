@@ -22,13 +22,7 @@ from doe.studies.monte_carlo import (
     pooled_rows,
     run_study,
 )
-from identification import Plan
-from identification.arm import Arm, Calibration
-from identification.errors import InputError
-from identification.for_design import without_prior
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Conditions
-from identification.model import Model
+from identification import Arm, Calibration, Conditions, DHRow, InputError, Model, Plan, chain_of, without_prior
 from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox
 

@@ -9,19 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from doe.report.page import svg
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.documents.pictures import (
-    AFTER,
-    BEFORE,
-    Compared,
-    dots,
-    joint_errors,
-    share_of,
-    signed_figures,
-)
+from identification import Arm, Calibration, Compared, Conditions, EffectSpec, Model
+from identification.documents.pictures import AFTER, BEFORE, dots, joint_errors, share_of, signed_figures
 from identification.error_curve import ErrorCurve
-from identification.measurements import Conditions
-from identification.model import Model
 
 LENGTHS = np.array([300.0, 200.0])
 

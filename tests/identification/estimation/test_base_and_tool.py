@@ -8,14 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm
-from identification.estimation import Identification, estimate
+from identification import Arm, Identification, Measurements, Model, Status, estimate
 from identification.estimation.doubts import TOGETHER, flange_turns
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 
 QUARTER = np.pi / 2.0
 FOREARM = [(0.0, -QUARTER, 550.0), (0.0, QUARTER, 0.0), (0.0, 0.0, 90.0)]

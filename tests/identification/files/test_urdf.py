@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arrays import Array
-from identification.errors import InputError
+from identification import Array, InputError
 from identification.files.urdf import read_urdf, with_origins
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 

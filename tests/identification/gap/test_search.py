@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp, softmax, zeta
 from scipy.stats import norm
 
-from identification.arrays import Array
+from identification import Array
 from identification.gap import search as search_module
 from identification.gap.blocks import Block
 from identification.gap.likelihood import SIZES, Products

@@ -9,12 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.estimation import estimate
-from identification.files.arm import load_arm
+from identification import Arm, Measurements, Model, estimate, load_arm, load_measurements
 from identification.inspection.inspection import sag
-from identification.measurements import Measurements, load_measurements
-from identification.model import Model
 from tests.small_arm import COMPLIANCE, MASSES, OTHERS, drawn_arm, measured, random_postures, small_arm
 
 DATA = Path(__file__).parents[2] / "data"

@@ -13,14 +13,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.estimation import Identification, estimate
-from identification.information import spectrum
+from identification import Arm, Array, Identification, InputError, Measurements, Model, estimate, spectrum
 from identification.instruments import Socket
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.model.minimal import minimal_of
 from identification.model.placed import of_positions
 from identification.sessions import with_sessions
