@@ -31,7 +31,6 @@ if TYPE_CHECKING:  # isort: off
     from identification.gap.fit import fitted_arm
     from identification.gap.result import Diagnosis
     from identification.validate import predicted_95
-    from identification.documents.pictures import Compared
     from identification.replications import Replications, StudyFile
 
     # what designs need

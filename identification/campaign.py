@@ -16,7 +16,6 @@ from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
 from identification.documents.diagnosis import diagnosis_actions, diagnosis_document, diagnosis_verdict, gap_in_words
 from identification.documents.identification import (
-    MOST_HELD,
     calibrated_actions,
     command_rows,
     corrected_section,
@@ -27,7 +26,7 @@ from identification.documents.identification import (
     validation_sections,
     validation_verdict,
 )
-from identification.documents.pictures import Compared, workspace_arrows
+from identification.documents.pictures import signed_figures, workspace_arrows
 from identification.errors import InputError
 from identification.estimation.result import corrected_values
 from identification.files.arm import load_arm
@@ -37,7 +36,6 @@ from identification.files.measurement import UNITS, Plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances, load_measurements
-from identification.model import Model
 from identification.origin import data_hashes, diagnosed, mostly_outside
 from identification.reuse import same_drawing
 from identification.validate import Validation, validate
@@ -285,24 +283,19 @@ class Campaign:
         cells = [[name, *map(number, values)] for name, values in zip(names, figures, strict=True)]
         other = None if len(tests) == 1 else list(tests.values())[-2]
         before, pair = last.nominal_residuals if other is None else other.residuals, (names[-2], names[-1])
-        earlier_labels = set() if other is None else {effect.label for effect in Model(other.arm).effects}
-        named = [effect.label for effect in Model(last.arm).effects if effect.label not in earlier_labels]
-        named = named if len(named) <= MOST_HELD else []  # the library, held by a prior, names nothing
-        residuals = measured.postures, before, last.residuals, measured.conditions
-        signed = Compared(last.arm, *residuals, Model(last.arm), named).pictures(*pair)
         used = f"Fitted to these rows: {', '.join(fitted)}." if fitted else ""
         if not fitted and all(fitted_to(arm) for arm in self.calibrated.values()):
             used = "No model given here names this file as what it was fitted to."
         notes = [as_sentence(note) for note in last.notes if "identified from" not in note]
-        arrows = ((before, pair[0]), (last.residuals, pair[1]))
+        pairs = [*zip((before, last.residuals), pair, strict=True)]
         return Section(
             f"Error on {rows}",
             [
                 " ".join([f"{len(measured)} rows.", used, *notes]),
                 PLACED,
                 Sheet(["distance [mm]", "RMS", "mean", "95 % below", "largest"], cells),
-                Pictures(lambda: [workspace_arrows(last.arm, measured.positions, arrows)]),
-                signed,
+                Pictures(lambda: [workspace_arrows(last.arm, measured.positions, pairs)]),
+                Pictures(lambda: signed_figures(last.arm, measured.postures, pairs, measured.conditions)),
             ],
         )
 

@@ -65,7 +65,8 @@ class ArmModel(Model):
             if self.points_read > 1:  # else the column may be that of the target that is touched, of which none is said
                 conditions[at["marker"]] = point
             if "orientation" in at:
-                conditions[at["orientation"]] = ca.vec(chain.orientation(q, self.geometry, ca.SX(point)).T)
+                tip = chain.frames(q, self.geometry)[-1]
+                conditions[at["orientation"]] = ca.vec(chain.measured(tip, self.geometry, ca.SX(point)).axes.T)
             each.append(self.expressions.position_function(q, conditions, p))
         return ca.vertcat(*each)
 
@@ -180,12 +181,6 @@ class ArmModel(Model):
             return tip_jacobian(self, postures)[:, None]
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
         return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
-
-    def only(self, words: Sequence[str]) -> ArmModel:
-        """The same of which only these parameters are estimated, see `identification.reuse.only`."""
-        from identification.reuse import only
-
-        return design_model(only(self.arm, words))
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property

@@ -8,7 +8,6 @@ Broder, "On the resemblance and containment of documents", 1997).
 
 from __future__ import annotations
 
-import binascii
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -313,7 +312,11 @@ class Measurements(ByValue):
     def origin(self) -> dict[str, Any]:
         """What a calibration keeps of its data beside `kinematics.joint_range`: file and hash, number of rows and their
         digests, temperature that theirs count from [deg C]."""
-        kept = {**self.provenance, "rows": len(self), ROW_DIGESTS: digests(self.postures, self.positions)}
+        kept = {
+            **self.provenance,
+            "rows": len(self),
+            ROW_DIGESTS: digests_text(row_digests(self.postures, self.positions)),
+        }
         return kept if self.temperature is None else {**kept, "mean_temperature_C": self.reference_temperature}
 
     def rows(self, index: Any) -> Self:
@@ -362,44 +365,31 @@ class Shared(NamedTuple):
     calibration: float
 
 
-def digests(postures: Array, positions: Array) -> str:
-    """Text of the digests of rows: postures (m, n) [rad, mm] and positions (m, d) [mm]."""
-    return _text(_digests(postures, positions))
+def row_digests(postures: Array, positions: Array) -> set[bytes]:
+    """Of postures (m, n) [rad, mm] and positions (m, d) [mm] to the nearest 1e-3 rad or mm: those written with three
+    digits are still the same; what lies half way goes up, whatever its last bits are."""
+    whole = np.floor(np.column_stack([postures, positions]) / 1e-3 + (0.5 + 1e-6)).astype("<i8")
+    return {blake2b(row.tobytes(), digest_size=BYTES).digest() for row in whole}
 
 
-def union(texts: list[str]) -> str:
-    """Text of the digests of all rows of several texts."""
-    return _text(np.concatenate([_read(text) for text in texts]))
+def digests_text(digests: set[bytes]) -> str:
+    """The first of the digests in ascending order, in base 64."""
+    return b64encode(b"".join(sorted(digests)[:KEPT])).decode()
+
+
+def digests_in(text: str) -> set[bytes]:
+    """Those of `digests_text`; none of a text that no program wrote."""
+    try:
+        joined = b64decode(text, validate=True)
+    except ValueError:
+        return set()
+    return {joined[k : k + BYTES] for k in range(0, len(joined) - BYTES + 1, BYTES)}
 
 
 def rows_shared(text: str, postures: Array, positions: Array) -> Shared:
     """How many rows two sets share: one of digests, and postures (m, n) with positions (m, d)."""
-    kept, numbers = _read(text), np.unique(_digests(postures, positions))
+    kept, digests = digests_in(text), row_digests(postures, positions)
     if len(kept) >= KEPT:  # of these rows alone it can be told
-        numbers = numbers[numbers <= kept[-1]]
-    shared = np.count_nonzero(np.isin(numbers, kept))
-    return Shared(shared / max(len(numbers), 1), shared / max(len(kept), 1))
-
-
-def _digests(postures: Array, positions: Array) -> NDArray[np.uint64]:
-    """(m,) of numbers to the nearest 1e-3 rad or mm: those written with three digits are still the same; what lies half
-    way goes up, whatever its last bits are."""
-    whole = np.floor(np.column_stack([postures, positions]) / 1e-3 + (0.5 + 1e-6)).astype("<i8")
-    hashed = [int.from_bytes(blake2b(row.tobytes(), digest_size=BYTES).digest(), "big") for row in whole]
-    return np.array(hashed, dtype=np.uint64)
-
-
-def _text(numbers: NDArray[np.uint64]) -> str:
-    """Base 64 of the smallest numbers, in ascending order."""
-    kept = np.unique(numbers)[:KEPT]
-    return b64encode(b"".join(int(number).to_bytes(BYTES, "big") for number in kept)).decode()
-
-
-def _read(text: str) -> NDArray[np.uint64]:
-    """(k,) numbers, ascending; none of a text that no program wrote."""
-    try:
-        read = b64decode(text, validate=True)
-    except (binascii.Error, ValueError):
-        read = b""
-    numbers = [int.from_bytes(read[k : k + BYTES], "big") for k in range(0, len(read) - BYTES + 1, BYTES)]
-    return np.unique(np.array(numbers, dtype=np.uint64))
+        digests = {digest for digest in digests if digest <= max(kept)}
+    shared = len(digests & kept)
+    return Shared(shared / max(len(digests), 1), shared / max(len(kept), 1))

@@ -27,7 +27,7 @@ from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLAT
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import ROW_DIGESTS, Measurements, rows_shared, union
+from identification.measurements import ROW_DIGESTS, Measurements, digests_in, digests_text, rows_shared
 from identification.model import Model
 from identification.model.placed import with_markers
 from identification.origin import HELD_FROM, comes_from
@@ -116,7 +116,7 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
     held_from = {**earlier.get(HELD_FROM, {}), str(earlier.get("file", "data")): data}
     provenance: dict[str, Any] = {**calibration.provenance, HELD_FROM: held_from}
     if kept := [one[ROW_DIGESTS] for one in provenances if isinstance(one.get(ROW_DIGESTS), str)]:
-        provenance[ROW_DIGESTS] = union(kept)
+        provenance[ROW_DIGESTS] = digests_text(set().union(*map(digests_in, kept)))
     new, old = (range_of(one, kinds) for one in provenances)
     if new is not None and old is not None:
         # [rad, mm] of both, the new one moved by whole turns next to the old one

@@ -53,10 +53,10 @@ def simulate(
     noise = truth.sigma if sigma is None else sigma
     if noise is None or not 0.0 <= noise < np.inf:
         raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
-    for effect, spec in zip(effects, truth.effects, strict=True):  # an effect on the scatter would be none
-        missing = [p.toml_key for p in effect.parameters if p.short not in spec.values]
-        if effect.scatter and missing:
-            raise InputError(f"effects: {spec.key}: no value of {', '.join(missing)}, allowed: a number for each")
+    noisy = [effect for effect in effects if effect.scatter]
+    for effect in noisy:  # without values it would be none
+        if missing := [p.toml_key for p in effect.parameters if p.short not in effect.known]:
+            raise InputError(f"effects: {effect.place}: no value of {', '.join(missing)}, allowed: a number for each")
     if "temperature" in model.needs and temperature is None:
         raise InputError(
             "temperature_C: an effect of the truth needs a temperature per row, none is given, allowed: a plan with it"
@@ -74,12 +74,12 @@ def simulate(
     q = session.postures
     exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
-    if noisy := [(effect, spec) for effect, spec in zip(effects, truth.effects, strict=True) if effect.scatter]:
+    if noisy:
         levers = Model(replace(truth, effects=(), calibration=None)).joint_levers(q, None, session.conditions)
         time = np.zeros(len(q)) if session.conditions.time is None else session.conditions.time
         scene = Scene(exact[:, : truth.dimension], levers, time, noise, generator)
-        for effect, spec in noisy:  # in the order of the arm file
-            errors = effect.disturb(errors, scene, [spec.values.get(p.short, 0.0) for p in effect.parameters])
+        for effect in noisy:  # in the order of the arm file
+            errors = effect.disturb(errors, scene, [effect.known[p.short] for p in effect.parameters])
     if (scale := truth.chain.angle_scale) is None:
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)

@@ -298,8 +298,7 @@ def score_files(
 def advise_files(
     arm: Path,
     *,
-    runs: Annotated[str, "A:B"] | None = None,
-    only: tuple[Names, ...] = (),
+    runs: Annotated[str, "A:B"] = "4:40",
     target_mm: float | None = None,
     seconds: Seconds = 60.0,
     package_dir: tuple[Path, ...] = (),
@@ -308,40 +307,30 @@ def advise_files(
 ) -> Answer:
     """How many measurements are needed?
 
-    Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy. With --only
-    how few postures are enough to find these parameters again, the others as in ARM, for `identify --only`.
+    Efficiency and expected accuracy against the number of runs; the smallest number for a wanted accuracy.
 
-    runs : Numbers of runs, A to B; left out: 4:40, with --only from the fewest.
-    only : Estimate only these, as `identify --only`.
-    target_mm : Wanted largest std of a link length; in space, or with no length, error of the tip [mm].
+    runs : Numbers of runs, A to B.
+    target_mm : Wanted largest std of a link length; in space error of the tip [mm].
     seconds : Time budget of all numbers of runs together [s].
     """
     from doe.advise import advise, with_scatter
     from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import design_model, load_arm
+    from identification import load_arm
 
     loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
-    named = [word for words in only for word in words]
-    model = design_model(loaded)
-    problem = DesignProblem.of(model.only(named) if named else model)
-    fewest = problem.fewest_runs
-    text = runs or (f"{fewest}:40" if named else "4:40")
-    ends = text.split(":")
+    problem = DesignProblem.of(loaded)
+    fewest, ends = problem.fewest_runs, runs.split(":")
     if not 1 <= len(ends) <= 2 or not all(re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII) for part in ends):
-        raise InputError(f"--runs: {text!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
+        raise InputError(f"--runs: {runs!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
     low, high = int(ends[0]), int(ends[-1])
     if low > high or high < fewest:
-        raise InputError(f"--runs: {text!r}, allowed: A <= B, and B >= {fewest} for this arm")
+        raise InputError(f"--runs: {runs!r}, allowed: A <= B, and B >= {fewest} for this arm")
     numbers = range(max(low, fewest), high + 1)
     advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
-    data, shown, doubts = advice.to_json(), list[Any](), [given_sigma] if given_sigma else []
-    if named:
-        data |= {"only": named, "fewest_runs": fewest}
-        enough = f"identifiable from {fewest} run{'s' * (fewest != 1)} or more at well-chosen postures"
-        shown.append(f"{', '.join(named)} alone: {enough}; how accurately, the table says")
-    shown.append(advice_document(advice).plus(*doubts))
-    return with_collisions(Answer(data, shown, warnings=doubts), problem)
+    doubts = [given_sigma] if given_sigma else []
+    answer = Answer(advice.to_json(), [advice_document(advice).plus(*doubts)], warnings=doubts)
+    return with_collisions(answer, problem)
 
 
 @VERBS.declare("armcal relax arm.toml --grid 9 --solver clarabel")

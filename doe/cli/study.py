@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from doe.cli.verb import Count, JobOptions, interruptible
 from identification import InputError, JobError, Progress
 from identification.document import Answer
+from identification.files.io import write_together
 from identification.workflow import VERBS
 
 BUILT_IN = ("blind", "blind-spatial")
@@ -75,12 +76,14 @@ def study_files(
     with interruptible(f"finished rows are kept in {folder}, go on with --resume"):
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
-            from doe.report.studies import blind_parts, blind_pictures
+            from doe.report.studies import blind_parts, reliability_figure
             from doe.studies.blind.study import blind_study, reported_cells
 
             named = cells or reported_cells(space=study == "blind-spatial")
             tables = blind_study(named, replications, folder, job.where(), **options)
-            blind_pictures(folder, tables)
+            if len(tables["reliability"]):
+                picture = reliability_figure(tables["reliability"])
+                write_together({folder / "reliability.png": picture}, force=True)
             shown, sets = blind_parts(tables), tables.pop("sets")
             passed = "failed" not in sets["status"]
             rows = {name: table.to_dicts() for name, table in tables.items()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,11 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from doe.studies.blind.study import ALL, KEEPS, NOTHING, OUTCOMES, OUTSIDE
+from doe.studies.blind.study import ALL, KEEPS, OUTCOMES, OUTSIDE
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL
 from identification import Array
 from identification.document import Sheet
-from identification.files.io import write_together
 
 Setting = tuple[str, int]  # solver and starts
 
@@ -188,15 +186,6 @@ def with_error(row: dict[str, Any] | None) -> str:
     return f"{value}({error:.0f})" if np.isfinite(error) else value
 
 
-def blind_pictures(folder: Path, tables: Mapping[str, pl.DataFrame]) -> None:
-    """confusion.png and reliability.png in the folder, replaced if they are there."""
-    single = tables["confusion"].filter(~pl.col("hidden").str.contains(" + ", literal=True))
-    drawn = {"confusion": (confusion_figure, single), "reliability": (reliability_figure, tables["reliability"])}
-    for name, (draw, rows) in drawn.items():
-        if len(rows):
-            write_together({folder / f"{name}.png": draw(rows)}, force=True)
-
-
 def reliability_figure(rows: pl.DataFrame) -> Figure:
     """Reliability diagram: share right against stated probability, bars of two standard errors, and number of sets."""
     stated, right, count = (rows[name].to_numpy() for name in ("said", "right", "count"))
@@ -213,37 +202,3 @@ def reliability_figure(rows: pl.DataFrame) -> Figure:
     below.set(ylabel="data sets", xlabel="probability that was said", xlim=(0.0, 1.02))
     below.yaxis.set_minor_formatter(NullFormatter())
     return figure
-
-
-def confusion_figure(confusion: pl.DataFrame) -> Figure:
-    """Fraction of the sets with a class hidden (row) in which a class was named (column); single classes only."""
-    rows, columns, fractions, totals = confusion_matrix(confusion)
-    figure = Figure(figsize=(1.5 + 0.55 * len(columns), 1.8 + 0.42 * len(rows)), layout="constrained")
-    axes = figure.add_subplot()
-    axes.imshow(fractions, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-    axes.set_xticks(range(len(columns)), columns, rotation=45, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(rows)), [f"{name} ({total})" for name, total in zip(rows, totals, strict=True)])
-    for (i, j), fraction in np.ndenumerate(fractions):
-        if fraction >= 0.0005:
-            color = "white" if fraction > 0.5 else "black"
-            axes.text(j, i, f"{fraction:.3f}".lstrip("0"), ha="center", va="center", color=color, fontsize=7)
-    axes.set(xlabel="named", ylabel="hidden (data sets)")
-    axes.set_title("What was hidden and what was named: fraction of each row")
-    return figure
-
-
-def confusion_matrix(confusion: pl.DataFrame) -> tuple[list[str], list[str], Array, list[int]]:
-    """Row names, column names, fractions and row totals of sets with one class hidden; several names at once go into
-    one column, unless the rest of the gap stayed unknown; special names are last."""
-    last = (NOTHING, "several", OUTSIDE, "unknown")
-    counts: dict[tuple[str, str], int] = {}
-    for row in confusion.iter_rows(named=True):
-        several = "several" if " + " in row["named"] else row["named"]
-        pair = row["hidden"], "unknown" if row["named"].endswith("unknown") else several
-        counts[pair] = counts.get(pair, 0) + row["count"]
-    classes = {hidden for hidden, _ in counts}
-    names = classes, ({*classes, "unknown"} - {OUTSIDE}) | {named for _, named in counts}
-    rows, columns = (sorted(every - set(last)) + [one for one in last if one in every] for every in names)
-    fractions = np.array([[counts.get((hidden, named), 0.0) for named in columns] for hidden in rows])
-    totals = fractions.sum(axis=1)
-    return rows, columns, fractions / totals[:, None], [int(total) for total in totals]

@@ -34,25 +34,33 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]  # what `armcal diagnose --json` says
 MOST = 4  # kinds of effects that a verdict spells out
+SCATTER = {  # kind of a finding -> what it is, before its size
+    "joint_noise": "larger the farther joint {joint} moves the point, by a relative variance of",
+    "reach_noise": "larger far from the base, by a relative variance of",
+    "time_noise": "larger {when} in the session, by a relative variance of",
+    "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
+    "repeats": "rows of one posture err alike, by a relative variance of",
+}
+NOISE_FROM = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
 
 
 # -- the verdict -------------------------------------------------------------------------------------------------------
 def diagnosis_verdict(data: Data) -> list[str]:
     """What is missing in one short sentence, then with its details: in doubt that first, and whether the model is no
     better than the geometry alone."""
-    effects, sets, verdict, kinds = data["effects"], data["candidates"], data["verdict"], kinds_of(data["effects"])
-    lines = []
+    effects, sets, verdict, lines = data["effects"], data["candidates"], data["verdict"], []
     if data["confirmed"] is False:
         partly = "Not confirmed as predicted: rows that no fit has seen gain less."
         lines.append(partly if shrinks(data) else "Not confirmed on rows that no fit has seen.")
-    if (offered := data.get("offered")) is not None and not offered["better"]:
-        lines.append(hardly_better(offered))
+    if not is_offered(data):
+        lines.append(hardly_better(data["offered"]))
     if verdict == "none":
         lines.append("Nothing is missing from the model that these data can show.")
     elif verdict == "named":
-        which = effects_in_words(effects) if len(kinds) == 1 else f"{len(effects)} effects"
+        several = len({kind_of(label) for label in effects}) > 1
+        which = f"{len(effects)} effects" if several else effects_in_words(effects)
         lines.append(f"Missing from the model: {which}.")
-        lines += [as_sentence(effects_in_words(effects))] if len(kinds) > 1 else []
+        lines += [as_sentence(effects_in_words(effects))] if several else []
     elif verdict == "ambiguous" and len(sets) == 1:
         lines.append(f"Likeliest, but less likely than not: {effects_in_words(effects)}.")
     elif verdict == "ambiguous":
@@ -79,42 +87,31 @@ def findings(data: Data) -> list[str]:
     return lines
 
 
-def likely(data: Data) -> str:
-    """The probabilities in one line, with those of other sets, and whether the rows are too few for a test."""
-    tests = tests_of(data)
-    few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
-    among = " (too few rows to confirm it on others)" if few else ""
-    every = ", ".join(f"{name} {p:.2f}" for name, p in data["probabilities"].items() if p >= 0.005)
-    other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in data["other_sets"])
-    return f"probability{among}: {every}{f' (of that {other})' if other else ''}"
-
-
 def gap_in_words(data: Data) -> str:
     """The error before and after, where it was held out if it was."""
     gap, test, unit = data["gap"], data["confirmation"], data.get("reading_unit", "mm")
+    before, after = (in_a_sentence(gap[f"rms_{when}_mm"]) for when in ("before", "after"))
     if data["verdict"] == "none" and test is None:
-        return f"The model leaves {in_a_sentence(gap['rms_after_mm'])} {unit} RMS of the data; no rows were held out."
+        return f"The model leaves {after} {unit} RMS of the data; no rows were held out."
     if test is None:
-        figures = f"from {in_a_sentence(gap['rms_before_mm'])} to {in_a_sentence(gap['rms_after_mm'])} {unit}"
+        figures = f"from {before} to {after} {unit}"
         return f"On the data, the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
-    figures = f"from {in_a_sentence(test['before_mm'])} to {in_a_sentence(test['after_mm'])} {unit}"
-    expected = f"{in_a_sentence(test['predicted_mm'])} {unit} were predicted"
-    return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}; {expected}."
+    before, after, expected = (in_a_sentence(test[f"{key}_mm"]) for key in ("before", "after", "predicted"))
+    figures = f"from {before} to {after} {unit}; {expected} {unit} were predicted"
+    return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}."
 
 
-def kinds_of(labels: Sequence[str]) -> dict[str, list[str]]:
-    """Kind of effect -> its labels."""
-    kinds: dict[str, list[str]] = {}
-    for label in labels:
-        kinds.setdefault(label.partition("[")[0].partition(":")[0], []).append(label)
-    return kinds
+def kind_of(label: str) -> str:
+    """`backlash` of `backlash:2`."""
+    return label.partition("[")[0].partition(":")[0]
 
 
 def effects_in_words(labels: Sequence[str]) -> str:
     """`encoder disc off centre, once per turn (encoder_eccentricity:1)`; the first few, one kind is said once; of many
     joints `backlash of joints 1 to 5`."""
     phrases = []
-    for kind, these in kinds_of(labels).items():
+    for kind in dict.fromkeys(map(kind_of, labels)):
+        these = [label for label in labels if kind_of(label) == kind]
         joints = [label.removeprefix(f"{kind}:") for label in these]
         many = len(these) > 2 and all(joint.isdigit() for joint in joints)
         listed = f"{kind} of {of_joints(sorted(map(int, joints)))}" if many else ", ".join(these)
@@ -125,6 +122,11 @@ def effects_in_words(labels: Sequence[str]) -> str:
 def shrinks(data: Data) -> bool:
     """Whether the error shrinks in rows that were held out, be it by less than predicted."""
     return bool((data["confirmation"] or {}).get("shrinks"))
+
+
+def is_offered(data: Data) -> bool:
+    """Whether the model is better than the geometry alone, as far as that was tried."""
+    return bool((data.get("offered") or {"better": True})["better"])
 
 
 def is_described(data: Data) -> bool:
@@ -149,7 +151,6 @@ def diagnosis_actions(
     """What follows from a diagnosis of these files;  written : the extended model, where it has been."""
     called = " ".join(["armcal diagnose", arm, *rows])
     alone = identify_command(arm, rows[0]) if len(rows) == 1 else f"{called} --out calibrated.toml"  # takes one file
-    use = "Use the calibration of the geometry"
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{called} --holdout other.csv",
@@ -159,19 +160,22 @@ def diagnosis_actions(
         why = why if shrinks(data) else ": rows that no fit has seen speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
-        return [Action(f"{use}:", alone), correct("calibrated.toml")]
+        return [Action("Use the calibration of the geometry:", alone), correct("calibrated.toml")]
     if data["verdict"] == "ambiguous":
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
-    if (offered := data.get("offered")) is not None and not offered["better"]:
-        return [Action(f"{use}, which predicts as well:", alone), correct("calibrated.toml"), confirm]
-    keep = [] if written else [Action("Keep the extended model:", f"{called} --out extended.toml")]
-    part = "the error curves, within the angles measured," if is_described(data) else "the named part"
-    meanwhile = f"; {part} may be used meanwhile" if data["effects"] or is_described(data) else ""
-    look = Action(f"Look for a cause at {place_in_words(data)}{meanwhile}.")
-    unknown = [look] if data["verdict"] == "unknown" else []
-    return [*unknown, *([] if data["confirmed"] else [confirm]), *keep, correct(str(written or "extended.toml"))]
+    if not is_offered(data):
+        use = Action("Use the calibration of the geometry, which predicts as well:", alone)
+        return [use, correct("calibrated.toml"), confirm]
+    actions = [] if data["confirmed"] else [confirm]
+    if data["verdict"] == "unknown":
+        part = "the error curves, within the angles measured," if is_described(data) else "the named part"
+        meanwhile = f"; {part} may be used meanwhile" if data["effects"] or is_described(data) else ""
+        actions.insert(0, Action(f"Look for a cause at {place_in_words(data)}{meanwhile}."))
+    if written is None:
+        actions.append(Action("Keep the extended model:", f"{called} --out extended.toml"))
+    return [*actions, correct(str(written or "extended.toml"))]
 
 
 # -- the document ------------------------------------------------------------------------------------------------------
@@ -187,25 +191,7 @@ def diagnosis_document(
     files : arm and measurements, for the commands of the next steps;  written : the extended model, where it has been
     nominal : RMS distance of the drawing [mm]
     """
-    # what is named, how likely it is, and its values; what is named beside an unknown effect
-    explanations = (list(data["candidates"]) or [data["named"]]) if data["effects"] else []
-    several, figures, estimates = len(data["candidates"]) > 1, [], list[Part]()
-    for c in explanations:
-        chance = "its cause is unknown" if is_described(data) else probability_text(c["probability"])
-        figures.append([" +\n".join(c["effects"]), chance, *(f"{c[key]:.1f}" for key in ("delta_bic", "f"))])
-        labels = {key: label for label in c["effects"] for key in (label.partition("[")[0], label)}  # with settings
-        rows = []
-        for row in c["parameters"]:
-            owner, _, short = row["name"].rpartition(".")
-            limits = (estimate_text(row[key], row["std"], row["unit"]) for key in ("value", "low_95", "high_95"))
-            rows.append([f"{labels.get(owner, owner)}.{short}", *limits, unit_or_dash(row["unit"])])
-        title = f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"
-        estimates.append(Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title))
-    named: list[Part] = [*findings(data), as_sentence(likely(data))]
-    named += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
-    named += [Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
-    named += [f"95 % intervals: {diagnosis.named.reliance}."] if diagnosis is not None and explanations else []
-    parts: list[Part] = [Section("What is missing", named)]
+    parts: list[Part] = [Section("What is missing", missing_parts(data, diagnosis))]
     if data["replication"]:
         parts.append(replication_section(data["replication"]))
     parts.append(gap_section(data, diagnosis, nominal))
@@ -219,7 +205,17 @@ def diagnosis_document(
     if diagnosis is not None:
         how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
         parts.append(Section("Against time and torque", [how, *pictures_of(diagnosis, "against_figure")], folded=True))
-    parts += further_sections(data)
+    alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
+    shown: list[Part] = [
+        Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data)),
+        "Effects smaller than these may still be present. Tip: what the largest of them would move it by, RMS over the "
+        "rows.",
+        Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish"),
+    ]
+    # folded but where nothing is named
+    parts.append(Section("What these postures can and cannot show", shown, folded=bool(data["effects"])))
+    if notes := [as_sentence(note) for note in data["notes"]]:
+        parts.append(Section("Notes", notes))
     title = f"Gap report: {(diagnosis.arm.name if diagnosis else '') or 'arm'}"
     actions = diagnosis_actions(data, files[0], files[1:], written)
     return Document(title, [*diagnosis_verdict(data), gap_in_words(data)], parts, actions, data["warnings"])
@@ -236,9 +232,32 @@ def pictures_of(diagnosis: Diagnosis | None, name: str) -> list[Part]:
     return [] if diagnosis is None else [Pictures(draw)]
 
 
-def probability_text(p: float | None) -> str:
-    """`0.93`; a small probability is never rounded to zero."""
-    return "< 0.01" if p is not None and 0.0 < p < 0.005 else number(p, 2)
+def missing_parts(data: Data, diagnosis: Diagnosis | None) -> list[Part]:
+    """What is named, how likely it is, and its values; what is named beside an unknown effect."""
+    tests, figures, estimates = tests_of(data), [], list[Part]()
+    explanations = (list(data["candidates"]) or [data["named"]]) if data["effects"] else []
+    several = len(data["candidates"]) > 1
+    for c in explanations:
+        p = c["probability"]  # a small one is never rounded to zero
+        chance = "its cause is unknown" if is_described(data) else "< 0.01" if p and p < 0.005 else number(p, 2)
+        figures.append([" +\n".join(c["effects"]), chance, *(f"{c[key]:.1f}" for key in ("delta_bic", "f"))])
+        labels = {key: label for label in c["effects"] for key in (label.partition("[")[0], label)}  # with settings
+        rows = []
+        for row in c["parameters"]:
+            owner, _, short = row["name"].rpartition(".")
+            limits = (estimate_text(row[key], row["std"], row["unit"]) for key in ("value", "low_95", "high_95"))
+            rows.append([f"{labels.get(owner, owner)}.{short}", *limits, unit_or_dash(row["unit"])])
+        title = f"Estimates: {' + '.join(c['effects'])}" if several else "Estimates"
+        estimates.append(Sheet(("parameter", "value", "low 95 %", "high 95 %", "unit"), rows, title))
+    # the probabilities in one line, with those of other sets, and whether the rows are too few for a test
+    few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
+    among = " (too few rows to confirm it on others)" if few else ""
+    every = ", ".join(f"{name} {p:.2f}" for name, p in data["probabilities"].items() if p >= 0.005)
+    other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in data["other_sets"])
+    parts: list[Part] = [*findings(data), f"Probability{among}: {every}{f' (of that {other})' if other else ''}."]
+    parts += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
+    parts += [Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
+    return parts + ([f"95 % intervals: {diagnosis.named.reliance}."] if diagnosis and explanations else [])
 
 
 def replication_section(effects: Sequence[Data]) -> Section:
@@ -265,10 +284,9 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
     """How far model and measurements are apart, before and after: on the data, less outliers, and on rows that no fit
     has seen, and whether the model holds there."""
     gap, rows, out, unit = data["gap"], data.get("rows"), data["outlier_rows"], data.get("reading_unit", "mm")
-    sources = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
     noise = "the noise, which is not known"
     if (floor := gap["noise_floor_mm"]) is not None:
-        noise = f"the noise floor {number(floor)} {unit}, from {sources[gap['noise_floor_from']]}"
+        noise = f"the noise floor {number(floor)} {unit}, from {NOISE_FROM[gap['noise_floor_from']]}"
     figures = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
     counted = "" if rows is None else f"{rows - len(out)} of {rows}" if out else str(rows)
     shown, sentences = [["the data", counted, *figures, ""]], []
@@ -278,16 +296,21 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
         kind = "held out" if test["by"] == "holdout" else "cross-validated"
         shown.append([f"{kind}: {test['file'] or test['transfer']}", str(test["rows"]), *figures, answer])
         sentences.append(sentence)
-    parts: list[Part] = [
-        Sheet([f"RMS distance [{unit}]", "rows", "before", "after", "expected", "holds"], shown),
+    for finding in data["scatter"]:
+        kind, _, joint = finding["finding"].partition(":")
+        what = SCATTER[kind].format(joint=joint, when="early" if finding["size"] < 0.0 else "late")
+        chance = f"probability {1.0 - finding['p']:.2f}"
+        sentences.append(f"Scatter: {finding['finding']} ({what} {abs(finding['size']):.2g}, {chance}).")
+    if out:
+        sentences.append(f"Rows left out as outliers: {', '.join(map(str, out))}.")
+    if nominal is not None:
+        sentences.append(f"Drawing: {number(nominal)} {unit} RMS, {DRAWN['base']}.")
+    about = (
         "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
-        f"{noise}; on rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name.",
-        *sentences,
-        *(f"Scatter: {scatter_in_words(finding)}." for finding in data["scatter"]),
-        *([f"Rows left out as outliers: {', '.join(map(str, out))}."] if out else []),
-        *([] if nominal is None else [f"Drawing: {number(nominal)} {unit} RMS, {DRAWN['base']}."]),
-        *pictures_of(diagnosis, "gap_figure"),
-    ]
+        f"{noise}; on rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name."
+    )
+    table = Sheet([f"RMS distance [{unit}]", "rows", "before", "after", "expected", "holds"], shown)
+    parts = [table, about, *sentences, *pictures_of(diagnosis, "gap_figure")]
     return Section("The gap, before and after", parts)
 
 
@@ -315,20 +338,6 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     return answer, sentence + (f" Another set-up: {refitted} refitted to these rows." if refitted else "")
 
 
-def scatter_in_words(finding: Data) -> str:
-    """A property of the noise, an entry of `scatter`."""
-    kind, _, joint = finding["finding"].partition(":")
-    when = "early" if finding["size"] < 0.0 else "late"
-    what = {
-        "joint_noise": f"larger the farther joint {joint} moves the point, by a relative variance of",
-        "reach_noise": "larger far from the base, by a relative variance of",
-        "time_noise": f"larger {when} in the session, by a relative variance of",
-        "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
-        "repeats": "rows of one posture err alike, by a relative variance of",
-    }[kind]
-    return f"{finding['finding']} ({what} {abs(finding['size']):.2g}, probability {1.0 - finding['p']:.2f})"
-
-
 def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Section]:
     """Error curves of joints, where there are any: over which angles, how large, how sure, and of which shape."""
     text = (
@@ -349,36 +358,6 @@ def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Secti
     return [Section("Error curves of joints", shown)] if rows else []
 
 
-def further_sections(data: Data) -> list[Section]:
-    """All explanations, what these postures can show, and notes; folded but where nothing is named."""
-    other = {" + ".join(one["effects"]): one["probability"] for one in data["other_sets"]}
-    chances = [
-        [name, probability_text(p), "yes" if name in data["credible_set"] else ""]
-        for name, p in (data["probabilities"] | other).items()
-    ]
-    tried: list[Part] = [Sheet(("explanation", "probability", "in the 90 % set"), chances)]
-    alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
-    shown: list[Part] = [
-        Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data)),
-        "Effects smaller than these may still be present. Tip: what the largest of them would move it by, RMS over the "
-        "rows.",
-        Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish"),
-    ]
-    sections = [
-        Section("How likely each explanation is", tried, folded=True),
-        Section("What these postures can and cannot show", shown, folded=bool(data["effects"])),
-    ]
-    notes = [as_sentence(note) for note in data["notes"]]
-    return [*sections, *([Section("Notes", notes)] if notes else [])]
-
-
-def size_in_words(size: Data) -> str:
-    """The smallest size that can be detected, an entry of `excluded`."""
-    if size["value"] is None:
-        return "invisible"
-    return f"{size['value']:.3g}" if size["unit"] == "1" else f"{size['value']:.3g} {size['unit']}"
-
-
 def excluded_by_kind(data: Data) -> list[list[str]]:
     """For each kind of effect the smallest sizes that these data would have shown with 90 % probability, those first
     that may move the tip most without being found."""
@@ -390,10 +369,9 @@ def excluded_by_kind(data: Data) -> list[list[str]]:
     rows = []
     for kind, sizes in kinds.items():
         joints = sorted(int(joint) for joint, _ in sizes if joint)
-        ordered = sorted((size for _, size in sizes), key=lambda size: (size["value"] is None, size["value"]))
-        least, most = size_in_words(ordered[0]), size_in_words(ordered[-1])
-        unit = f" {ordered[-1]['unit']}"
-        span = most if least == most else f"{least.removesuffix(unit)} to {most}"
+        values, unit = [np.inf if size["value"] is None else size["value"] for _, size in sizes], sizes[0][1]["unit"]
+        ends = list(dict.fromkeys("invisible" if v == np.inf else f"{v:.3g}" for v in (min(values), max(values))))
+        span = " to ".join(ends) + ("" if unit == "1" or max(values) == np.inf else f" {unit}")
         moved = max(np.inf if size["value"] is None else size["tip_mm"] or 0.0 for _, size in sizes)
         listed = of_joints(joints).removeprefix("joints ").removeprefix("joint ") if joints else "–"
         rows.append((-moved, [kind, listed, span, number(moved, 3) if np.isfinite(moved) else "any"]))

@@ -1,18 +1,13 @@
-"""Residuals with their sign against each joint, as the error of that joint that they mean, with the curve of the model.
+"""Residuals as pictures: over the workspace, against each joint with their sign, against time and torque; error curves;
+effects that look alike.
 
 A joint that turns by e too far moves the tip by e times its lever d tip / d q_j. The error that explains most of a
 row's residual r is e = r . lever / |lever|^2; where the lever is short a row says little, and e is held small.
-
-Where effects of the model turn a joint by a function of its angle, this function is the line, and the points before are
-the residuals of the same model without these effects: partial residuals (W. A. Larsen, S. J. McCleary, "The use of
-partial residual plots in regression analysis", Technometrics 1972), which scatter about the line as the points after
-scatter about zero. A model fitted without the effects would bend lengths and zeros to make up for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,10 +18,7 @@ from numpy.typing import NDArray
 from identification.arm import Arm
 from identification.arrays import Array
 from identification.conditions import Conditions
-from identification.document import Pictures
 from identification.documents.identification import reading_unit
-from identification.effects import Effect
-from identification.error_curve import all_hold
 from identification.estimation.uncertainty import quantile_95
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
 from identification.measurements import POINT, distances, rms_distance
@@ -37,7 +29,6 @@ if TYPE_CHECKING:
     from identification.gap.result import Diagnosis
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
-TITLED = 4  # lines of the title of a small picture, which names effects
 READ = "Each dot is one row: the error of this joint that would best explain what is left (measured less computed)."
 Pairs = Sequence[tuple[Array, str]]  # what two models leave, and their names
 
@@ -52,51 +43,7 @@ def dots(axes: Axes, x: Array, pairs: Pairs) -> None:
         axes.locator_params(axis="y", nbins=6)
 
 
-# -- signed errors of joints -------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Compared:
-    """Residuals (m, d) [mm], measured less computed, of two models at postures (m, n).
-
-    model : the later one;  named : labels of its effects that the earlier one has not
-    """
-
-    arm: Arm
-    postures: Array
-    before: Array
-    after: Array
-    conditions: Conditions | None = None
-    model: Model | None = None
-    named: Collection[str] = ()
-
-    @property
-    def levers(self) -> Array:
-        """(m, d, n) what an error of each joint moves the measured point by [mm/rad, 1]."""
-        return Model(self.arm).joint_levers(self.postures, conditions=self.conditions)[:, POINT]
-
-    @property
-    def errors(self) -> tuple[Array, Array]:
-        """(m, n) errors of each joint [rad, mm] that the residuals of either model mean."""
-        levers = self.levers
-        before, after = (joint_errors(levers, r[:, : levers.shape[1]]) for r in (self.before, self.after))
-        return before, after
-
-    def pictures(self, before: str, after: str) -> Pictures:
-        """The pictures and how they are read; before, after : the models in words, a comma may follow"""
-        how = f"{READ} Red: {before}. Blue: {after}."
-        if at_joints(self.named):
-            how = (
-                f"{READ} Blue: {after}. Red: {before}; but where effects stand above a picture, the blue model without "
-                "these. Line, or the smallest dots: what these effects add, as the model has them. A wave in the red "
-                "dots that the line follows and the blue dots lack is explained."
-            )
-        return Pictures(lambda: [how, *signed_figures(self)])
-
-
-def at_joints(named: Collection[str]) -> list[str]:
-    """Of labels those of effects at a joint: `backlash:2`."""
-    return [label for label in named if ":" in label]
-
-
+# -- against joints ----------------------------------------------------------------------------------------------------
 def joint_errors(levers: Array, residuals: Array) -> Array:
     """(m, n) errors of each joint [rad, mm] that residuals (m, d) [mm] mean, by levers (m, d, n)."""
     squares = np.sum(levers**2, axis=1)
@@ -105,77 +52,27 @@ def joint_errors(levers: Array, residuals: Array) -> Array:
     return np.divide(along, clear, out=np.zeros_like(along), where=clear > 0.0)
 
 
-def share_of(model: Model, effect: Effect, rows: Compared, lever: Array) -> tuple[Array, Array, Array, bool]:
-    """What an effect adds at its joint: (721,) angles over the range of the rows and the errors there, in the mean of
-    eight postures; (m, d) what it does to the rows [mm]; whether it is a function of the angle alone, as far as the
-    rows show: a backlash is none. A curve acts where all curves hold."""
-    assert effect.joint is not None
-    joint = effect.joint - 1
-    q = rows.postures[:, joint]
-    grid = np.linspace(q.min(), q.max(), 721)
-    if effect.curve is not None:
-        curves = [(e.joint - 1, e.curve) for e in model.effects if e.curve is not None and e.joint is not None]
-        moved = lever * (all_hold(curves, rows.postures) * effect.curve.at(q))[:, None]
-        return grid, effect.curve.at(grid), moved, True
-    names = {p.name for p in effect.parameters}
-    without = np.where([name in names for name in model.names], 0.0, model.values)
-
-    def moved_by_it(postures: Array, conditions: Conditions | None, dimension: int) -> Array:
-        position = (model.position(postures, values, conditions) for values in (None, without))
-        return np.nan_to_num(np.subtract(*position))[:, :dimension]
-
-    chosen = rows.postures[np.linspace(0, len(q) - 1, min(len(q), 8)).astype(int)]
-    densely = np.tile(chosen, (len(grid), 1))
-    densely[:, joint] = np.repeat(grid, len(chosen))
-    levers = model.joint_levers(densely)[:, POINT, joint]
-    along = np.sum(levers * moved_by_it(densely, None, levers.shape[1]), axis=1).reshape(len(grid), -1).sum(axis=1)
-    square = np.sum(levers**2, axis=1).reshape(len(grid), -1).sum(axis=1)
-    line = np.divide(along, square, out=np.zeros(len(grid)), where=square > 0.0)
-    moved = moved_by_it(rows.postures, rows.conditions, lever.shape[1])
-    left = moved - lever * np.interp(q, grid, line)[:, None]
-    # True: its function of the angle is nearly all that the effect does
-    return grid, line, moved, bool(np.linalg.norm(left) <= 0.1 * np.linalg.norm(moved))
-
-
-def signed_figures(rows: Compared) -> list[Figure]:
-    """A picture for each joint: its error by the residuals of both models, and what named effects add.
-
-    Shown are the named effects that are functions of the joint's angle, as lines, or else those that are not, at rows.
-    """
-    levers, errors, figures = rows.levers, rows.errors, []
-    effects = [] if rows.model is None else [(rows.model, e) for e in rows.model.effects if e.label in rows.named]
-    black: dict[str, Any] = {"color": "k", "lw": 1.3}
-    for j, kind in enumerate(Model(rows.arm).joint_types):
+def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditions | None) -> list[Figure | str]:
+    """How they are read, and a picture for each joint: its errors that residuals (m, d) [mm] of two models mean, at
+    postures (m, n)."""
+    levers = Model(arm).joint_levers(postures, conditions=conditions)[:, POINT]
+    errors = [joint_errors(levers, residuals[:, : levers.shape[1]]) for residuals, _ in pairs]
+    shown: list[Figure | str] = [f"{READ} Red: {pairs[0][1]}. Blue: {pairs[1][1]}."]
+    for j, kind in enumerate(Model(arm).joint_types):
         unit, factor, _ = FILE_UNITS[JOINT_UNITS[kind]]
         figure = Figure(figsize=(3.7, 2.5), layout="constrained")
-        axes, q, lever = figure.subplots(), factor * rows.postures[:, j], levers[:, :, j]
-        shares = {e.label: share_of(model, e, rows, lever) for model, e in effects if e.joint == j + 1}
-        smooth = {label: share for label, share in shares.items() if share[3]}
-        before, after = (factor * each[:, j] for each in errors)
-        for grid, *_ in [*smooth.values()][:1]:
-            axes.plot(factor * grid, factor * np.sum([share[1] for share in smooth.values()], axis=0), **black)
-        if shares := smooth or shares:
-            added = factor * joint_errors(levers, np.sum([share[2] for share in shares.values()], axis=0))[:, j]
-            before = after + added
-            if not smooth:
-                axes.plot(q, added, "k.", ms=3)
+        axes, values = figure.subplots(), [factor * each[:, j] for each in errors]
         axes.axhline(0.0, color=LIMIT, lw=0.8)
-        dots(axes, q, ((before, "before"), (after, "after")))
+        dots(axes, factor * postures[:, j], [*zip(values, ("before", "after"), strict=True)])
         # the one in a hundred that is farthest does not set the scale
-        scale = 1.25 * max(float(np.percentile(np.abs(values), 99.0)) for values in (before, after)) or 1.0
-        # a joint with shorter levers says little
-        still = np.linalg.norm(lever, axis=1).max() < 0.02 * rows.arm.reach
+        scale = 1.25 * max(float(np.percentile(np.abs(each), 99.0)) for each in values) or 1.0
         axes.set(xlabel=f"joint {j + 1} [{unit}]", ylabel=f"error [{unit}]", ylim=(-scale, scale))
-        title = (
-            [*shares] if len(shares) <= TITLED else [*[*shares][: TITLED - 1], f"and {len(shares) - TITLED + 1} more"]
-        )
-        axes.set_title("hardly moves the measured point" if still else "\n".join(title), fontsize=9, parse_math=False)
+        if np.linalg.norm(levers[:, :, j], axis=1).max() < 0.02 * arm.reach:  # its dots say little
+            axes.set_title("hardly moves the measured point", fontsize=9)
         if j == 0:
-            if at_joints(rows.named):
-                axes.plot([], [], label="effects", **black)
-            axes.legend(frameon=False, fontsize=8, ncols=3, handletextpad=0.3, columnspacing=1.0)
-        figures.append(figure)
-    return figures
+            axes.legend(frameon=False, fontsize=8, ncols=2, handletextpad=0.3, columnspacing=1.0)
+        shown.append(figure)
+    return shown
 
 
 # -- residuals ---------------------------------------------------------------------------------------------------------
@@ -243,48 +140,48 @@ def draw_distances(axis: Axes, x: Array, pairs: Pairs) -> None:
     axis.set(ylim=(0, None))
 
 
-# -- diagnoses ---------------------------------------------------------------------------------------------------------
+# -- diagnoses, without outlier rows, which would set the scale --------------------------------------------------------
+def kept_rows(diagnosis: Diagnosis) -> tuple[NDArray[np.int64], Array, Pairs]:
+    """Numbers of the rows that are no outliers, their postures (m, n) [rad], and what is left of them (m, d) [mm]."""
+    left, outliers = diagnosis.residuals, np.array(diagnosis.outlier_rows, dtype=int) - 1
+    kept = np.delete(np.arange(len(left.before)), outliers)
+    postures = np.column_stack([q for name, q in left.against.items() if name.startswith("joint ")])
+    return kept, postures[kept], [(left.before[kept], "before"), (left.after[kept], "after")]
+
+
 def signed_of(diagnosis: Diagnosis) -> Sequence[Figure | str]:
     """Residuals of the data with their sign, against each joint, and how they are read."""
-    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
-    named = (*diagnosis.effects, *(curve.key for curve in diagnosis.curves))
-    postures, before, after = (values[kept] for values in (postures_of(diagnosis), shown.before, shown.after))
-    rows = postures, before, after, shown.conditions.rows(kept)
-    compared = Compared(diagnosis.arm, *rows, Model(diagnosis.extended_arm()), named)
+    kept, postures, ((before, _), (after, _)) = kept_rows(diagnosis)
+    named = diagnosis.effects or diagnosis.curves
     last = "the model with what is named" if named else "the model, of which nothing is named"
-    return compared.pictures("the model without what is named", last).draw()
+    pairs = [(before, "the model without what is named"), (after, last)]
+    return signed_figures(diagnosis.arm, postures, pairs, diagnosis.residuals.conditions.rows(kept))
 
 
 def gap_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual arrows over the workspace, before and after, without outlier rows."""
-    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
-    pairs = (shown.before[kept], "before"), (shown.after[kept], "after")
-    return workspace_arrows(diagnosis.extended_arm(), shown.positions[kept], pairs)
+    """Residual arrows over the workspace, before and after."""
+    kept, _, pairs = kept_rows(diagnosis)
+    return workspace_arrows(diagnosis.extended_arm(), diagnosis.residuals.positions[kept], pairs)
 
 
 def against_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual distances before and after, against each joint, time, torque.
-
-    Outlier rows are left out, as they were in the tests: a single displaced target would set the scale.
-    """
-    shown, kept = diagnosis.residuals, rows_kept(diagnosis)
-    pairs = [(distances(r[kept]), name) for r, name in ((shown.before, "before"), (shown.after, "after"))]
+    """Residual distances before and after, against each joint, time, torque."""
+    kept, _, pairs = kept_rows(diagnosis)
+    apart = [(distances(residuals), name) for residuals, name in pairs]
 
     def draw(axis: Axes, name: str) -> None:
-        turn = "[rad]" in name
-        values = shown.against[name][kept]
-        draw_distances(axis, np.degrees(values) if turn else values, pairs)
+        values = diagnosis.residuals.against[name][kept]
+        draw_distances(axis, np.degrees(values) if "[rad]" in name else values, apart)
         axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel=f"residual [{reading_unit(diagnosis.arm)}]")
 
-    return panels([*shown.against], 3, 2.3, draw, sharey=True)
+    return panels([*diagnosis.residuals.against], 3, 2.3, draw, sharey=True)
 
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:
     """Error curves with 95 % bands, and what up to 200 groups of rows say along the lever arm, as angles."""
-    half, kept = quantile_95(min(diagnosis.named.freedom, default=np.inf)), rows_kept(diagnosis)
-    model, after = Model(diagnosis.arm), diagnosis.residuals.after[kept]
-    postures = postures_of(diagnosis)[kept]
-    levers = model.joint_levers(postures)
+    half = quantile_95(min(diagnosis.named.freedom, default=np.inf))
+    _, postures, (_, (after, _)) = kept_rows(diagnosis)
+    levers = Model(diagnosis.arm).joint_levers(postures)
 
     def draw(axis: Axes, curve: Any) -> None:
         q, lever = postures[:, curve.joint - 1], levers[:, :, curve.joint - 1]
@@ -315,18 +212,6 @@ def panels(
         axis.set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)
     return figure
-
-
-def postures_of(diagnosis: Diagnosis) -> Array:
-    """(m, n) [rad]."""
-    return np.column_stack([q for name, q in diagnosis.residuals.against.items() if name.startswith("joint ")])
-
-
-def rows_kept(diagnosis: Diagnosis) -> NDArray[np.bool_]:
-    """(m,) False for outlier rows."""
-    kept = np.ones(len(diagnosis.residuals.before), dtype=bool)
-    kept[np.array(diagnosis.outlier_rows, dtype=int) - 1] = False
-    return kept
 
 
 def alias_figure(detectability: Detectability) -> Figure:

@@ -22,17 +22,6 @@ from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
 from identification.running import additions
 
-# what people call what the library has another name for
-OTHER_NAMES = {
-    **dict.fromkeys(("play", "lost_motion", "gear_play"), "backlash"),
-    **dict.fromkeys(("elasticity", "stiffness", "flexibility", "sag", "deflection"), "joint_compliance"),
-    **dict.fromkeys(("temperature", "thermal_expansion", "thermal"), "thermal_growth"),
-    **dict.fromkeys(("wire", "bar", "ball_bar", "wire_zero"), "length_offset"),
-    **dict.fromkeys(("waviness", "gear_ripple", "gear_error"), "transmission_ripple"),
-    "friction": "joint_hysteresis",
-    "scale": "measurement_scale",
-}
-
 
 @cache
 def _load_entry_points() -> None:
@@ -51,7 +40,7 @@ def library() -> Mapping[str, type[Effect]]:
 def effect_named(name: str) -> type[Effect]:
     """The class of an effect. Raises `InputError` for a name that the library has not; it has too many to say them."""
     if name not in library():
-        meant = suggestion(close_names(name, library(), OTHER_NAMES))
+        meant = suggestion(close_names(name, library()))
         raise InputError(f"effects: unknown name {name!r}, {meant}armcal effects lists them")
     return library()[name]
 
@@ -106,7 +95,7 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
     if cls.tabulated != (spec.curve is not None):
         fault = "has no table of values" if cls.tabulated else "has a table of values"
         raise InputError(f"effects: {spec.key} {fault}, allowed: one for joint_error_curve, none for others")
-    effect.curve = spec.curve
+    effect.curve, effect.known = spec.curve, spec.values
     names = {p.short for p in effect.parameters} | set(cls.settings)
     for short in spec.values:
         if short not in names:

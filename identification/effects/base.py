@@ -128,9 +128,8 @@ class Effect:
     payload_shift : in space (3,) added to the place of the payload in the tip's frame [mm]
     joint_angles : (n,) added to the commanded joint angles [rad]
     extensions : (n,) added to the link lengths [mm], a third argument
-    deflections, slopes : in the plane (n,) deflection of each link's end to its left [mm], and slope there [rad]
-    joint_turns, joint_shifts : in space (3 n,) rotations [rad] and translations [mm] of each joint's frame after its
-        motion, about and along its own x, y, z
+    joint_turns, joint_shifts : rotations [rad] and translations [mm] of each joint's frame after its motion, in space
+        (3 n,) about and then along its own x, y, z, in the plane (n,) about z and (2 n,) along x and y, the link's left
     tool : (d,) offset of the measured point in the frame of the last link [mm]
     base_rotation : rotation of the arm about its base [rad], in space (3,) about its x, y, z
     base_translation : (d,) translation of the base [mm]
@@ -160,6 +159,7 @@ class Effect:
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)  # of the arms that can have it: 2 in the plane, 3 in space
     disturb: ClassVar[Callable[..., Array]]
     curve: ErrorCurve | None = None
+    known: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
 
     def __init_subclass__(cls) -> None:
         cls.family = cls.family or getattr(cls, "name", "")
@@ -238,11 +238,12 @@ def register(cls: type[Effect]) -> type[Effect]:
     return cls
 
 
-def add_effect(name: str, summary: str, text: str, numbers: Any = (), **members: Any) -> type[Effect]:
+def add_effect(name: str, about: str, numbers: Any = (), **members: Any) -> type[Effect]:
     """Make an effect and add it to the library.
 
-    text : what it is and adds, for people;  numbers : its parameters, or the function of an effect that lists them
+    about : its summary: what it adds, for people;  numbers : its parameters, or a function that lists them
     members : further class variables of `Effect`, and by its place the formula of what it adds there
     """
-    members |= {"name": name, "summary": summary, "numbers": numbers, "__doc__": text, "__module__": OWN}
+    summary, _, formula = about.partition(": ")
+    members |= {"name": name, "summary": summary, "numbers": numbers, "__doc__": formula, "__module__": OWN}
     return register(type(name, (Effect,), members))

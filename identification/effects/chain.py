@@ -27,7 +27,7 @@ from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import LENGTH_ERROR, REVOLUTE
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
-BY_JOINT = ("joint_angles", "extensions", "deflections", "slopes", "joint_turns", "joint_shifts")
+BY_JOINT = ("joint_angles", "extensions", "joint_turns", "joint_shifts")
 
 
 @dataclass(frozen=True)
@@ -130,9 +130,8 @@ def widths(chain: KinematicChain) -> dict[str, int]:
     """Place -> its number of elements, in the order of vectors over all places."""
     n, d, turns = len(chain), chain.dimension, len(chain.turning)
     loads = dict(zip(OF_LOAD, (1, turns, d), strict=True))
-    frame = {"tool": d, "base_rotation": turns, "base_translation": d, "instrument": d}
-    bends = {place: n * each for place, each in chain.bends.items()}
-    return {**loads, "joint_angles": n, "extensions": n, **bends, **frame}
+    joints = {"joint_angles": n, "extensions": n, "joint_turns": turns * n, "joint_shifts": d * n}
+    return {**loads, **joints, "tool": d, "base_rotation": turns, "base_translation": d, "instrument": d}
 
 
 def state_slices(chain: KinematicChain) -> dict[str, slice]:

@@ -52,8 +52,7 @@ def _turned_back(values: ca.SX, angle: ca.SX) -> ca.SX:
 # -- between the commanded and the real joint angle --------------------------------------------------------------------
 of_gravity(
     "joint_compliance",
-    "joint winds up under gravity torque",
-    "Joints wind up under gravity torque: q_j + c_j tau_j, c_j >= 0.",
+    "joint winds up under gravity torque: q_j + c_j tau_j, c_j >= 0",
     # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
     lambda self: [
         Number(f"c{'' if self.joint else j}", "rad/(N m)", 1e-5, lever * TORQUE, 0.0)
@@ -67,15 +66,13 @@ of_gravity(
 )
 of_joint(
     "encoder_eccentricity",
-    "encoder disc off centre, once per turn",
-    "The encoder disc is off centre: a cos q_j + b sin q_j.",
+    "encoder disc off centre, once per turn: a cos q_j + b sin q_j",
     each("ab", "rad", 5e-4, LEVER),  # typical: 20 um of eccentricity on a ring of 40 mm radius
     joint_angles=lambda self, chain, values: _wave(1, chain.q[self.joint_index], values),
 )
 of_joint(
     "encoder_second_harmonic",
-    "encoder disc tilted or oval, twice per turn",
-    "The encoder disc is tilted or oval: a cos 2 q_j + b sin 2 q_j.",
+    "encoder disc tilted or oval, twice per turn: a cos 2 q_j + b sin 2 q_j",
     each("ab", "rad", 2e-4, LEVER),  # typical: ovality of 8 um on 40 mm radius
     joint_angles=lambda self, chain, values: _wave(2, chain.q[self.joint_index], values),
 )
@@ -93,54 +90,48 @@ def _ripple_orders(scope: Scope) -> list[float]:
 
 of_joint(
     "transmission_ripple",
-    "gear ripple, k times per turn",
-    "Gear teeth or flex-spline error: a cos k q_j + b sin k q_j.",
+    "gear ripple, k times per turn: a cos k q_j + b sin k q_j, of gear teeth or a flex-spline",
     each("ab", "rad", 1e-4, LEVER),  # typical: strain-wave gears, 1 arcmin from peak to peak, over sqrt(2) for a and b
     settings={"k": Setting(0.25, 2000.0, _ripple_orders)},
     joint_angles=lambda self, chain, values: _wave(self.chosen["k"], chain.q[self.joint_index], values),
 )
 of_joint(
     "gear_ratio",
-    "gear ratio in the controller is wrong",
-    "The gear ratio in the controller is wrong: e q_j.",
+    "gear ratio in the controller is wrong: e q_j",
     [Number("e", "1", 1e-4, LEVER)],  # typical: diameter of a pulley of 50 to 100 mm within 5 to 10 um
     joint_angles=lambda self, chain, values: values * chain.q[self.joint_index],
 )
 of_joint(
     "joint_coupling",
-    "the joint before turns this one a little",
-    "Moving joint j-1 turns joint j a little (belt or wrist coupling): c q_(j-1).",
+    "the joint before turns this one a little: c q_(j-1), of a belt or a wrist",
     [Number("c", "1", 1e-4, LEVER)],  # typical: as of `gear_ratio`: what a controller leaves of a coupling
     first_joint=2,
     joint_angles=lambda self, chain, values: values * chain.q[self.joint_index - 1],
 )
 of_joint(
     "backlash",
-    "gear play, by direction of approach",
-    "Play in the gear, resolved by the direction of approach s_j = +1/-1: b s_j.",
+    "gear play, by direction of approach: b s_j, s_j = +1/-1",
     [Number("b", "rad", 1.5e-4, LEVER)],  # typical: lost motion of robot gears 1 arcmin, half to either side
     needs=frozenset({"directions"}),
     joint_angles=lambda self, chain, values: values * chain.directions[self.joint_index],
 )
 of_gravity(
     "gravity_backlash",
-    "gear play, pushed to one side by gravity",
-    "Play in the gear, pushed to one side by gravity: b sign(tau_j), b >= 0.",
+    "gear play, pushed to one side by gravity: b sign(tau_j), b >= 0",
     [Number("b", "rad", 1.5e-4, LEVER, 0.0)],  # typical: as of `backlash`
     per_joint="required",
     joint_angles=lambda self, chain, values: values * ca.sign(chain.torques[self.joint_index]),
 )
 of_joint(
     "servo_error",
-    "controller leaves the joint beside its command",
-    "The joint comes to rest, and is read, beside its command by b + h s_j. Positions follow what is read.",
+    "controller leaves the joint beside its command: b + h s_j; positions follow what is read",
     each("bh", "rad", 5e-5, LEVER),  # typical: a count of an encoder of 17 bits, 4.8e-5 rad
     of_commands=True,
 )
 of_joint(
     "joint_error_curve",
-    "smooth error over the angles measured, as a table",
-    "A function of the joint's own angle, found by `diagnose` from the angles measured; zero beyond them.",
+    "smooth error over the angles measured, as a table: a function of the joint's own angle, found by `diagnose`; "
+    "zero beyond these",
     tabulated=True,
     # supplied by the model; its derivative with respect to the posture is neglected
     joint_angles=lambda self, chain, values: 0.0 if chain.errors is None else chain.errors[self.joint_index],
@@ -149,8 +140,8 @@ of_joint(
 # -- less common ones --------------------------------------------------------------------------------------------------
 of_time(
     "thermal_transient",
-    "links grow exponentially while the arm warms up",
-    "Links grow while the arm warms up, one or all alike: l_j (1 + a (1 - exp(-(t + 1/2) / tau))), t = -0.5..0.5.",
+    "links grow exponentially while the arm warms up: l_j (1 + a (1 - exp(-(t + 1/2) / tau))), t = -0.5..0.5, one "
+    "or all alike",
     # typical: aluminium that warms by 4 K
     [Number("a", "1", 1e-4, lambda self: self.link_length if self.joint else self.reach)],
     per_joint="optional",
@@ -173,24 +164,21 @@ def _after(effect: Effect, chain: Chain) -> ca.SX:
 of_step = partial(of_time, prior=RARE, once=True, settings={"at": STEP})
 of_step(
     "joint_step",
-    "zero of a joint jumps during the session",
-    "The zero of a joint jumps at a time of the session, as after a collision or a lost count: b for t > at.",
+    "zero of a joint jumps during the session: b for t > at, as after a collision or a lost count",
     [Number("b", "rad", 2e-4, LEVER)],  # typical: a few encoder counts lost, or a light collision
     per_joint="required",
     joint_angles=lambda self, chain, values: values * _after(self, chain),
 )
 of_step(
     "link_step",
-    "link is longer after a remounting",
-    "A link is longer from a time of the session on, as after it was taken off and mounted again: d for t > at.",
+    "link is longer after a remounting: d for t > at, as after it was taken off and mounted again",
     [Number("d", "mm", 0.1)],  # typical: a flange remounted without dowels
     per_joint="required",
     extensions=lambda self, chain, values, lengths: values * _after(self, chain),
 )
 of_step(
     "base_step",
-    "base or tracker jumps during the session",
-    "The base or the instrument is moved at a time of the session: + (x, y), in space + (x, y, z), on one side of it.",
+    "base or tracker jumps during the session: + (x, y), in space + (x, y, z), on one side of a time",
     lambda self: each(self.chain.axes, "mm", 0.1),  # typical: as of `link_step`
     # side 1: for t > at, -1: for t < at; where the model has no `base_offset` that is not the same
     settings={"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
@@ -200,15 +188,13 @@ of_step(
 )
 of_load(
     "payload_error",
-    "payload is not what the file says",
-    "The payload is not what the file says: + d, for every effect of gravity.",
+    "payload is not what the file says: + d, for every effect of gravity",
     [Number("d", "kg", 0.5)],  # typical: cables and adapters that nobody weighed
     payload=lambda self, chain, values: values,
 )
 of_load(
     "payload_place",
-    "payload hangs elsewhere than the file says (payload_at_mm)",
-    "The payload hangs elsewhere than the file says: shifted by (x, y, z) in the frame of the tip.",
+    "payload hangs elsewhere than the file says (payload_at_mm): shifted by (x, y, z) in the frame of the tip",
     each("xyz", "mm", 50.0),  # typical: grippers are 100 mm long, targets sit on their rims
     family="payload_error",
     dimensions=SPACE,
@@ -219,8 +205,7 @@ of_load(
 # is what tools usually weigh, so that what shows under the tool's weight alone is looked for
 of_load(
     "tool_mass",
-    "mass of a tool that nobody weighed",
-    "The tool is so much heavier than the payload that the arm file says: + m, m >= 0, for every effect of gravity.",
+    "mass of a tool that nobody weighed: + m to the payload, m >= 0, for every effect of gravity",
     [Number("m", "kg", 2.0, lower=0.0, start=2.0)],  # typical: grippers and adapters of targets
     family="payload_error",
     nuisance=True,
@@ -228,8 +213,7 @@ of_load(
 )
 of_load(
     "gravity_tilt",
-    "base leans against gravity",
-    "The base leans: gravity is turned by an angle, in space by two about x and y, for every effect of gravity.",
+    "base leans against gravity: turned by an angle, in space by two about x and y, for every effect of gravity",
     # typical: floors are level to some mm per m
     lambda self: each({1: ("angle",), 3: "xy"}[len(self.chain.turning)], "rad", 5e-3),
     gravity_turn=lambda self, chain, values: (  # about the vertical nothing
@@ -238,14 +222,13 @@ of_load(
 )
 
 
-def _leaning(effect: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """(n,) displacements along and across each link, per unit length: real and imaginary part of
+def _leaning(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """(2 n,) displacements along and across each link: its length times real and imaginary part of
     (a + ib) exp(-2i angle), with the angle of the link against the one before the joint of the effect."""
-    along, across, angle = ca.SX.zeros(chain.links), ca.SX.zeros(chain.links), ca.SX(0)
-    for k in range(effect.joint_index, chain.links):
-        angle += chain.q[k]
-        along[k], across[k] = ca.vertsplit(_turned_back(values, 2.0 * angle))
-    return along, across
+    first = effect.joint_index
+    angles, lengths = ca.vertsplit(ca.cumsum(chain.q[first:])), chain.lengths[first:].tolist()
+    shifts = (length * _turned_back(values, 2.0 * angle) for length, angle in zip(lengths, angles, strict=True))
+    return ca.vertcat(ca.SX.zeros(2 * first), *shifts)
 
 
 # with s the vector from the joint to the tip and theta the orientation of the link before, in complex numbers:
@@ -253,15 +236,13 @@ def _leaning(effect: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]
 # a + ib = alpha^2 exp(2i beta) / 4. In joint 1 that is `axes_skew`
 of_joint(
     "axis_tilt",
-    "axis leans out of the plane",
-    "The axis of a joint leans out of the normal of the plane: what lies beyond is seen foreshortened.",
+    "axis leans out of the plane: what lies beyond is seen foreshortened",
     # typical: alpha^2 / 4 with alpha = 0.02 rad, bearings 1 mm out of line on 50 mm
     lambda self: each("ab", "1", 1e-4, float(np.sum(self.chain.lengths[self.joint_index :]))),
     first_joint=2,
     prior=RARE,
     dimensions=PLANE,  # in space the geometry has it
-    extensions=lambda self, chain, values, lengths: lengths * _leaning(self, chain, values)[0],
-    deflections=lambda self, chain, values: ca.DM(chain.lengths) * _leaning(self, chain, values)[1],
+    joint_shifts=_leaning,
 )
 
 
@@ -289,8 +270,8 @@ def _wound_up(effect: Effect, chain: Chain) -> ca.SX:
 
 of_joint(
     "joint_hysteresis",
-    "friction winds the gear up, with a memory of earlier motions",
-    "Friction winds the gear up until it slips: b times the wind-up, which follows the joint's motion within -1..1.",
+    "friction winds the gear up, with a memory of earlier motions: b times the wind-up, which follows the motion "
+    "within -1..1",
     [Number("b", "rad", 1.5e-4, LEVER)],  # typical: as of `backlash`: catalogs give 1 arcmin, too
     needs=frozenset({"past"}),
     prior=RARE,
@@ -315,19 +296,19 @@ def _bent(chain: Chain, values: ca.SX, by_force: tuple[int, int], by_moment: tup
 
 of_gravity(  # Euler-Bernoulli: deflection F L^3 / 3EI + M L^2 / 2EI, slope F L^2 / 2EI + M L / EI
     "link_bending",
-    "links bend under the loads beyond them",
-    "Links bend as cantilever beams of one stiffness EI under the loads beyond their tips.",
+    "links bend under the loads beyond them: as cantilever beams of one stiffness EI",
     # typical: EI = 1e5 N m^2, an aluminium tube of 90 mm with walls of 6 mm
     # scale: one unit of 1/(EI) under some 100 N at the end of each link: L^3 / 3 [m^3] * 100 N * 1000 mm/m
     [Number("flexibility", "1/(N m^2)", 1e-5, lambda self: np.sum(self.chain.lengths**3) / 3e4, 0.0)],
     dimensions=PLANE,
-    deflections=lambda self, chain, values: 1000.0 * _bent(chain, values, (3, 3), (2, 2)),
-    slopes=lambda self, chain, values: _bent(chain, values, (2, 2), (1, 1)),
+    # of the link's end to its left
+    joint_shifts=lambda self, chain, values: 1000.0 * ca.kron(_bent(chain, values, (3, 3), (2, 2)), ca.DM([0.0, 1.0])),
+    # of the next joint's frame; what is measured is a point at the end of the last link
+    joint_turns=lambda self, chain, values: ca.vertcat(0.0, _bent(chain, values, (2, 2), (1, 1))[:-1]),
 )
 add_effect(
     "thermal_growth",
-    "links grow with temperature",
-    "Links grow with temperature: l_j (1 + a (T - T_mean)).",
+    "links grow with temperature: l_j (1 + a (T - T_mean))",
     [Number("a", "1/K", 2e-5, REACH)],  # typical: steel 12e-6, aluminium 23e-6
     needs=frozenset({"temperature"}),
     extensions=lambda self, chain, values, lengths: lengths * values[0] * chain.temperature,
@@ -341,8 +322,7 @@ def _axis_of(effect: Effect) -> Array:
 
 of_gravity(
     "bearing_compliance",
-    "bearing tilts across its axis under gravity",
-    "The bearing of a joint yields across its axis: tilted by c M, M the moment of gravity across the axis, c >= 0.",
+    "bearing tilts across its axis under gravity: by c M, M the moment of gravity across the axis, c >= 0",
     # typical: output bearings of strain-wave gears, 4e4 to 4e6 N m/rad across the axis
     [Number("c", "rad/(N m)", 3e-6, lambda self: self.link_length * TORQUE, 0.0)],
     per_joint="required",
@@ -356,8 +336,7 @@ of_gravity(
 # with the link and is an error of its geometry; every runout once per turn is a sum of the two
 of_joint(
     "axis_runout",
-    "axis runs out of true once per turn",
-    "The axis of a joint runs out of true once per turn: shifted by (a + ib) exp(-i q_j) across itself.",
+    "axis runs out of true once per turn: shifted by (a + ib) exp(-i q_j) across itself",
     each("ab", "mm", 3e-3),  # typical: runout of such bearings 5 to 15 um from peak to peak
     prior=RARE,
     dimensions=SPACE,
@@ -369,8 +348,7 @@ of_joint(
 # -- base and instrument -----------------------------------------------------------------------------------------------
 add_effect(
     "base_offset",
-    "base not at the origin of the measurements",
-    "The base does not stand at the origin of the measurements: + (x0, y0).",
+    "base not at the origin of the measurements: + (x0, y0)",
     each(("x0", "y0"), "mm", 1.0),  # typical: a base set up with dowels or by touching off
     of_positions=True,
     dimensions=PLANE,  # in space the base is part of the geometry
@@ -378,8 +356,7 @@ add_effect(
 )
 of_time(
     "base_drift",
-    "base or tracker creeps during the session",
-    "The base (or the tracker) creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t.",
+    "base or tracker creeps during the session: + (vx, vy) t, t = -0.5..0.5; in space + (vx, vy, vz) t",
     # typical: creep of tripods, floors and warming frames in an hour or two
     lambda self: each([f"v{axis}" for axis in self.chain.axes], "mm/session", 0.05),
     once=True,
@@ -387,8 +364,7 @@ of_time(
 )
 of_time(
     "base_rotation_drift",
-    "base or tracker turns during the session",
-    "The base (or the tracker) turns during the session: by w t, t = -0.5..0.5; in space by (wx, wy, wz) t.",
+    "base or tracker turns during the session: by w t, t = -0.5..0.5; in space by (wx, wy, wz) t",
     lambda self: each(self.chain.turn_names, "rad/session", 5e-5, REACH),  # typical: as of `base_drift`, at 1 m
     once=True,
     base_rotation=lambda self, chain, values: values * chain.time,
@@ -405,8 +381,7 @@ def _of_session(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
 # the data name sessions, and leave it out of what they write
 add_effect(
     "session_base",
-    "arm or instrument set up again for each session",
-    "Each session after the first has its own base: + (x, y), rotation by w, relative to that of the first.",
+    "arm or instrument set up again for each session: after the first + (x, y), rotation by w, relative to that",
     # typical: arm or instrument anywhere in the cell, turned by any angle
     lambda self: [
         number._replace(short=f"{number.short}{session}")
@@ -421,8 +396,7 @@ add_effect(
 )
 add_effect(
     "axes_skew",
-    "instrument axes of unequal scale or not square",
-    "Unequal scales and axes that are not square: p + (a + ib) conj(p), p = x + iy.",
+    "instrument axes of unequal scale or not square: p + (a + ib) conj(p), p = x + iy",
     each("ab", "1", 5e-5, REACH),  # typical: laser trackers 1e-5, cameras 1e-4 of the distance
     of_positions=True,
     dimensions=PLANE,
@@ -432,9 +406,7 @@ add_effect(
 )
 add_effect(
     "length_offset",
-    "all measured distances too long by the same",
-    "A measured distance is longer than it is by the same everywhere, + c: the zero of a draw wire, the reference "
-    "length of a ball bar.",
+    "all measured distances too long by the same: + c, the zero of a draw wire, the reference length of a ball bar",
     [Number("c", "mm", 0.5)],  # typical: wires are zeroed by hand, bars measured between rims
     needs=frozenset({"distance"}),
     dimensions=SPACE,
@@ -442,16 +414,14 @@ add_effect(
 )
 add_effect(
     "measurement_scale",
-    "instrument scale is wrong",
-    "The instrument's unit is wrong by a factor: p (1 + s).",
+    "instrument scale is wrong: p (1 + s)",
     [Number("s", "1", 5e-5, REACH)],  # typical: as of `axes_skew`
     alias="a common factor of all link lengths",
     instrument=lambda self, p, values: values[0] * p,
 )
 add_effect(
     "tool_offset",
-    "target not at the tip",
-    "The measured target is not at the tip: (x, y) in the frame of the last link.",
+    "target not at the tip: (x, y) in the frame of the last link",
     each("xy", "mm", 1.0),  # typical: adapter of a target, not measured
     alias="the length and the joint offset of the last link",
     dimensions=PLANE,  # in space the tool is part of the geometry
@@ -459,8 +429,7 @@ add_effect(
 )
 add_effect(
     "base_rotation",
-    "base turned against the measurements",
-    "The base is turned against the frame of the measurements.",
+    "base turned against the measurements: by an angle",
     [Number("angle", "rad", 1e-3, lambda self: self.chain.levers[0])],  # typical: as `base_offset`, 1 mm at 1 m
     alias="the offset of joint 1",
     dimensions=PLANE,  # in space the base is part of the geometry
@@ -511,8 +480,7 @@ def _correlated(self: Effect, errors: Array, scene: Scene, values: Sequence[floa
 
 of_noise(
     "joint_noise",
-    "joint does not come to rest at the same angle",
-    "A joint does not come to rest at the same angle: the tip scatters along the joint's lever.",
+    "joint does not come to rest at the same angle: the tip scatters along the joint's lever",
     [Number("std", "rad", 5e-5, LEVER, 0.0)],  # typical: repeatability of 0.05 mm at 1 m (ISO 9283)
     per_joint="required",
     disturb=lambda self, errors, scene, values: (
@@ -522,8 +490,7 @@ of_noise(
 )
 of_noise(
     "reach_noise",
-    "scatter grows with the distance from the base",
-    "The scatter grows with the distance from the base: errors times sqrt(1 + (g |p| / reach)^2).",
+    "scatter grows with the distance from the base: errors times sqrt(1 + (g |p| / reach)^2)",
     # typical: error half constant, half proportional to the distance: sqrt(2) at full reach
     [Number("g", "1", 1.0, lower=0.0)],
     disturb=lambda self, errors, scene, values: (
@@ -532,24 +499,21 @@ of_noise(
 )
 of_noise(
     "time_noise",
-    "scatter changes during the session",
-    "The scatter changes during the session: errors times exp(g t).",
+    "scatter changes during the session: errors times exp(g t)",
     [Number("g", "1", 0.5)],  # typical: scatter changes by exp(0.5) = 1.6 over the session
     disturb=lambda self, errors, scene, values: errors * np.exp(values[0] * scene.time)[:, None],
 )
 of_noise(
     "outliers",
-    "some rows are far off",
-    "A share of the rows, drawn at random, is off by `size` standard deviations of the instrument, each in a random "
-    "direction; orientations stay as they are.",
+    "some rows are far off: a share of them, drawn at random, by `size` standard deviations of the instrument in a "
+    "random direction; not of orientations",
     # typical: arm not at rest, target turned away; well beyond the scatter, as a broken beam is
     [Number("share", "1", 0.02, lower=0.0, upper=1.0), Number("size", "1", 10.0, lower=0.0)],
     disturb=_far_off,
 )
 of_noise(
     "serial_correlation",
-    "serially correlated errors",
-    "Serially correlated errors: e_i = rho e_(i-1) + sqrt(1 - rho^2) new, of the same size as without.",
+    "serially correlated errors: e_i = rho e_(i-1) + sqrt(1 - rho^2) new, of the same size as without",
     # typical: air and temperature change over minutes, rows follow faster
     [Number("rho", "1", 0.5, lower=-0.99, upper=0.99)],
     disturb=_correlated,

@@ -416,9 +416,10 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
             t = at.torques[:, j]
             loads = np.column_stack([t, np.abs(t), t * np.abs(t), np.sign(t)])
             yield block(f"load:{j + 1}", place, 0.3 * weight, times(lever, loads))
-        if "joint_turns" in chain.bends and chain.joints[j].type == REVOLUTE:  # tilts and shifts move the point alike
+        if chain.frame_kinds and chain.joints[j].type == REVOLUTE:  # tilts and shifts move the point alike
             plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T  # across the axis
-            parts = [levers[:, :, places[kind]][:, :, 3 * j : 3 * j + 3] @ plane for kind in chain.bends]
+            acting = (levers[:, :, places[kind]] for kind in ("joint_turns", "joint_shifts"))
+            parts = [of_joints[:, :, 3 * j : 3 * j + 3] @ plane for of_joints in acting]
             parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
             turns = np.column_stack([f(k * angle) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)])
             yield block(f"wobble:{j + 1}", place, 0.3 * weight, times(np.concatenate(parts, axis=2), turns))

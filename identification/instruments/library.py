@@ -334,8 +334,9 @@ class Socket(AtTargets):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        every = zip(super().parameters, self._starts.tolist(), strict=True)
-        return tuple(replace(p, start=x) for k, (p, x) in enumerate(every) if k not in self._following)
+        starts, following = self._tied
+        every = zip(super().parameters, starts.tolist(), strict=True)
+        return tuple(replace(p, start=x) for k, (p, x) in enumerate(every) if k not in following)
 
     def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
         """Where the cups are, and how far apart."""
@@ -381,7 +382,7 @@ class Socket(AtTargets):
 
     @property
     def targets(self) -> dict[str, Array]:
-        return dict(zip((name for name, _ in self.at), self._starts.reshape(-1, 3), strict=True))
+        return dict(zip((name for name, _ in self.at), self._tied[0].reshape(-1, 3), strict=True))
 
     # -- cups ----------------------------------------------------------------------------------------------------------
     @cached_property
@@ -395,54 +396,44 @@ class Socket(AtTargets):
             if name == first and (group, second) in split
         ]
 
-    def _gaps(self, places: Array) -> tuple[Array, Array]:
-        """(k,) by which pairs are too far apart, and the derivative (k, 3 C) by all coordinates of the cups."""
-        cups, gaps, slopes = places.reshape(-1, 3), [], np.zeros((len(self._pairs), len(self.at), 3))
-        for row, (a, b, length) in zip(slopes, self._pairs, strict=True):
-            across = cups[b] - cups[a]
-            gaps.append(float(np.linalg.norm(across)) - length)
-            row[b] = across / max(gaps[-1] + length, TOUCHES)
-            row[a] = -row[b]
-        return np.array(gaps), slopes.reshape(len(gaps), places.size)
-
     @cached_property
-    def _starts(self) -> Array:
-        """(3 C,) coordinates of all cups, nearest to `at` with the distances that are known."""
-        places = np.array([place for _, place in self.at], dtype=float).ravel()
+    def _tied(self) -> tuple[Array, dict[int, Array]]:
+        """(3 C,) coordinates of all cups, nearest to `at` with the distances that are known; and coordinate that
+        follows from the others -> by how much it closes each gap (k,), as there."""
+        cups, k = np.array([place for _, place in self.at], dtype=float).reshape(-1, 3), len(self._pairs)
+        one, other, lengths = np.array(self._pairs, dtype=float).reshape(k, 3).T
+        ends, slopes = (one.astype(int), other.astype(int)), np.zeros((k, len(cups), 3))
         for _ in range(100):  # effort: distances that can be true are reached in a few steps
-            gaps, slopes = self._gaps(places)
-            if np.abs(gaps).max(initial=0.0) < TOUCHES:
-                return places
-            places = places - np.linalg.pinv(slopes, rcond=DISTINCT) @ gaps
-        pairs = ", ".join(f"{self.at[a][0]} to {self.at[b][0]}" for a, b, _ in self._pairs)
-        raise InputError(
-            f"instrument.distances_mm: no cups are as far apart as {pairs}, allowed: distances that can all be true"
-        )
+            across = cups[ends[1]] - cups[ends[0]]
+            apart = np.linalg.norm(across, axis=1)
+            for end, sign in zip(ends, (-1.0, 1.0), strict=True):
+                slopes[np.arange(k), end] = sign * across / np.maximum(apart, TOUCHES)[:, None]
+            if np.abs(apart - lengths).max(initial=0.0) < TOUCHES:
+                break
+            cups = cups - (np.linalg.pinv(slopes.reshape(k, -1), rcond=DISTINCT) @ (apart - lengths)).reshape(-1, 3)
+        else:
+            pairs = ", ".join(f"{self.at[a][0]} to {self.at[b][0]}" for a, b, _ in self._pairs)
+            allowed = "allowed: distances that can all be true"
+            raise InputError(f"instrument.distances_mm: no cups are as far apart as {pairs}, {allowed}")
+        if not k:
+            return cups.ravel(), {}
+        from scipy.linalg import qr  # only cups with distances pay for the import
 
-    @cached_property
-    def _following(self) -> dict[int, Array]:
-        """Coordinate that follows from the others -> by how much it closes each gap (k,), as at the start."""
-        slopes = self._gaps(self._starts)[1]
-        left, chosen = slopes.copy(), list[int]()
-        while left.size and (sizes := np.linalg.norm(left, axis=0)).max() > DISTINCT:
-            chosen.append(int(np.argmax(sizes)))
-            direction = left[:, chosen[-1]] / sizes.max()
-            left = left - np.outer(direction, direction @ left)
-        return dict(zip(chosen, np.linalg.pinv(slopes[:, chosen], rcond=DISTINCT), strict=True))
+        table = slopes.reshape(k, -1)
+        _, triangle, order = qr(table, mode="economic", pivoting=True)
+        chosen = order[: np.count_nonzero(np.abs(np.diag(triangle)) > DISTINCT)]
+        return cups.ravel(), dict(zip(chosen.tolist(), np.linalg.pinv(table[:, chosen], rcond=DISTINCT), strict=True))
 
     def _cups(self, values: ca.SX) -> list[ca.SX]:
         """Centers (3,) of all cups at values of the parameters."""
-        free, following = iter(range(values.numel())), self._following
-        places = [ca.SX(float(x)) if k in following else values[next(free)] for k, x in enumerate(self._starts)]
-        lengths = ca.DM([length for _, _, length in self._pairs])
-        for step in range(5):  # effort: of Newton's method
-            cups = [ca.vertcat(*places[3 * k : 3 * k + 3]) for k in range(len(self.at))]
-            if step == 4 or not self._pairs:
-                break
-            apart = ca.vertcat(*(ca.norm_2(cups[b] - cups[a]) for a, b, _ in self._pairs))
-            for k, closing in following.items():
-                places[k] = places[k] - ca.dot(ca.DM(closing), apart - lengths)
-        return cups
+        starts, following = self._tied
+        places, cups = ca.SX(ca.DM(starts)), [slice(3 * k, 3 * k + 3) for k in range(len(self.at))]
+        free = [k for k in range(len(starts)) if k not in following]
+        places[free] = values
+        for _ in range(4 if following else 0):  # effort: of Newton's method
+            gaps = (ca.norm_2(places[cups[b]] - places[cups[a]]) - length for a, b, length in self._pairs)
+            places[[*following]] -= ca.mtimes(ca.DM(np.array([*following.values()])), ca.vertcat(*gaps))
+        return [places[cup] for cup in cups]
 
     # -- files ---------------------------------------------------------------------------------------------------------
     @classmethod

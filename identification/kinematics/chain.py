@@ -114,9 +114,6 @@ class KinematicChain(ByValue):
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
     # kinds of the parameters that say where it stands and what is measured on it, each a frame
     frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
-    # how effects bend it: place (identification/effects/chain.py) -> its elements for each joint. In space the joint's
-    # frame after it moved; in the plane each link's end to its left
-    bends: ClassVar[Mapping[str, int]] = MappingProxyType({"joint_turns": 3, "joint_shifts": 3})
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
     planar: ClassVar[bool] = False  # a `PlanarChain`
 
@@ -274,49 +271,41 @@ class KinematicChain(ByValue):
         q : (n,) positions of the joints [rad, mm];  values : parameter name -> value, zero where missing
         added : what effects add at each place of the chain (identification/effects/chain.py)
         """
-        names = error_names(BASE)
-        shift = ca.vertcat(*(ca.SX(values.get(name, 0.0)) for name in names[:3]))
+        names, d, turns = error_names(BASE), self.dimension, len(self.turning)
+        shift = ca.vertcat(*(values.get(name, 0.0) for name in names[:3]))
         frame = Frame.world().shifted(shift + in_space(added.get("base_translation", ca.SX(0, 1)))).placed(self.base)
         frame = frame.displaced(values, names[3:])
-        if "base_rotation" in added:
-            frame = frame.turned_about(self.turning, added["base_rotation"])
-        placed = [frame]
-        for j, joint in enumerate(self.joints, start=1):
-            frame = self._behind_link(frame, j - 1, values, added).displaced(values, error_names(j))
-            frame = joint.moved(frame, q[j - 1] + values.get(f"{JOINT_OFFSET}:{j}", 0.0))
-            of_joint = slice(3 * (j - 1), 3 * j)
-            frame = frame.shifted(added["joint_shifts"][of_joint]) if "joint_shifts" in added else frame
-            frame = frame.turned_about(range(3), added["joint_turns"][of_joint]) if "joint_turns" in added else frame
+        frame = frame.turned_about(self.turning, added["base_rotation"]) if added else frame
+        placed, frame = [frame], frame.placed(self.joints[0].origin)
+        for j, (joint, behind, length) in enumerate(zip(self.joints, self._links[1:], self.lengths, strict=True)):
+            frame = frame.displaced(values, error_names(j + 1))
+            frame = joint.moved(frame, q[j] + values.get(f"{JOINT_OFFSET}:{j + 1}", 0.0))
+            longer = ca.SX(values.get(f"{LENGTH_ERROR}:{j + 1}", 0.0))
+            if added:
+                frame = frame.turned_about(self.turning, added["joint_turns"][turns * j : turns * (j + 1)])
+                frame = frame.shifted(in_space(added["joint_shifts"][d * j : d * (j + 1)]))
+                longer += added["extensions"][j]
             placed.append(frame)
-        return [*placed, self._behind_link(frame, len(self), values, added)]
+            link = ca.SX(ca.DM(behind[:3, 3]))  # along which it may be longer
+            frame = frame.shifted(link + link * longer / length if length else link)
+            frame = frame.placed(pose(rotation=behind[:3, :3]))
+        return [*placed, frame]
 
-    def _behind_link(self, frame: Frame, link: int, values: Values, added: Mapping[str, ca.SX]) -> Frame:
-        """The frame at the end of a link, counted from 1, which may be longer and bent to its left; 0: from the base to
-        joint 1."""
-        if link == 0:
-            return frame.placed(self._links[0])
-        vector, length = self.link_vectors[link - 1], self.lengths[link - 1]
-        longer = ca.SX(values.get(f"{LENGTH_ERROR}:{link}", 0.0))
-        longer += added["extensions"][link - 1] if "extensions" in added and length else 0.0
-        shift = ca.SX(ca.DM(vector)) + (0.0 if longer.is_zero() else ca.DM(vector / length) * longer)
-        if "deflections" not in added:
-            return frame.shifted(shift).placed(pose(rotation=self._links[link][:3, :3]))
-        shift[1] += added["deflections"][link - 1]
-        return frame.shifted(shift).turned(2, added["slopes"][link - 1])
+    def measured(self, tip: Frame, values: Values, marker: ca.SX | None = None, added: ca.SX | float = 0.0) -> Frame:
+        """The frame of a measured point, where the tip's frame is there: its origin is the point.
 
-    def measured(self, tip: Frame, values: Values, added: ca.SX | float = 0.0) -> list[Frame]:
-        """The frame of each measured point, where the tip's frame is there: its origin is the point.
-
-        added : (3,) to the place of each
+        marker : number of the measured point from 0, None: the first;  added : (3,) to the place of each
         """
-        frames = []
+        places, axes = [], []
         for name, place in self.tools.items():
             names = error_names(f"tool[{name}]")
-            errors = ca.vertcat(*(values.get(error, 0.0) for error in names[:3]))
-            frame = tip.shifted(ca.DM(place) + errors + added)
-            drawn = frame.placed(pose(rotation=self.tool_axes[name])) if name in self.tool_axes else frame
-            frames.append(drawn.displaced(values, names[3:]))
-        return frames
+            drawn = Frame.world().placed(pose(place, self.tool_axes.get(name)))
+            places.append(drawn.shift + ca.vertcat(*(values.get(error, 0.0) for error in names[:3])))
+            axes.append(drawn.displaced(values, names[3:]).axes)
+        chosen, turned = places[0], axes[0]
+        for k in range(1, len(places) if marker is not None else 0):
+            chosen, turned = ca.if_else(marker == k, places[k], chosen), ca.if_else(marker == k, axes[k], turned)
+        return Frame(tip, chosen + added, turned)
 
     def tip(
         self, q: ca.SX, values: Values, added: Mapping[str, ca.SX], marker: ca.SX | None, reference: ca.SX | None
@@ -324,19 +313,14 @@ class KinematicChain(ByValue):
         """(d,) measured point [mm] at real joint positions (n,) but for their offsets, before the instrument, and (3,)
         how far the measured frame is turned against its reference [mm], (0,) where only points are measured.
 
-        values, added : as of `frames`;  marker : number of the measured point from 0, None: the first
+        values, added : as of `frames`;  marker : as of `measured`
         reference : (9,) orientation to compare with, by rows
         """
-        measured = self.measured(self.frames(q, values, added)[-1], values, in_space(added["tool"]))
-        point = _of_marker([frame.point(ca.SX(3, 1)) for frame in measured], marker)[: self.dimension]
+        frame = self.measured(self.frames(q, values, added)[-1], values, marker, in_space(added["tool"]))
+        point = frame.point(ca.SX(3, 1))[: self.dimension]
         if self.angle_scale is None or reference is None:
             return point, ca.SX(0, 1)
-        axes = _of_marker([frame.axes for frame in measured], marker)
-        return point, self.angle_scale * rotation_vector(ca.mtimes(axes, ca.reshape(reference, 3, 3)))
-
-    def orientation(self, q: ca.SX, values: Values, marker: ca.SX | None = None) -> ca.SX:
-        """(3, 3) axes of the measured frame for the instrument, as columns; arguments as of `frames` and `tip`."""
-        return _of_marker([frame.axes for frame in self.measured(self.frames(q, values)[-1], values)], marker)
+        return point, self.angle_scale * rotation_vector(ca.mtimes(frame.axes, ca.reshape(reference, 3, 3)))
 
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
         """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
@@ -347,7 +331,7 @@ class KinematicChain(ByValue):
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
         at_home = replace(self, base=np.eye(4))
         frames = at_home.frames(q, {name: value for name, value in values.items() if not name.startswith("base.")})
-        return [*frames, self.measured(frames[-1], values)[0]]
+        return [*frames, self.measured(frames[-1], values)]
 
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
@@ -379,14 +363,6 @@ def _frames_at(chain: KinematicChain, values: tuple[tuple[str, float], ...]) -> 
     return at
 
 
-def _of_marker(of_markers: Sequence[ca.SX], marker: ca.SX | None) -> ca.SX:
-    """What belongs to the measured point of this number from 0; None: the first."""
-    chosen = of_markers[0]
-    for k, other in enumerate(of_markers[1:] if marker is not None else [], start=1):
-        chosen = ca.if_else(marker == k, other, chosen)
-    return chosen
-
-
 def _six(frame: str | int, lever: float, kinds: tuple[str, str], farthest: float = np.inf) -> list[Parameter]:
     names, joint = error_names(frame), frame if isinstance(frame, int) else None
     translations = [Parameter(name, "mm", -farthest, farthest, kind=kinds[0], joint=joint) for name in names[:3]]
@@ -403,7 +379,6 @@ class PlanarChain(KinematicChain):
     turn_names = ("w",)
     base_shift = ("base_offset.x0", "base_offset.y0")
     frame_kinds = ()
-    bends = MappingProxyType({"deflections": 1, "slopes": 1})
     projection = None
     planar = True
 

@@ -151,21 +151,25 @@ def rotation_vector(rotation: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame in CasADi symbols, by its pose in the frame before it:  shift : (3,);  rotation : (3, 3), its columns the
-    x, y and z axes.
+    """A frame in CasADi symbols, by its pose in the frame before it, or in the world.
+
+    shift : (3,);  rotation : (3, 3), its columns the x, y and z axes
+    about_z : [rad] by which it is turned in the world, None: about other axes, too
 
     A point goes back through the frames one by one, three numbers each time where frames from the base on have twelve,
-    which makes positions and their derivatives (by reverse mode) cost half as much.
+    which makes positions and their derivatives (by reverse mode) cost half as much. Where all turns are about z, as in
+    the plane, they add up to one angle, and the frame stands in the world: two thirds of that.
     """
 
     before: Frame | None
     shift: ca.SX
     rotation: ca.SX
+    about_z: ca.SX | None = None
 
     @classmethod
     def world(cls) -> Frame:
         """The frame that everything is measured in."""
-        return cls(None, ca.SX(3, 1), ca.SX.eye(3))
+        return cls(None, ca.SX(3, 1), ca.SX.eye(3), ca.SX(0))
 
     @cached_property
     def origin(self) -> ca.SX:
@@ -186,7 +190,11 @@ class Frame:
 
     def shifted(self, shift: ca.SX) -> Frame:
         """Shifted by a vector (3,) of this frame."""
-        return Frame(self, shift, ca.SX.eye(3))
+        if shift.is_zero():
+            return self
+        if self.about_z is None:
+            return Frame(self, shift, ca.SX.eye(3))
+        return Frame(None, self.point(shift), self.rotation, self.about_z)
 
     def moved(self, axis: int, distance: ca.SX | float) -> Frame:
         """Shifted along an own axis."""
@@ -194,12 +202,14 @@ class Frame:
 
     def turned(self, axis: int, angle: ca.SX | float) -> Frame:
         """Turned by an angle [rad] about an own axis."""
-        rotation = ca.SX.eye(3)
-        if not ca.SX(angle).is_zero():
-            first, second, cosine, sine = (axis + 1) % 3, (axis + 2) % 3, ca.cos(angle), ca.sin(angle)
-            rotation[first, first], rotation[second, first] = cosine, sine
-            rotation[first, second], rotation[second, second] = -sine, cosine
-        return Frame(self, ca.SX(3, 1), rotation)
+        if ca.SX(angle).is_zero():
+            return self
+        about_z = None if self.about_z is None or axis != 2 else self.about_z + angle
+        angle, rotation = angle if about_z is None else about_z, ca.SX.eye(3)
+        first, second, cosine, sine = (axis + 1) % 3, (axis + 2) % 3, ca.cos(angle), ca.sin(angle)
+        rotation[first, first], rotation[second, first] = cosine, sine
+        rotation[first, second], rotation[second, second] = -sine, cosine
+        return Frame(self, ca.SX(3, 1), rotation) if about_z is None else Frame(None, self.shift, rotation, about_z)
 
     def turned_about(self, axes: Sequence[int], angles: Any) -> Frame:
         """Turned by angles [rad] about own axes of these numbers, one after the other."""
@@ -220,4 +230,5 @@ class Frame:
     def placed(self, matrix: Array) -> Frame:
         """A frame whose pose (4, 4) in this one is constant."""
         placed = ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
-        return Frame(self, placed[:3, 3], placed[:3, :3])
+        straight = np.array_equal(matrix[:3, :3], np.eye(3))
+        return self.shifted(placed[:3, 3]) if straight else Frame(self, placed[:3, 3], placed[:3, :3])

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm
 from identification.arrays import Array, slices
 from identification.conditions import Conditions, condition_columns
 from identification.effects import Chain, Effect, build_all
@@ -69,12 +69,7 @@ class Model:
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """The arm's effects on the mean, ready for the chain; `simulate` handles those on scatter and commands."""
-        return tuple(effect for effect, _ in self._built)
-
-    @cached_property
-    def _built(self) -> list[tuple[Effect, EffectSpec]]:
-        effects = zip(build_all(self.arm.effects, self.arm.chain), self.arm.effects, strict=True)
-        return [(effect, spec) for effect, spec in effects if not (effect.scatter or effect.of_commands)]
+        return tuple(e for e in build_all(self.arm.effects, self.arm.chain) if not (e.scatter or e.of_commands))
 
     @cached_property
     def geometry_parameters(self) -> ParameterSet:
@@ -84,14 +79,14 @@ class Model:
     @cached_property
     def all_parameters(self) -> ParameterSet:
         """Every parameter, estimated or known: those of the geometry, then those of the effects."""
-        return ParameterSet((*self.geometry_parameters, *(p for effect, _ in self._built for p in effect.parameters)))
+        return ParameterSet((*self.geometry_parameters, *(p for effect in self.effects for p in effect.parameters)))
 
     @cached_property
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
         values = {name: self._calibrated.get(name, 0.0) for name in self.arm.chain.held} | dict(self.held or {})
-        for effect, spec in self._built:
-            values |= {p.name: float(spec.values[p.short]) for p in effect.parameters if p.short in spec.values}
+        for effect in self.effects:
+            values |= {p.name: float(effect.known[p.short]) for p in effect.parameters if p.short in effect.known}
         return values
 
     @cached_property
@@ -264,7 +259,8 @@ class Model:
         """Of arrays (q, marker, values of the geometry): the measured frame's axes for the instrument, (3, 3)."""
         q, marker, names = ca.SX.sym("q", self.joints), ca.SX.sym("marker"), self.geometry_parameters.names
         values = ca.SX.sym("values", len(names))
-        axes = self.arm.chain.orientation(q, dict(zip(names, ca.vertsplit(values), strict=True)), marker)
+        chain, named = self.arm.chain, dict(zip(names, ca.vertsplit(values), strict=True))
+        axes = chain.measured(chain.frames(q, named)[-1], named, marker).axes
         return vectorize(ca.Function("orientation", [q, marker, values], [ca.cse(axes)]))
 
     def symbolic_points(self, q: ca.SX) -> list[ca.SX]:
@@ -282,9 +278,7 @@ class Model:
         """(m, d) tip positions [mm] at (m, n) postures [rad]; (K, m, d) for (K, p) parameter sets."""
         return self.expressions._position(*self._arguments(postures, parameters, conditions))[0][..., 0]
 
-    def linearize(
-        self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
-    ) -> tuple[Array, Array]:
+    def linearize(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> tuple[Array, Array]:
         """Positions (..., m, d) and Jacobians (..., m, d, p) in one pass."""
         position, jacobian = self.expressions._jacobian(*self._arguments(postures, parameters, conditions))
         return position[..., 0], jacobian
@@ -303,19 +297,14 @@ class Model:
         nominal = nominal.reshape(*nominal.shape[:-1], 3, 3)
         return turned(self.expressions._position(*arguments)[0][..., 3:, 0] / scale) @ nominal
 
-    def joint_levers(
-        self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
-    ) -> Array:
+    def joint_levers(self, postures: ArrayLike, parameters: Given = None, conditions: When = None) -> Array:
         """(m, d, n) derivative of the positions with respect to each joint's own offset [mm/rad], be that offset
         estimated or not; (K, m, d, n) for (K, p) parameter sets."""
-        offsets = self.parameters.indices(JOINT_OFFSET)
-        if len(offsets) == self.joints:  # compiled already: they are columns of the Jacobian
-            return self.linearize(postures, parameters, conditions)[1][..., offsets]
         at_joints = slices(widths(self.arm.chain))["joint_angles"]
         return self.place_levers(postures, parameters, conditions)[0][..., at_joints]
 
     def place_levers(
-        self, postures: ArrayLike, parameters: Given = None, conditions: Conditions | None = None
+        self, postures: ArrayLike, parameters: Given = None, conditions: When = None
     ) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
         and (m, S) the state that it may depend on (effects/chain.py)."""
@@ -342,9 +331,7 @@ class Model:
             raise InputError(f"postures: shape {np.shape(postures)}, allowed: (m, {self.joints})")
         return q
 
-    def _arguments(
-        self, postures: ArrayLike, parameters: Given, conditions: Conditions | None
-    ) -> tuple[Array, Array, Array]:
+    def _arguments(self, postures: ArrayLike, parameters: Given, conditions: When) -> tuple[Array, Array, Array]:
         q = self._postures(postures)
         p = self.values if parameters is None else np.asarray(parameters, dtype=float)
         if p.shape[-1:] != (len(self.parameters),):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from identification.effects import OTHER_NAMES, library
+from identification import library
 from identification.errors import close_names, nearest, suggestion
 
 KEYS = ("name", "kind", "links_mm", "joint_limits_deg", "measurement", "gravity", "effects", "calibration", "sigma_mm")
@@ -40,8 +40,6 @@ def test_keys(word: str, names: list[str]) -> None:
     ("word", "names"),
     [
         ("backlsh", ["backlash"]),
-        ("play", ["backlash"]),
-        ("stiffness", ["joint_compliance"]),
         ("bending", ["link_bending"]),
         ("noise", ["joint_noise", "reach_noise", "time_noise"]),
         ("lengthoffset", ["length_offset"]),
@@ -50,12 +48,7 @@ def test_keys(word: str, names: list[str]) -> None:
     ],
 )
 def test_effects(word: str, names: list[str]) -> None:
-    assert close_names(word, library(), OTHER_NAMES) == names
-
-
-def test_other_names_are_of_effects() -> None:
-    assert set(OTHER_NAMES.values()) <= set(library())
-    assert not set(OTHER_NAMES) & set(library())
+    assert close_names(word, library()) == names
 
 
 def test_numbers_are_kept() -> None:

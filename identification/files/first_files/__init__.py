@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -133,7 +134,8 @@ def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: A
     """The files of an arm with joints of these types, measured by this kind of instrument, filled in."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    n, instrument, arm_kind = len(types), KINDS["xyz"][kind]() if kind else TRACKER, "spatial" if spatial else "planar"
+    n, arm_kind, cls = len(types), "spatial" if spatial else "planar", KINDS["xyz"].get(kind)
+    instrument = TRACKER if cls is None else cls.of_table(tomllib.loads(cls.guide.table))
     axes = instrument.coordinates[: 3 if spatial else 2]
     # its readings, or what is touched
     measured = tuple(column_of(name, quantity) for name, quantity, _ in axes) or (instrument.target,)

@@ -173,7 +173,7 @@ CASES: list[Case] = [
             ("calibrate", "identify"),
             ("help format", "formats"),
             ("design arm.toml --run 8", "--runs"),
-            ("effects friction", "joint_hysteresis"),
+            ("effects joint_hysteresys", "joint_hysteresis"),
         )
     ),
 ]

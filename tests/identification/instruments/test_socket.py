@@ -135,7 +135,7 @@ def test_cups_keep_distances_that_are_known() -> None:
         moved = np.array([p.neutral for p in socket.parameters]) + np.random.default_rng(0).uniform(
             -2.0, 2.0, len(socket.parameters)
         )
-        for where in (socket._starts, np.array(places(moved)).ravel()):
+        for where in (socket._tied[0], np.array(places(moved)).ravel()):
             found = dict(zip(CUPS, where.reshape(-1, 3), strict=True))
             for a, b, length in known:
                 assert np.linalg.norm(found[a] - found[b]) == pytest.approx(length, abs=1e-6)

@@ -107,7 +107,7 @@ def reference(arm: Arm, q: np.ndarray, row: np.ndarray, value: dict[str, float])
     for j in range(n):
         direction *= np.exp(1j * angles[j])
         tip += direction * complex(lengths[j], deflection[j])
-        direction *= np.exp(1j * slope[j])
+        direction *= np.exp(1j * slope[j]) if j < n - 1 else 1.0  # a tool is another length and offset of the last link
     tip = (tip + direction * tool) * np.exp(1j * turn) + shift
     tip = tip * (1.0 + scale) + skew * np.conj(tip)
     return np.array([tip.real, tip.imag])

@@ -23,7 +23,7 @@ from scipy.stats import binom
 
 from doe.cli import main
 from doe.jobs import frame_of
-from doe.report.studies import blind_parts, confusion_matrix
+from doe.report.studies import blind_parts
 from doe.studies.blind import cells
 from doe.studies.blind import study as blind
 from doe.studies.blind.cells import TABLE
@@ -112,8 +112,7 @@ def test_the_bars_of_few_sets(small: Path) -> None:
     rows = polars.read_parquet(small / blind.ROWS).filter(cell=BEYOND)
     for row in rows.iter_rows(named=True):  # some of these shapes have become effects of the library
         assert (row["place"] is None) == bool(row["hidden"]) == (row["outside"] is None)
-    for name in ("confusion", "reliability"):
-        assert (small / f"{name}.png").stat().st_size > 1000
+    assert (small / "reliability.png").stat().st_size > 1000
 
 
 def test_an_extended_study_keeps_what_is_done(small: Path, tmp_path: Path) -> None:
@@ -381,15 +380,6 @@ def test_contradictions_between_verdict_and_probabilities(
     said = {"verdict": verdict, "effects": [*effects], "probabilities": stated, "other_sets": listed}
     found = contradictions(said)
     assert found == [] if doubt is None else doubt in found
-
-
-def test_the_confusion_matrix_counts_every_set_once() -> None:
-    pairs = [("backlash", "backlash", 7), ("backlash", "gravity + backlash", 2), ("backlash", "gravity + unknown", 1)]
-    pairs += [("nothing", "nothing", 5)]
-    frame = frame_of([{"hidden": a, "named": b, "count": n} for a, b, n in pairs])
-    hidden, named, shares, totals = confusion_matrix(frame)
-    assert (hidden, totals) == (["backlash", "nothing"], [10, 5])
-    assert dict(zip(named, shares[0], strict=True)) == {"backlash": 0.7, "nothing": 0.0, "several": 0.2, "unknown": 0.1}
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
