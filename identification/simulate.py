@@ -55,7 +55,7 @@ def simulate(
         raise InputError(f"sigma: found {noise}, allowed: a number >= 0 [mm], given here or with the arm")
     noisy = [effect for effect in effects if effect.scatter]
     for effect in noisy:  # without values it would be none
-        if missing := [p.toml_key for p in effect.parameters if p.short not in effect.known]:
+        if missing := [p.toml_key for p in effect.parameters if p.short not in effect.fixed]:
             raise InputError(f"effects: {effect.place}: no value of {', '.join(missing)}, allowed: a number for each")
     if "temperature" in model.needs and temperature is None:
         raise InputError(
@@ -79,7 +79,7 @@ def simulate(
         time = np.zeros(len(q)) if session.conditions.time is None else session.conditions.time
         scene = Scene(exact[:, : truth.dimension], levers, time, noise, generator)
         for effect in noisy:  # in the order of the arm file
-            errors = effect.disturb(errors, scene, [effect.known[p.short] for p in effect.parameters])
+            errors = effect.disturb(errors, scene, [effect.fixed[p.short] for p in effect.parameters])
     if (scale := truth.chain.angle_scale) is None:
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)

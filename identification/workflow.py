@@ -590,10 +590,11 @@ def effects(name: str | None = None) -> Answer:
     packages (entry points armcal.effects) are in the list.
     """
     from identification.documents.identification import entry_document, library_document
-    from identification.effects.catalogue import entries, entry
+    from identification.effects import library
+    from identification.effects.catalogue import entry
 
     if name is not None:
         effect = entry(name.partition(":")[0])
-        return Answer(effect.to_json(), [entry_document(effect)])
-    listed = entries()
-    return Answer({"effects": [effect.to_json() for effect in listed]}, [library_document(listed)])
+        return Answer(effect, [entry_document(effect)])
+    listed = [entry(each) for each in library()]
+    return Answer({"effects": listed}, [library_document(listed)])

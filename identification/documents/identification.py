@@ -21,7 +21,7 @@ from identification.document import (
     number,
     unit_or_dash,
 )
-from identification.effects.catalogue import Entry
+from identification.effects.catalogue import example
 from identification.running import Status
 from identification.sessions import placing
 
@@ -358,36 +358,36 @@ def miss_text(error: float) -> str:
 
 
 # -- armcal effects ----------------------------------------------------------------------------------------------------
-def library_document(entries: Sequence[Entry]) -> Document:
+def library_document(entries: Sequence[dict[str, Any]]) -> Document:
     """Name, cause and needs of every effect, by kind."""
     parts: list[Part] = []
     for kind, title in KINDS_OF_EFFECTS.items():
         rows = []
-        for e in (e for e in entries if e.kind == kind):
-            name = e.name + ":j" * e.place.startswith("each") + (f" ({e.arms[0]})" if len(e.arms) == 1 else "")
-            rows.append([name, e.summary, ", ".join(e.needs)])
+        for e in (e for e in entries if e["kind"] == kind):
+            arms = f" ({e['arms'][0]})" if len(e["arms"]) == 1 else ""
+            rows.append([e["name"] + ":j" * e["place"].startswith("each") + arms, e["summary"], ", ".join(e["needs"])])
         parts.append(Sheet(("name", "what is wrong", "needs"), rows, title))
     advice = "A name with :j belongs to joint j. More about one of them: armcal effects backlash"
     return Document("Effects", [], [*parts, advice])
 
 
-def entry_document(entry: Entry) -> Document:
+def entry_document(entry: dict[str, Any]) -> Document:
     """Everything about one effect."""
     about = [
-        ("cause", entry.summary),
-        ("model", entry.formula),
-        ("belongs to", entry.place),
-        ("arms", " and ".join(entry.arms)),
-        ("needs", "; ".join(entry.supply) or "nothing besides postures and positions"),
-        ("looks like", entry.alias),
+        ("cause", entry["summary"]),
+        ("model", entry["formula"]),
+        ("belongs to", entry["place"]),
+        ("arms", " and ".join(entry["arms"])),
+        ("needs", "; ".join(entry["supply"]) or "nothing besides postures and positions"),
+        ("looks like", entry["alias"]),
     ]
     rows = [
-        [p.toml_key, unit_or_dash(p.file_unit), "-" if p.typical is None else f"{p.typical * p.to_file:.2g}"]
-        for p in entry.parameters
+        [p["key"], unit_or_dash(p["unit"]), "-" if p["typical"] is None else f"{p['typical']:.2g}"]
+        for p in entry["parameters"]
     ]
-    title = "Parameters" if entry.place != "one joint or all" else "Parameters (of an arm of three joints)"
-    settings = Sheet(("key", "allowed"), [*entry.settings.items()], "Settings: chosen, not estimated")
+    title = "Parameters" if entry["place"] != "one joint or all" else "Parameters (of an arm of three joints)"
+    settings = Sheet(("key", "allowed"), [*entry["settings"].items()], "Settings: chosen, not estimated")
     intro = "In an arm file, with its parameters left out so that identify estimates them:"
-    example = entry.example if entry.kind == "table" else f"{intro}\n\n{entry.example}\n"
+    how = example(entry) if entry["kind"] == "table" else f"{intro}\n\n{example(entry)}\n"
     values = Sheet(("key", "unit", "typical size"), rows, title)
-    return Document(entry.name, [entry.name], [Sheet.facts(about), values, settings, example])
+    return Document(entry["name"], [entry["name"]], [Sheet.facts(about), values, settings, how])

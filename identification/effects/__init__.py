@@ -95,7 +95,7 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
     if cls.tabulated != (spec.curve is not None):
         fault = "has no table of values" if cls.tabulated else "has a table of values"
         raise InputError(f"effects: {spec.key} {fault}, allowed: one for joint_error_curve, none for others")
-    effect.curve, effect.known = spec.curve, spec.values
+    effect.curve, effect.fixed = spec.curve, spec.values
     names = {p.short for p in effect.parameters} | set(cls.settings)
     for short in spec.values:
         if short not in names:

@@ -105,7 +105,6 @@ class Number(NamedTuple):
     scale: float | Callable[[Any], float] = 1.0
     lower: float = -inf
     upper: float = inf
-    start: float | None = None
 
 
 LEVER, REACH = attrgetter("link_length"), attrgetter("reach")  # scales of numbers
@@ -159,7 +158,7 @@ class Effect:
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)  # of the arms that can have it: 2 in the plane, 3 in space
     disturb: ClassVar[Callable[..., Array]]
     curve: ErrorCurve | None = None
-    known: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
+    fixed: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
 
     def __init_subclass__(cls) -> None:
         cls.family = cls.family or getattr(cls, "name", "")

@@ -200,17 +200,6 @@ of_load(
     dimensions=SPACE,
     payload_shift=lambda self, chain, values: values,
 )
-# a guessed mass makes a wrong stiffness of a tool that nobody weighed. With one payload in all rows, the masses of the
-# links distinguish mass and compliances; `diagnose` looks for `payload_error` instead. Where nothing determines m, it
-# is what tools usually weigh, so that what shows under the tool's weight alone is looked for
-of_load(
-    "tool_mass",
-    "mass of a tool that nobody weighed: + m to the payload, m >= 0, for every effect of gravity",
-    [Number("m", "kg", 2.0, lower=0.0, start=2.0)],  # typical: grippers and adapters of targets
-    family="payload_error",
-    nuisance=True,
-    payload=lambda self, chain, values: values,
-)
 of_load(
     "gravity_tilt",
     "base leans against gravity: turned by an angle, in space by two about x and y, for every effect of gravity",

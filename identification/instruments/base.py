@@ -88,10 +88,9 @@ class Instrument:
 
     def readings(self, points: Array, values: Array) -> Array:
         """(..., d) what it reads of points (..., 3) in its frame with values (k,) of its own parameters."""
-        sizes = {"p": len(self.axes), "v": len(self.parameters)}
-        point, own = (ca.SX.sym(name, size) for name, size in sizes.items())
-        reading = ca.densify(ca.SX(self.reading(point, own, ca.SX(0))))
-        return vectorize(ca.Function("reading", [point, own], [reading]))(points, values)[0][..., 0]
+        point, parameters = ca.SX.sym("point", len(self.axes)), ca.SX.sym("parameters", len(self.parameters))
+        reading = ca.densify(ca.SX(self.reading(point, parameters, ca.SX(0))))
+        return vectorize(ca.Function("reading", [point, parameters], [reading]))(points, values)[0][..., 0]
 
     @property
     def dimension(self) -> int:

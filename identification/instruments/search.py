@@ -108,13 +108,13 @@ def searched(instrument: Instrument, rows: Unplaced, bases: Array) -> Placement:
     # effort: of many starts 100 are followed with some 30 rows, which tell good ones: three times the nine unknowns and
     # more. Of starts that the readings were fitted with, the best of 99 of 100 wrong readings leaves after 3 steps at
     # most 1.5 times what its end leaves
-    every, some = slice(None), slice(None, None, max(len(rows.frames) // 30, 1))
-    stages = [(some, 0, 100), (some, 15, 5)] if len(starts) > 100 else []
+    whole, sample = slice(None), slice(None, None, max(len(rows.frames) // 30, 1))
+    stages = [(sample, 0, 100), (sample, 15, 5)] if len(starts) > 100 else []
     chosen = np.arange(len(starts))
-    for part, steps, count in (*stages, (every, 3, 5), (every, 60, 1)):
+    for part, steps, count in (*stages, (whole, 3, 5), (whole, 60, 1)):
         left = followed(chosen, part, steps)
         chosen = chosen[np.argsort(left, kind="stable")[:count]]
-        if part is every and np.min(left) > rows.hopeless:
+        if part is whole and np.min(left) > rows.hopeless:
             break
     start, change = starts[chosen[0]], changes[chosen[0]] @ unknown
     base = pose(start[3:12:4] + change[:3], from_angles(change[3:6]) @ start[:12].reshape(3, 4)[:, :3])

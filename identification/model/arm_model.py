@@ -86,7 +86,7 @@ class Model:
         """Name -> value of the parameters that are known."""
         values = {name: self._calibrated.get(name, 0.0) for name in self.arm.chain.held} | dict(self.held or {})
         for effect in self.effects:
-            values |= {p.name: float(effect.known[p.short]) for p in effect.parameters if p.short in effect.known}
+            values |= {p.name: float(effect.fixed[p.short]) for p in effect.parameters if p.short in effect.fixed}
         return values
 
     @cached_property

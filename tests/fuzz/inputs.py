@@ -66,7 +66,7 @@ EFFECTS = (
     *('joint_step"\njoint = 1\nat = 0.5', 'serial_correlation"\nrho = 0.5', 'joint_hysteresis"\njoint = 2', CURVE),
     f'{CURVE}\ngeometry = {{"joint_offset:1" = 0.01, "joint_offset:2" = -0.2}}',
 )
-OF_GRAVITY = ('joint_compliance"', 'tool_mass"', 'gravity_tilt"', 'payload_error"')
+OF_GRAVITY = ('joint_compliance"', 'gravity_tilt"', 'payload_error"')
 OF_PAYLOAD = ('payload_place"', 'payload_place"\nx_mm = 50.0\ny_mm = 0.0\nz_mm = -1e9')
 OF_LENGTHS = ('length_offset"', 'length_offset"\nc_mm = 1e6')
 OF_PLANAR = ('base_offset"', 'axis_tilt"\njoint = 1', 'axes_skew"')

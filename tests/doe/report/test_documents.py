@@ -24,7 +24,7 @@ from identification.documents.identification import (
     identification_document,
     library_document,
 )
-from identification.effects.catalogue import entries
+from identification.effects.catalogue import entry
 from identification.inspection.inspection import inspect
 from identification.validate import validate
 
@@ -57,8 +57,8 @@ def documents() -> Iterator[tuple[str, Document]]:
     yield "diagnosis by JSON", diagnosis_document(diagnosis.to_json())
     yield "validation", validate(calibrated, fresh).document()
     yield "commands", compensate(calibrated, fresh.positions).document()
-    yield "library", library_document(entries())
-    yield "effect", entry_document(entries()[0])
+    yield "library", library_document([entry("backlash"), entry("outliers")])
+    yield "effect", entry_document(entry("joint_compliance"))
 
 
 @pytest.fixture(scope="module")

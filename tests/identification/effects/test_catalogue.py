@@ -11,34 +11,33 @@ import pytest
 
 from identification import EffectSpec
 from identification.effects import Effect, build, formulas, library
-from identification.effects.catalogue import SUPPLY, entries, entry
+from identification.effects.catalogue import SUPPLY, entry
+from identification.effects.catalogue import example as example_of
 from identification.kinematics.chain import KinematicChain, planar_chain
 
 
 def test_every_effect_can_be_read_from_the_example_once_its_settings_are_given() -> None:
-    for found in entries():
-        if found.kind == "table":
+    for found in map(entry, library()):
+        if found["kind"] == "table":
             continue
-        filled = re.sub(r"= \.\.\.  # a (whole )?number ([-\d.]+) to .*", r"= \2", found.example)
+        filled = re.sub(r"= \.\.\.  # a (whole )?number ([-\d.]+) to .*", r"= \2", example_of(found))
         example = tomllib.loads(filled)
-        assert ("gravity" in example) is ("gravity" in found.needs)
+        assert ("gravity" in example) is ("gravity" in found["needs"])
         (table,) = example["effects"]
         values = {key: value for key, value in table.items() if key not in ("name", "joint")}
         spec = EffectSpec(table["name"], table.get("joint"), values)
         chain = planar_chain(np.ones(3))
-        assert (
-            build(spec, KinematicChain(chain.joints, chain.end) if found.arms == ("spatial",) else chain).name
-            == found.name
-        )
+        chain = KinematicChain(chain.joints, chain.end) if found["arms"] == ["spatial"] else chain
+        assert build(spec, chain).name == found["name"]
 
 
 def test_what_is_needed_says_how_to_give_it() -> None:
-    for found in entries():
-        assert set(found.needs) <= set(SUPPLY), found.name
-    assert entry("thermal_growth").supply == ("the column temperature_C in the measurements",)
-    assert entry("servo_error").supply == (SUPPLY["commands"],)
-    assert entry("joint_hysteresis").kind == "looked for"
-    assert entry("measurement_scale").alias is not None
+    for found in map(entry, library()):
+        assert {*found["needs"]} <= {*SUPPLY}, found["name"]
+    assert entry("thermal_growth")["supply"] == ["the column temperature_C in the measurements"]
+    assert entry("servo_error")["supply"] == [SUPPLY["commands"]]
+    assert entry("joint_hysteresis")["kind"] == "looked for"
+    assert entry("measurement_scale")["alias"] is not None
 
 
 SHIPPED = {name: cls for name, cls in library().items() if cls.__module__.startswith("identification.effects")}

@@ -411,7 +411,7 @@ def test_gaps_are_those_of_each_session(load: Load) -> None:
 def test_effects_that_need_the_row_before_are_not_looked_for_without_it() -> None:
     thinned = replace(WHOLE.rows(slice(None, None, 2)), directions=None, past=None, gaps=np.r_[0.0, np.ones(14)])
     assert not thinned.conditions.follow
-    needs = {*entry("backlash").needs, *entry("joint_hysteresis").needs}
+    needs = {*entry("backlash")["needs"], *entry("joint_hysteresis")["needs"]}
     assert given_by(WHOLE) >= needs
     assert not given_by(thinned) & needs
     (note,) = gap_notes(thinned)

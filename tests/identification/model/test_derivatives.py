@@ -36,7 +36,6 @@ SPECS = (
     EffectSpec("base_rotation_drift"),
     EffectSpec("bearing_compliance", 2),
     EffectSpec("axis_runout", 4),
-    EffectSpec("tool_mass"),
     EffectSpec("measurement_scale"),  # of the measured point, so of everything else
     EffectSpec("payload_place"),
 )
