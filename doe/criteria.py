@@ -110,6 +110,25 @@ class Criterion(ABC):
         """
         return np.asarray(self.value(information[:, None] + np.swapaxes(jacobians, -1, -2) @ jacobians))
 
+    def ranking(self, information: Array, jacobians: Array) -> Ranking:
+        """Of candidates (c, d, p) for the runs of a plan with the (p, p) matrix M."""
+        return Ranking(self, information, jacobians)
+
+
+class Ranking:
+    """What each of many candidates B (c, d, p) is worth in the place of a run of a plan, whose runs are exchanged."""
+
+    def __init__(self, criterion: Criterion, information: Array, jacobians: Array) -> None:
+        self.criterion, self.information, self.jacobians = criterion, information, jacobians
+
+    def instead_of(self, run: Array) -> Array:
+        """(c,) `values_after_adding` where the plan lacks a run J (d, p)."""
+        return self.criterion.values_after_adding((self.information - run.T @ run)[None], self.jacobians[None])[0]
+
+    def exchange(self, old: Array, new: Array) -> None:
+        """The plan has another run (d, p) in the place of one."""
+        self.information = self.information - old.T @ old + new.T @ new
+
 
 # -- log-determinants --------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
@@ -246,6 +265,48 @@ class InverseTrace(Criterion):
         _, seen, inner = _woodbury(information, jacobians)
         outer = (seen.reshape(s, c * d, p) @ self.weight(p)).reshape(s, c, d, p) @ np.swapaxes(seen, -1, -2)
         return np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1)
+
+    def ranking(self, information: Array, jacobians: Array) -> Ranking:
+        return RankingByTrace(self, information, jacobians)
+
+
+class RankingByTrace(Ranking):
+    """The same for -tr(W M^-1), in a small part of the time: kept are M^-1 and the d x d matrices S = B M^-1 B^T and
+    T = B M^-1 W M^-1 B^T, since a candidate gains tr((I + S)^-1 T).
+
+    Runs R that come and go, M' = M + R^T s R with signs s, change them by few columns, B R' and B M^-1 W R' with
+    R' = M^-1 R^T: M'^-1 = M^-1 - R' C R'^T,  C = (1/s + R R')^-1.
+    """
+
+    def __init__(self, criterion: InverseTrace, information: Array, jacobians: Array) -> None:
+        super().__init__(criterion, information, jacobians)
+        self.weight, self.rows = criterion.weight(len(information)), jacobians.reshape(-1, len(information))
+        before, seen, inner = _woodbury(information[None], jacobians[None])
+        self.inverse, self.own = before[0], inner[0] - np.eye(jacobians.shape[1])
+        self.error = (seen[0] @ self.weight) @ np.swapaxes(seen[0], -1, -2)
+
+    def _after(self, runs: Array, signs: Array) -> tuple[Array, Array, Array]:
+        """M^-1, S and T with runs (r, p) of these signs."""
+        right = self.inverse @ runs.T
+        core = np.linalg.inv(np.diag(1.0 / signs) + runs @ right)
+        weighted = self.weight @ right
+        seen, errors = (
+            (self.rows @ np.hstack([right, self.inverse @ weighted]))
+            .reshape(*self.jacobians.shape[:2], 2, -1)
+            .transpose(2, 0, 1, 3)
+        )
+        back = core @ np.swapaxes(seen, -1, -2)
+        mixed = (errors - 0.5 * seen @ (core @ (right.T @ weighted))) @ back
+        return self.inverse - right @ core @ right.T, self.own - seen @ back, self.error - mixed - mixed.swapaxes(1, 2)
+
+    def instead_of(self, run: Array) -> Array:
+        # nearly all of the run: without it M may be singular, and this keeps the ranking right
+        _, own, error = self._after(run, np.full(len(run), 1e-9 - 1.0))
+        return np.trace(np.linalg.solve(np.eye(len(run)) + own, error), axis1=-2, axis2=-1)
+
+    def exchange(self, old: Array, new: Array) -> None:
+        signs = np.repeat([-1.0, 1.0], len(old))
+        self.inverse, self.own, self.error = self._after(np.concatenate([old, new]), signs)
 
 
 @dataclass(frozen=True)

@@ -206,7 +206,7 @@ def check_files(
     """
     import numpy as np
 
-    from identification.files.arm import load_arm, urdf_masses
+    from identification.files.arm import load_arm
     from identification.files.csv import read_table
     from identification.files.measurement import Plan
     from identification.inspection.inspection import inspect
@@ -225,7 +225,7 @@ def check_files(
         return Answer({"ok": not outside and not near, "outside_limits": outside, "collisions": near}, lines)
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
-    inspection = inspect(loaded, measurements, urdf_masses(arm))
+    inspection = inspect(loaded, measurements)
     answer = Answer(inspection.to_json(), [inspection.document(str(arm), str(data))], inspection)
     for clearance in bodies:
         answer.data["collisions"] = clearance.to_json(measurements.postures)

@@ -8,11 +8,13 @@ climbed with,
     f(q) - s / 2 * sum over runs and constraints max(0, -c(q))^2,
 
 for three values of s, each from where the last one ended. A constraint is one of single postures; c is it over its mean
-slope, so that it is about an angle [rad], and s is in units of the mean slope of f. What is outside at the end, by
-about a thousandth of a radian, is put inside by Newton's method.
+slope at random ones, so that it is about an angle [rad], and s is in units of the mean slope of f. What is outside at
+the end, by about a thousandth of a radian, is put inside by Newton's method.
 """
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import numpy as np
 
@@ -32,7 +34,18 @@ class PlanAscent:
         self.joints = list(problem.searched_joints)
         self.derivatives = problem.jacobian_derivatives(self.joints)
         self.walls = problem.wall_derivatives(self.joints)
-        self.firmness, self.steepness = 0.0, np.ones(1)
+        self.firmness = 0.0
+
+    @cached_property
+    def steepness(self) -> Array:
+        """(k,) mean slope of each constraint [mm/rad], over all postures: those of a plan may see it only where it is
+        flat, as the height of an upper arm is as long as its shoulder is what is lowest.
+
+        Less than a thousandth of the steepest is no wall, as the height of the base.
+        """
+        drawn = np.random.default_rng(0).uniform(self.problem.lower, self.problem.upper, (256, self.problem.joints))
+        slopes = np.sqrt(np.mean(np.sum(self.walls.first(drawn)[1] ** 2, axis=1), axis=0))
+        return np.maximum(slopes, 1e-3 * slopes.max(initial=0.0))
 
     def rise(self, plan: Array) -> tuple[float, Array]:
         """Value and slopes (k, a) by the joints that matter; -inf and zero where M is singular."""
@@ -62,9 +75,6 @@ class PlanAscent:
         tolerance = 1e-6 if tolerance is None else tolerance
         self.firmness = 0.0
         slope = float(np.sqrt(np.mean(self.rise(plan)[1] ** 2)))
-        steepness = np.sqrt(np.mean(np.sum(self.walls.first(plan)[1] ** 2, axis=1), axis=0))
-        # of the steepest: less steep ones, such as the height of the base, do not count as walls
-        self.steepness = np.maximum(steepness, 1e-3 * steepness.max(initial=0.0))
         moved = plan
         # s in units of the mean slope: a tenth, hundredth, thousandth of a radian outside
         for firmness in (10.0, 100.0, 1000.0) if slope > 0.0 else ():

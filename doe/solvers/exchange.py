@@ -20,7 +20,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from doe.criteria import information_matrix
+from doe.criteria import Ranking, information_matrix
 from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import distance_to_keep, gaps
 from doe.problem.postures import fill, listed_candidates, random_postures
@@ -138,7 +138,8 @@ class Batch:
     """Starts (s, m, n) that advance together; runs are exchanged for any posture of a list (N, n), of which `chosen`
     (s, m) are the rows, or for those that differ in one joint on a grid (n, L).
 
-    jacobians : (s, m, d, p), scaled so that M is the sum of B^T B and the prior's share;  information : (s, p, p)
+    jacobians : (s, m, d, p), scaled so that M is the sum of B^T B and the prior's share;  information : (s, p, p), of
+        a list as it was before a sweep
     running : starts that still improve
     """
 
@@ -164,11 +165,16 @@ class Batch:
             if not self.running.size or budget.ended():
                 break
             before = self.criterion.value(self.information[self.running])
+            if self.chosen is not None:
+                rankings = [self.criterion.ranking(self.information[start], self.listed) for start in self.running]
             for run in generator.permutation(self.plans.shape[1]).tolist():
                 if budget.ended():
                     break
-                for starts in self.running[None] if self.chosen is None else self.running[:, None]:
-                    self._exchange(starts, run)
+                if self.chosen is None:
+                    self._exchange(self.running, run)
+                else:
+                    for start, ranking in zip(self.running.tolist(), rankings, strict=True):
+                        self._choose(self.chosen[start], start, run, ranking)
             self.information[self.running] = self._information(self.running)  # afresh: no rounding piles up
             after = self.criterion.value(self.information[self.running])
             self.running = self.running[~(after <= before + IMPROVEMENT) | np.isneginf(before)]
@@ -176,26 +182,31 @@ class Batch:
         order = np.argsort(-values, kind="stable")
         return self.plans[order], values[order]
 
+    def _choose(self, chosen: NDArray[np.intp], start: int, run: int, ranking: Ranking) -> None:
+        """Move one run of a start to the best posture of the list."""
+        old = self.jacobians[start, run]
+        values = ranking.instead_of(old)
+        least = values[chosen[run]] + IMPROVEMENT
+        if self.problem.minimum_distance > 0.0:
+            values[chosen] = -np.inf
+        best = int(np.argmax(values))
+        if values[best] > least:
+            ranking.exchange(old, self.listed[best])
+            chosen[run], self.plans[start, run] = best, self.offered[best]
+            self.jacobians[start, run] = self.listed[best]
+
     def _exchange(self, starts: NDArray[np.intp], run: int) -> None:
-        """Move one run of some starts to the best posture on offer."""
+        """Move one run of some starts to the best posture that differs in one joint."""
         old = self.jacobians[starts, run]
         without = self.information[starts] - information_of_each(old)
-        if self.chosen is not None:
-            postures, jacobians, now = self.offered[None], self.listed[None], self.chosen[starts, run]
-            allowed = np.ones((1, len(self.offered)), dtype=bool)
-            if self.problem.minimum_distance > 0.0:
-                allowed[0, self.chosen[starts[0]]] = False
-        else:  # the posture itself comes last
-            postures = self._neighbors(self.plans[starts, run])
-            allowed, now = self._allowed(starts, postures, run), np.full(len(starts), postures.shape[1])
-            jacobians = np.concatenate([self._jacobians(postures), old[:, None]], axis=1)
+        postures = self._neighbors(self.plans[starts, run])
+        allowed = self._allowed(starts, postures, run)
+        jacobians = np.concatenate([self._jacobians(postures), old[:, None]], axis=1)  # the posture itself comes last
         values = self.criterion.values_after_adding(without, jacobians)
-        least = values[np.arange(len(starts)), now] + IMPROVEMENT
-        values = np.where(allowed, values[:, : allowed.shape[1]], -np.inf)
+        least = values[:, -1] + IMPROVEMENT
+        values = np.where(allowed, values[:, :-1], -np.inf)
         rows = np.flatnonzero(values.max(axis=1) > least)
         best, at = np.argmax(values[rows], axis=1), starts[rows]
-        if self.chosen is not None:
-            self.chosen[at, run] = best
         self.plans[at, run], self.jacobians[at, run] = postures[rows, best], jacobians[rows, best]
         self.information[at] = without[rows] + information_of_each(self.jacobians[at, run])
 

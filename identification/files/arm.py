@@ -395,14 +395,6 @@ def _calibration(
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------
-def urdf_masses(path: PathLike) -> tuple[float, ...] | None:
-    """[kg] of the links, from the URDF file that an arm file names; None without one, or where it gives no mass."""
-    file = validated_arm(read_toml(path))
-    urdf = _urdf(file, Path(path).parent)
-    masses = () if urdf is None else urdf.masses(file.base_link, file.tip_link)
-    return masses if any(masses) else None
-
-
 def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
     """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
     file = validated_arm(read_toml(path))

@@ -142,6 +142,23 @@ def test_gain_of_adding_a_block(phi: Criterion) -> None:
     np.testing.assert_allclose(apart, np.repeat(apart[:, :1], 7, axis=1), rtol=1e-6, atol=1e-6)
 
 
+@each
+def test_ranking_through_exchanges(phi: Criterion) -> None:
+    """By few columns, as afresh: what candidates are worth in the place of a run, before runs are exchanged and after;
+    of as many runs as identify all parameters too."""
+    jacobians = np.random.default_rng(9).normal(size=(40, 2, P))
+    for runs in (3, 8) if phi.name in "AI" else (8,):
+        ranking, plan = phi.ranking(information_matrix(jacobians[:runs]), jacobians), list(range(runs))
+        for run, new in ((0, 20), (2, 30), (0, 35)):
+            others = information_matrix(jacobians[np.delete(plan, run)])[None]
+            afresh = phi.values_after_adding(others, jacobians[None])[0]
+            np.testing.assert_array_equal(
+                np.argsort(ranking.instead_of(jacobians[plan[run]]))[-3:], np.argsort(afresh)[-3:]
+            )
+            ranking.exchange(jacobians[plan[run]], jacobians[new])
+            plan[run] = new
+
+
 def test_stand_ins_of_criteria_without_derivatives() -> None:
     """Searches climb Phi_32 instead of E; a smooth criterion stands for itself."""
     assert E().smooth == PowerMean(32)
