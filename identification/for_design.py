@@ -151,15 +151,16 @@ class ArmModel(Model):
 
     def clear_of_surface(self, postures: Array) -> NDArray[np.bool_]:
         """(m,) True where links and stylus, straight from joint to joint and to the measured point, are outside the
-        surface that the point touches."""
-        chain = self.arm.chain
+        surface that the point touches; of a cup nothing is known but its center."""
+        if (chain := self.arm.chain).instrument.own_targets:
+            return np.ones(len(postures), dtype=bool)
         points = self.points(postures) @ chain.base[:3, :3].T + chain.base[:3, 3]
         # of a segment the nearest point to a sphere is that to its center, to a plane an end
         start, along = points[:, :-1], np.diff(points, axis=1)
         share = -np.sum(start * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-300)
         points = np.concatenate([points, start + np.clip(share, 0.0, 1.0)[..., None] * along], axis=1)
         own = np.array([self.best_known[p.name] for p in chain.instrument.parameters])
-        return chain.instrument.clear(points, own, 2.0 * TOUCHES)
+        return np.asarray(np.all(chain.instrument.readings(points, own)[..., 0] > -2.0 * TOUCHES, axis=1))
 
     # -- what accuracy is about ------------------------------------------------------------------------------------
     @property

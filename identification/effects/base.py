@@ -18,7 +18,6 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from identification.arm import Arm
@@ -212,13 +211,6 @@ class Effect:
         if self.joint is None:
             raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.chain)}")
         return self.joint - 1
-
-    def at_joint(self, value: ca.SX, chain: Any = None) -> ca.SX:
-        """(n,) zeros except a value at this effect's joint, or (k n,) of a value (k,)."""
-        size = ca.SX(value).numel()
-        values = ca.SX.zeros(size * len(self.chain))
-        values[size * self.joint_index : size * (self.joint_index + 1)] = value
-        return values
 
 
 _LIBRARY: dict[str, type[Effect]] = {}

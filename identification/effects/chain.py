@@ -103,7 +103,8 @@ class Chain:
         at = ca.SX(ca.DM(next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at))
         masses = [(self.payload, self.links - 1, self.frames[-1].point(at + in_space(self.payload_shift)))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
-            masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
+            along = ca.SX(ca.DM(share * chain.link_poses[k + 1][:3, 3]))
+            masses.append((ca.SX(mass), k, self.frames[k + 1].point(along)))
         return masses
 
     @cached_property
@@ -184,6 +185,8 @@ def contribution(
     size = widths(effect.chain)[place]
     lengthened = (lengths,) if place == "extensions" else ()
     value = ca.SX(getattr(effect, place)(tip if place == "instrument" else chain, values, *lengthened))
-    if effect.joint is not None and place in BY_JOINT and value.numel() * len(effect.chain) == size:
-        return effect.at_joint(value)
-    return ca.SX.zeros(size) + value
+    values, one = ca.SX.zeros(size), value.numel()
+    if effect.joint is None or place not in BY_JOINT or one * len(effect.chain) != size:
+        return values + value
+    values[one * effect.joint_index : one * (effect.joint_index + 1)] = value
+    return values

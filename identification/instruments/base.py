@@ -156,11 +156,6 @@ class Instrument:
         """Name -> (3,) about where these are; empty: not known."""
         return {}
 
-    # -- postures that touch, for plans --------------------------------------------------------------------------------
-    def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
-        """(m,) True where points (m, k, 3) in its frame are outside of what is touched, but for `near` [mm]."""
-        return np.asarray(np.all(self.readings(points, values)[..., 0] > -near, axis=1))
-
     # -- files -----------------------------------------------------------------------------------------------------
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> Instrument:

@@ -158,24 +158,19 @@ class KinematicChain(ByValue):
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
     @cached_property
-    def _links(self) -> tuple[Array, ...]:
-        """(n + 1) poses (4, 4) of each joint's frame in the one before, and of the tip's."""
+    def link_poses(self) -> tuple[Array, ...]:
+        """(n + 1) poses (4, 4) of each joint's frame in that of the joint before, and of the tip's [mm]."""
         return *(joint.origin for joint in self.joints), self.end
-
-    @cached_property
-    def link_vectors(self) -> tuple[Array, ...]:
-        """(n) vectors (3,) [mm] from each joint's frame to that of the next before it moves, in its own axes."""
-        return tuple(matrix[:3, 3] for matrix in self._links[1:])
 
     @cached_property
     def lengths(self) -> Array:
         """(n,) nominal lengths [mm] of the straight lines from each joint's frame to the next, the last to the tip."""
-        return readonly([np.linalg.norm(vector) for vector in self.link_vectors])
+        return readonly([np.linalg.norm(matrix[:3, 3]) for matrix in self.link_poses[1:]])
 
     @cached_property
     def reach(self) -> float:
         """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
-        reach = float(np.linalg.norm(self._links[0][:3, 3])) + sum(self.lengths.tolist())
+        reach = float(np.linalg.norm(self.link_poses[0][:3, 3])) + sum(self.lengths.tolist())
         for joint in self.joints:
             reach += max(abs(joint.lower), abs(joint.upper)) if joint.type == PRISMATIC else 0.0
         return float(reach)
@@ -277,7 +272,7 @@ class KinematicChain(ByValue):
         frame = frame.displaced(values, names[3:])
         frame = frame.turned_about(self.turning, added["base_rotation"]) if added else frame
         placed, frame = [frame], frame.placed(self.joints[0].origin)
-        for j, (joint, behind, length) in enumerate(zip(self.joints, self._links[1:], self.lengths, strict=True)):
+        for j, (joint, behind, length) in enumerate(zip(self.joints, self.link_poses[1:], self.lengths, strict=True)):
             frame = frame.displaced(values, error_names(j + 1))
             frame = joint.moved(frame, q[j] + values.get(f"{JOINT_OFFSET}:{j + 1}", 0.0))
             longer = ca.SX(values.get(f"{LENGTH_ERROR}:{j + 1}", 0.0))

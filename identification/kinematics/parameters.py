@@ -156,17 +156,6 @@ class ParameterSet(tuple[Parameter, ...]):
         """Name -> value of a (p,) vector; raises `ValueError` for another length."""
         return dict(zip(self.names, np.asarray(vector, dtype=float).tolist(), strict=True))
 
-    @property
-    def to_orientations(self) -> Array:
-        """(n, p) matrix T with dtheta = T parameters: dtheta_j = dq_1 + ... + dq_j of the joint offsets among them.
-
-        The paper's sigma_q (eq. 25) is the standard deviation of dtheta_j, not of the joint offset dq_j.
-        """
-        offsets = self.joint_offsets
-        transform = np.zeros((len(offsets), len(self)))
-        transform[:, offsets] = np.tri(len(offsets))
-        return transform
-
 
 def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
     """(2 n) parameters of a planar chain: length errors dl_j [mm], then joint offsets dq_j [rad].

@@ -17,7 +17,7 @@ from identification import Arm, Array, Identification, Measurements, Model, Stat
 from identification.instruments import Distance, Instrument, Plane, Sphere
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.frames import pose
-from identification.model.minimal import PRACTICAL, minimal, minimal_of
+from identification.model.minimal import minimal, practical
 from identification.sessions import with_sessions
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
@@ -145,7 +145,7 @@ def test_a_minimal_set_of_contacts_is_what_the_largest_surface_shows() -> None:
     q = np.concatenate([other, touching(truth, surface, 80, generator)])
     data = Measurements(q, np.zeros((110, 1)), session=np.repeat(["a", "b"], [30, 80]))
     arm = Arm(replace(drawing(), instrument=Plane()), sigma=0.01)
-    assert len(minimal_of(Model(arm), data, PRACTICAL).names) == 23
+    assert len(Model(practical(arm, data)).names) == 23
 
 
 def test_an_effect_is_named_by_contacts_alone() -> None:
