@@ -168,7 +168,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     if readings.counting is not None and set(readings.sentences) & set(problems):
         parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
         parts += [f"    {line}" for line in readings.counting.toml.splitlines()]
-    parts.append(Sheet.facts(facts))
+    parts.append(Sheet.facts(dict(facts)))
     if not units:
         headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
         parts += [Sheet(headings, ranges, "Joints"), *(f"note: {note}" for note in notes)]
@@ -207,9 +207,7 @@ def _problems(
     if fit.dof <= 0:  # it leaves little whatever the data are
         numbers, unknowns = fit.residuals_after.size, len(fit.names)
         return [f"{doubts.FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-    return [
-        sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith((doubts.FEW, doubts.TOGETHER))
-    ]
+    return [sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith(doubts.FEW)]
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[int]]:
