@@ -152,14 +152,13 @@ def test_bounds_import_no_solver() -> None:
 @cache
 def taken(package: str) -> list[tuple[str, str, str]]:
     """Module, module and name of every import by name from `identification` in a package, also in functions."""
-    trees = {name: tree for name, tree in modules().items() if f"{name}.".startswith(f"{package}.")}
-    nodes = [(name, node) for name, tree in trees.items() for node in ast.walk(tree)]
-    found = [(name, node) for name, node in nodes if isinstance(node, ast.ImportFrom)]
     return [
         (name, str(node.module), alias.name)
-        for name, node in found
+        for name, tree in modules().items()
+        if f"{name}.".startswith(f"{package}.")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith("identification.")
         for alias in node.names
-        if f"{node.module}.".startswith("identification.")
     ]
 
 
