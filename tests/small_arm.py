@@ -47,12 +47,7 @@ def small_arm(rng: np.random.Generator, *effects: Drawn, compliance: np.ndarray 
 
 
 def measured(
-    truth: TrueArm,
-    postures: np.ndarray,
-    rng: np.random.Generator,
-    *,
-    sigma: float = 0.02,
-    of_posture: float = 0.03,
+    truth: TrueArm, postures: np.ndarray, rng: np.random.Generator, *, sigma: float = 0.02, of_posture: float = 0.03
 ) -> Measurements:
     """Every posture (m, 6) at each reflector in turn, with noise [mm] of each row and of each posture."""
     k = len(REFLECTORS)

@@ -19,12 +19,7 @@ def test_three_answers_agree() -> None:
     problem = DesignProblem.of(Model(Arm([260.0, 180.0, 120.0, 100.0], lower=lower, upper=upper)))
     relaxed = relax(problem, 5, "clarabel")
     found = cross_check(problem, relaxed, 8)
-    methods = [
-        "relaxation, clarabel",
-        "column generation, column_generation",
-        "exact plan, exchange",
-        "closed form",
-    ]
+    methods = ["relaxation, clarabel", "column generation, column_generation", "exact plan, exchange", "closed form"]
     assert [row["method"] for row in found] == methods
     for row, tolerance in zip(found, (1e-4, 1e-8, 1e-7, 1e-12), strict=True):
         assert row["value"] == pytest.approx(EXPECTED, abs=tolerance)

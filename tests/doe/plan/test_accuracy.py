@@ -20,13 +20,7 @@ from doe.plan.accuracy import (
     observability,
     tip_beside_random,
 )
-from doe.problem.uncertain import (
-    average_error,
-    missing_effects,
-    robust_problem,
-    tip_jacobians,
-    workspace,
-)
+from doe.problem.uncertain import average_error, missing_effects, robust_problem, tip_jacobians, workspace
 from identification import Arm, Array, Calibration, EffectSpec, Model
 from identification.gap.library_prior import library_prior
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem

@@ -15,14 +15,7 @@ from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.discrimination.t_optimal import NextPostures
 from doe.problem.uncertain import missing_effects, robust_problem
-from doe.report.design import (
-    design_facts,
-    design_verdict,
-    next_document,
-    plan_section,
-    plan_steps,
-    relax_document,
-)
+from doe.report.design import design_facts, design_verdict, next_document, plan_section, plan_steps, relax_document
 from identification import Arm, Conditions, Gravity, Model, Plan
 from identification.document import Pictures, as_text
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox

@@ -19,11 +19,7 @@ from identification import Arm, Calibration, EffectSpec, Measurements, Model, di
 from identification.compensate import compensate
 from identification.document import Document, Part, Section, Sheet, as_text
 from identification.documents.diagnosis import diagnosis_document
-from identification.documents.identification import (
-    entry_document,
-    identification_document,
-    library_document,
-)
+from identification.documents.identification import entry_document, identification_document, library_document
 from identification.effects.catalogue import entry
 from identification.inspection.inspection import inspect
 from identification.validate import validate

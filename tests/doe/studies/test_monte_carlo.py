@@ -16,12 +16,7 @@ from doe.cli import main
 from doe.jobs import frame_of, seed_of
 from doe.problem.postures import random_postures
 from doe.report.studies import monte_carlo_parts
-from doe.studies.monte_carlo import (
-    Study,
-    load_study,
-    pooled_rows,
-    run_study,
-)
+from doe.studies.monte_carlo import Study, load_study, pooled_rows, run_study
 from identification import Arm, Calibration, Conditions, DHRow, InputError, Model, Plan, chain_of, without_prior
 from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox

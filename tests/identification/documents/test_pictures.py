@@ -8,13 +8,7 @@ from matplotlib.figure import Figure
 
 from doe.report.page import svg
 from identification import Arm
-from identification.documents.pictures import (
-    AFTER,
-    BEFORE,
-    dots,
-    joint_errors,
-    signed_figures,
-)
+from identification.documents.pictures import AFTER, BEFORE, dots, joint_errors, signed_figures
 
 LENGTHS = np.array([300.0, 200.0])
 

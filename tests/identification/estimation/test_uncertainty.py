@@ -16,14 +16,7 @@ from scipy.linalg import sqrtm
 from identification import DHRow, InputError, Measurements, Model, chain_of, estimate, spectrum
 from identification.arm import Arm, Machining
 from identification.estimation.doubts import copied_rows, left_out_rms
-from identification.estimation.uncertainty import (
-    WhiteRows,
-    correlated,
-    lack_of_fit,
-    quantile_95,
-    sandwich,
-    uncertainty,
-)
+from identification.estimation.uncertainty import WhiteRows, correlated, lack_of_fit, quantile_95, sandwich, uncertainty
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
 
 

@@ -18,12 +18,7 @@ from hypothesis.extra.numpy import arrays
 from identification import Arm, DHRow, InputError, Measurements, Plan, chain_of, load_measurements
 from identification.effects.catalogue import entry
 from identification.files.csv import read_table, table_of_frame
-from identification.files.measurement import (
-    angle_columns,
-    load_targets,
-    measurement_text,
-    read_orientations,
-)
+from identification.files.measurement import angle_columns, load_targets, measurement_text, read_orientations
 from identification.gap.library_prior import given_by
 from identification.inspection.readings import gap_notes
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere

@@ -90,11 +90,7 @@ def test_a_blank_first_line_stays_where_it_is(tmp_path: Path, before: str) -> No
         ('<child link="hand"/>', '<child link="wrist"/>', r"link 'wrist' hangs on two joints, allowed: one"),
         ('name="roll"', 'name="lift"', r"joint 'lift' is there 2 times, allowed: once"),
         ('<parent link="wrist"/>', "", r"joint 'roll' has no parent link, allowed: one"),
-        (
-            '<parent link="wrist"/>',
-            '<parent link="tool0"/>',
-            r"link 'tool0' is not below 'world', allowed: a tip",
-        ),
+        ('<parent link="wrist"/>', '<parent link="tool0"/>', r"link 'tool0' is not below 'world', allowed: a tip"),
         ('name="tool0"', 'name="tool"', r"there is no link 'tool0', did you mean 'tool'"),
     ],
 )

@@ -147,11 +147,7 @@ BUMP = 1e-4 * np.exp(-0.5 * (ANGLES / 0.1) ** 2)
 
 
 @pytest.mark.parametrize(
-    ("error", "shape"),
-    [
-        (np.zeros(361), "smooth curve over -180 to 180 deg"),
-        (BUMP, "in part waves: "),
-    ],
+    ("error", "shape"), [(np.zeros(361), "smooth curve over -180 to 180 deg"), (BUMP, "in part waves: ")]
 )
 def test_shapes_with_a_name_and_without(error: np.ndarray, shape: str) -> None:
     text, waves = shape_and_waves(ANGLES, error, STD)

@@ -76,9 +76,7 @@ def unseen_distances(truth: Exponentials, fit: Identification, seed: int) -> tup
 
 
 @pytest.mark.parametrize(
-    ("table", "known"),
-    [(TABLE, ONE_BAR), (SEVEN, (*ONE_BAR, ("C", "D")))],
-    ids=["6R, one bar", "7R, two bars"],
+    ("table", "known"), [(TABLE, ONE_BAR), (SEVEN, (*ONE_BAR, ("C", "D")))], ids=["6R, one bar", "7R, two bars"]
 )
 def test_distances_between_unseen_cups(
     table: tuple[tuple[float, float, float], ...], known: tuple[tuple[str, str], ...]
