@@ -77,5 +77,5 @@ def urdf(*, masses: bool = True) -> str:
     text = urdf_text(drawn_arm().chain, "small_arm")
     for number, mass in enumerate(MASSES if masses else (), start=1):
         inertial = f'<inertial><mass value="{mass}"/></inertial>'
-        text = re.sub(f'<link name="link_{number}"/>', f'<link name="link_{number}">{inertial}</link>', text)
+        text = re.sub(f'<link name="link_{number}" />', f'<link name="link_{number}">{inertial}</link>', text)
     return text

@@ -516,14 +516,6 @@ def found_of_arms(draw: st.DrawFn) -> tuple[list[float], list[EffectSpec], Calib
     return lengths.tolist(), effects, calibration
 
 
-def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
-    two = 'parameters = ["length_error:1", "joint_offset:2"]\n'
-    text = (
-        PLAIN + CALIBRATION + two + "covariance = [[0.333333, 0.577350], [0.577351, 1.0]]\n"
-    )  # of 1/3 and 1, correlation 1
-    assert load(tmp_path, text).calibration.covariance.shape == (2, 2)
-
-
 @given(found_of_arms())
 @settings(max_examples=20)
 def test_what_is_found_goes_round(found: tuple[list[float], list[EffectSpec], Calibration]) -> None:
