@@ -9,12 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.planar_theorem import (
-    closed_form_bound,
-    closed_form_log_det,
-    pair_means,
-    table_1_max_residual,
-)
+from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det, pair_means, table_1_max_residual
 from identification import Arm, Calibration, EffectSpec, InputError
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem, random_box
 
