@@ -28,7 +28,7 @@ from doe.bounds.branch_and_bound import maximum, sensitivity_polynomial, trigono
 from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
 from doe.plan.ascent import PlanAscent
-from doe.problem.constraints import Derivatives, Walls
+from doe.problem.constraints import Derivatives
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
 from identification import Array, InputError, JobError, Status, newton_ascent
@@ -93,10 +93,6 @@ class ContinuousSet:
     @cached_property
     def _derivatives(self) -> Derivatives:
         return self.problem.jacobian_derivatives(range(self.problem.joints))
-
-    @cached_property
-    def _walls(self) -> Walls:
-        return self.problem.wall_derivatives(range(self.problem.joints))
 
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
@@ -171,7 +167,7 @@ class ContinuousSet:
             values = self.sensitivities(postures, gradient)
             if not barrier.any():
                 return values
-            margins = self._walls.values(postures)
+            margins = self.problem.walls.values(postures)
             inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(postures)
             logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
             return np.where(inside, values + barrier[rows] * logarithms, -np.inf)
@@ -180,9 +176,9 @@ class ContinuousSet:
             slope, hessian = self.slopes(postures, gradient)
             if not barrier.any():
                 return slope, hessian
-            margins, first = self._walls.first(postures)
+            margins, first = self.problem.walls.first(postures)
             relative, each = first / margins[:, None], barrier[rows, None]
-            bend = self._walls.bend(postures, 1.0 / margins) - relative @ np.swapaxes(relative, 1, 2)
+            bend = self.problem.walls.bend(postures, 1.0 / margins) - relative @ np.swapaxes(relative, 1, 2)
             return slope + each * relative.sum(axis=2), hessian + each[..., None] * bend
 
         limits = self.problem.lower, self.problem.upper

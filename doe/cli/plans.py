@@ -113,7 +113,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
         answer.data["collisions_checked"] = bool(looked)
         answer.shown.extend([] if looked else [COLLISIONS])
     for clearance in looked if postures is not None else []:
-        answer.data["collisions"] = clearance.to_json(postures)
+        answer.data["collisions"] = clearance.too_near(postures)
         answer.shown.extend(clearance.in_words(postures))
     return answer
 

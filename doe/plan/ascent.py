@@ -33,7 +33,7 @@ class PlanAscent:
         self.criterion = problem.criterion.smooth
         self.joints = list(problem.searched_joints)
         self.derivatives = problem.jacobian_derivatives(self.joints)
-        self.walls = problem.wall_derivatives(self.joints)
+        self.walls = problem.walls
         self.firmness = 0.0
 
     @cached_property

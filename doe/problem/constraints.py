@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from doe.problem.clearance import Clearance, Slopes
+from doe.problem.clearance import Clearance
 from doe.problem.model import PRISMATIC, Offers, offered, offers
 from identification import Array, InputError, design_model, vectorize
 
@@ -102,34 +102,33 @@ class Derivatives:
 
 
 class Walls:
-    """The margins of all constraints, side by side, and their derivatives by some of n joints."""
+    """The margins of all constraints, side by side, and their derivatives by the n joints."""
 
-    def __init__(self, constraints: Sequence[Constraint], n: int, joints: Sequence[int]) -> None:
+    def __init__(self, constraints: Sequence[Constraint], n: int) -> None:
         q, expressions = ca.SX.sym("q", n), [each for each in constraints if isinstance(each, Expression)]
-        self._parts: list[Derivatives | Slopes] = []
+        self._parts: list[Derivatives | Clearance] = [each for each in constraints if isinstance(each, Clearance)]
         if expressions:
             walls = ca.vertcat(*(each.symbolic(q) for each in expressions))
-            self._parts.append(Derivatives(q, walls, joints, (walls.numel(),)))
-        self._parts += [Slopes(each, joints) for each in constraints if isinstance(each, Clearance)]
+            self._parts.insert(0, Derivatives(q, walls, range(n), (walls.numel(),)))
 
     def values(self, postures: Array) -> Array:
         """(m, k) margins."""
         return np.concatenate([part.values(postures) for part in self._parts], axis=1)
 
     def first(self, postures: Array) -> tuple[Array, Array]:
-        """(m, k) margins and their derivatives (m, a, k)."""
+        """(m, k) margins and their derivatives (m, n, k)."""
         values, slopes = zip(*(part.first(postures) for part in self._parts), strict=True)
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
-        """(m, a) gradients of the sums of margins with weights (m, k)."""
+        """(m, n) gradients of the sums of margins with weights (m, k)."""
         return np.sum([part.slope(postures, each) for part, each in self._weighted(weights)], axis=0)
 
     def bend(self, postures: Array, weights: Array) -> Array:
-        """(m, a, a) Hessians of the sums of margins with weights (m, k)."""
+        """(m, n, n) Hessians of the sums of margins with weights (m, k)."""
         return np.sum([part.bend(postures, each) for part, each in self._weighted(weights)], axis=0)
 
-    def _weighted(self, weights: Array) -> Iterator[tuple[Derivatives | Slopes, Array]]:
+    def _weighted(self, weights: Array) -> Iterator[tuple[Derivatives | Clearance, Array]]:
         counts = [part.count for part in self._parts]
         return zip(self._parts, np.split(weights, np.cumsum(counts)[:-1], axis=1), strict=True)
 
@@ -174,30 +173,11 @@ def inside_box(model: Offers, box: Any, q: ca.SX) -> ca.SX:
     return ca.vertcat(*(ca.vertcat(tip[k] - low, high - tip[k]) for k, (low, high) in enumerate(sides)))
 
 
-def outside_sphere(model: Offers, sphere: Any, q: ca.SX) -> ca.SX:
-    """(k - 1,) Every link stays outside the circle of the plane, or the sphere of space."""
-    center = ca.DM(sphere.center)
-    return ca.vertcat(
-        *(_distance(center, center, *link) - sphere.radius for link in pairwise(model.symbolic_points(q)))
-    )
-
-
-def outside_cylinder(model: Offers, cylinder: Any, q: ca.SX) -> ca.SX:
-    """(k - 1,) Every link stays outside a cylinder with flat ends: it is beyond an end, or what lies between the ends
-    is away from the axis."""
-    start, along = ca.DM(cylinder.start), np.subtract(cylinder.end, cylinder.start)
-    length, expressions = float(np.linalg.norm(along)), []
-    axis = ca.DM(along / length)
-    for a, b in pairwise(model.symbolic_points(q)):
-        first, last = ca.dot(a - start, axis), ca.dot(b - start, axis)
-        beyond = ca.fmax(ca.fmin(first, last) - length, -ca.fmax(first, last))
-        rise = ca.if_else(ca.fabs(last - first) < FLAT, FLAT, last - first)
-        ends = _share(-first / rise), _share((length - first) / rise)  # shares of the link at both ends
-        offset, turned = a - start - first * axis, (b - a) - (last - first) * axis
-        nearest = -ca.dot(offset, turned) / ca.fmax(ca.sumsqr(turned), FLAT)
-        share = ca.fmax(ca.fmin(*ends), ca.fmin(ca.fmax(*ends), nearest))
-        expressions.append(ca.fmax(beyond, _root(ca.sumsqr(offset + share * turned)) - cylinder.radius))
-    return ca.vertcat(*expressions)
+def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
+    """(k - 1,) Every link stays outside the circle of the plane, the sphere of space, or the cylinder with round ends:
+    away from its center, or its axis."""
+    start, end = map(ca.DM, region.axis)
+    return ca.vertcat(*(_distance(start, end, *link) - region.radius for link in pairwise(model.symbolic_points(q))))
 
 
 def in_sight(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
@@ -241,8 +221,8 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
 KINDS: dict[str, Callable[..., ca.SX]] = {
     "joint_limits": within_column,
     "workspace_box": inside_box,
-    "keep_out_circle": outside_sphere,
-    "keep_out_cylinder": outside_cylinder,
+    "keep_out_circle": outside_round,
+    "keep_out_cylinder": outside_round,
 }
 
 

@@ -309,9 +309,10 @@ class DesignProblem:
         jacobian = self.scaled_jacobian_function(q)
         return Derivatives(q, jacobian, joints, jacobian.shape)
 
-    def wall_derivatives(self, joints: Sequence[int]) -> Walls:
-        """Of all constraints' margins (k,), which are kept >= 0, by some joints."""
-        return Walls(self.constraints, self.joints, joints)
+    @cached_property
+    def walls(self) -> Walls:
+        """All constraints' margins (k,), which are kept >= 0, and their derivatives by the joints."""
+        return Walls(self.constraints, self.joints)
 
 
 def information_of_each(jacobians: Array) -> Array:

@@ -259,8 +259,8 @@ def plan_steps(
     arm, cells = model.arm, plan.cells
     near: list[list[dict[str, Any]]] = [[] for _ in range(len(plan))]
     for clearance in (each for each in problem.constraints if isinstance(each, Clearance)):
-        for run, pair, gap in clearance.too_near(plan.postures):
-            near[run - 1].append({"bodies": pair, "text": distance_in_words(pair, gap)})
+        for each in clearance.too_near(plan.postures):
+            near[each["run"] - 1].append({"bodies": each["bodies"], "text": distance_in_words(each)})
     if not cells:
         columns = zip(plan.units, plan.displayed.T, strict=True)
         cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}

@@ -76,7 +76,7 @@ def test_line_of_sight() -> None:
 
 def test_derivatives() -> None:
     problem = DesignProblem.of(Model(ARM))
-    walls, step = problem.wall_derivatives(range(4)), 1e-6
+    walls, step = problem.walls, 1e-6
     postures = random_postures(problem, 5, np.random.default_rng(1))
     values, slopes = walls.first(postures)
     assert values.shape == (5, 4 + 4 + 4)
