@@ -80,7 +80,7 @@ class Program(NamedTuple):
     moves: list[dict[str, Any]]
     units: tuple[str, ...]
     seconds: float
-    not_free: list[tuple[int, tuple[str, str], float]]
+    not_free: list[dict[str, Any]]
 
 
 def program(
@@ -124,8 +124,8 @@ def program(
         raise InputError(f"{found}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
     not_free = check_rows(arm, plan.postures, via)
     comments = [f"run {run}" if run else "via" for run in runs]
-    for row, (one, other), _ in not_free:
-        comments[row - 1] += SPECIAL.sub("?", f", may collide: {one} and {other}")
+    for move in not_free:
+        comments[move["row"] - 1] += SPECIAL.sub("?", f", may collide: {' and '.join(move['bodies'])}")
     units = [language.length if slide else language.angle for slide in slides]
     order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
     inner, outer = order[: language.arm], order[language.arm :]
@@ -162,7 +162,7 @@ def program(
     return Program(text, identifier, moves, plan.units, departures[-1] / 1000.0, not_free)
 
 
-def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[tuple[int, tuple[str, str], float]]:
+def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[dict[str, Any]]:
     """Moves that may collide, as `unproven` has them. Raises `InputError` for the first row that breaks a constraint; a
     way-point need not be seen, and where bodies are known it keeps what moves keep."""
     constraints = constraints_of(arm)
