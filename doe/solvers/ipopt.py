@@ -65,7 +65,7 @@ class Climber:
 
     def __init__(self, problem: DesignProblem, runs: int, budget: Budget) -> None:
         self.problem, self.runs, self.budget, self.ascent = problem, runs, budget, PlanAscent(problem)
-        self.joints, self.walls = self.ascent.joints, self.ascent.walls
+        self.joints, self.walls = self.ascent.joints, problem.walls
         self.base = np.tile((problem.lower + problem.upper) / 2.0, (runs, 1))
         self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
         # an interior point method ends this near to a limit that is active; it is put on it
