@@ -147,10 +147,8 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
     if sights and offers(model, "placed"):
         model = model.placed()  # what is to be seen is where plans assume it, if the arm does not say
     for limit in getattr(model, "constraints", ()):
-        space = offered(model, "space", "constraints")
-        build = {"line_of_sight": in_sight if space == 2 else in_view}.get(limit.kind) or KINDS[limit.kind]
-        if build is in_sight and len(limit.tracker) != space:
-            raise InputError(f"line_of_sight: a tracker in {len(limit.tracker)} dimensions, allowed: in {space}")
+        offered(model, "space", "constraints")
+        build = in_view if limit.kind == "line_of_sight" else KINDS[limit.kind]
         made.append(Expression(partial(build, model, limit), len(model.joint_types), limit.kind))
     if offers(model, "cell") and model.cell.bodies:
         made.append(Clearance(model, sights if model.space == 3 else ()))
@@ -180,27 +178,12 @@ def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
     return ca.vertcat(*(_distance(start, end, *link) - region.radius for link in pairwise(model.symbolic_points(q))))
 
 
-def in_sight(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
-    """(n,) The tracker of a plane sees the tip: inside its cone, no link across the line of sight but the last, which
-    ends there: of two segments one lies on one side of the other's line."""
-    points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)
-    tip = points[-1]
-
-    def side(p: ca.SX | ca.DM, r: ca.SX, other: ca.SX | ca.DM) -> ca.SX:
-        return (r[0] - p[0]) * (other[1] - p[1]) - (r[1] - p[1]) * (other[0] - p[0])
-
-    gaps = []
-    for a, b in pairwise(points[:-1]):
-        across = side(tracker, tip, a) * side(tracker, tip, b) / ca.sumsqr(tip - tracker)
-        along = side(a, b, tracker) * side(a, b, tip) / ca.sumsqr(b - a)
-        gaps.append(ca.fmax(across, along) / ca.sqrt(ca.sumsqr(b - a)))
-    return ca.vertcat(_in_cone(sight, tip), *gaps)
-
-
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
-    """(k,) The tracker of space sees the reflector: inside its cone and range, not from behind, no link near the line
-    of sight; links have a radius here, and the last, which carries the reflector, is not in the way. Where the model
-    has bodies, these are looked at instead (`Clearance`)."""
+    """(k,) The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight;
+    links have a radius here, and the last, which carries the reflector, is not in the way. Where a model of space has
+    bodies, these are looked at instead (`Clearance`)."""
+    if len(sight.tracker) != model.space:
+        raise InputError(f"line_of_sight: a tracker in {len(sight.tracker)} dimensions, allowed: in {model.space}")
     points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)
     tip = points[-1]
     distance, expressions = ca.norm_2(tip - tracker), [_in_cone(sight, tip)]
@@ -212,7 +195,7 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
         looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
-    solid = offers(model, "cell") and model.cell.bodies
+    solid = model.space == 3 and offers(model, "cell") and model.cell.bodies
     links = [] if solid else [*pairwise(points[:-1])]
     gaps = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
     return ca.vertcat(*expressions, *gaps)
