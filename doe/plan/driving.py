@@ -37,7 +37,6 @@ class Drive:
     order : `given`, `random` or `travel`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
-    unseen : moves on which the tracker loses sight of the reflector
     cut : whether time ended before free moves were found: then it has none
     """
 
@@ -49,7 +48,6 @@ class Drive:
     before: float = 0.0
     shortest: float = 0.0
     replaced: int = 0
-    unseen: int = 0
     cut: bool = False
 
     def to_json(self) -> dict[str, Any]:
@@ -91,9 +89,6 @@ class Drive:
             if self.approach != "any":
                 how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
                 lines.append(f"every joint comes to each posture {how}")
-            if self.unseen:
-                lost = "the tracker loses sight of the reflector, and has to find it again before a measurement"
-                lines.append(f"On {self.unseen} of {len(self.moves or ()) - 1} moves {lost}")
             if self.replaced:
                 lines.append(f"{self.replaced} of the postures were replaced: no free way led from the others to them")
         return lines
@@ -162,21 +157,7 @@ def drive(
     shortest = space.length(postures[path])
     moves = None if known is None and approach == "any" else whole
     measured = replace(plan, postures=postures[found.rows])
-    travel, unseen = space.length(whole.postures), out_of_sight(problem.constraints, whole.postures)
-    return Drive(measured, moves, order, approach, travel, before, shortest, len(replaced), unseen)
-
-
-def out_of_sight(constraints: Sequence[Constraint], way: Array, places: int = 50) -> int:
-    """How many of the straight moves along a way (m, n) are out of a tracker's sight, at some of so many places."""
-    shares, steps = np.linspace(0.0, 1.0, places)[:, None], np.diff(way, axis=0)
-    between = (way[:-1, None] + shares * steps[:, None]).reshape(-1, way.shape[1])
-    hidden = np.zeros(len(between), dtype=bool)
-    for each in constraints:
-        sights = [SIGHT in pair for pair in each.pairs] if isinstance(each, Clearance) else []
-        if any(sights) or each.kind == "line_of_sight":
-            apart = each.distance(between)[:, sights] if isinstance(each, Clearance) else each.margin(between)
-            hidden |= np.any(apart < -ROUNDING, axis=1)
-    return int(hidden.reshape(-1, places).any(axis=1).sum())
+    return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]] | None:
@@ -233,8 +214,6 @@ def another(
     space: Space,
     turn: Callable[[Array], Array],
     generator: np.random.Generator,
-    candidates: int = 200,
-    nearest: int = 10,
 ) -> Array:
     """(m, n) postures, in the place of lost rows the best of those that have a free move to one of the nearest others:
     the same with joints turned by whole turns, and random ones."""
@@ -242,9 +221,9 @@ def another(
     whole = np.array([*product((0.0, 1.0, -1.0), repeat=problem.joints)]) * 2.0 * np.pi * turns(problem.model)
     for row in lost:
         if problem.choices is None:
-            drawn = turn(random_postures(problem, candidates, generator))
+            drawn = turn(random_postures(problem, 200, generator))
         else:
-            drawn = generator.permutation(problem.choices)[:candidates]
+            drawn = generator.permutation(problem.choices)[:200]
         if problem.choices is None or problem.sampled:
             turned = np.unique(postures[row] + whole, axis=0)
             drawn = np.concatenate(
@@ -256,7 +235,7 @@ def another(
         values = values_with(problem, others, drawn) if len(drawn) else np.empty(0)
         best, together = drawn[np.argsort(-values, kind="stable")], 20
         for some in (best[k : k + together] for k in range(0, len(best), together)):
-            near = np.argsort(space.travel(some[:, None], postures[kept]), axis=1)[:, :nearest]
+            near = np.argsort(space.travel(some[:, None], postures[kept]), axis=1)[:, :10]
             ways = free(np.repeat(some, near.shape[1], axis=0), postures[kept][near.ravel()], room)
             led_to = ways.reshape(near.shape).any(axis=1) if len(kept) else np.ones(len(some), dtype=bool)
             if led_to.any():
