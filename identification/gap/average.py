@@ -167,13 +167,20 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     if held is not posterior:
-        of_noise = sum(
-            e.probability * posterior.problems[e.noise].products.state(e.key).variance for e in posterior.explanations
-        )
-        more += jacobian.shape[1] * max(variance - of_noise, 0.0)
+        more += jacobian.shape[1] * max(variance - noise_variance(posterior), 0.0)
     sigma = float(np.sqrt(variance))
     written = PredictingModel(model, values, held.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
     return written.allowing(more)
+
+
+def noise_variance(posterior: Posterior) -> float:
+    """Of one coordinate [mm^2], in the mean over the sets drawn."""
+    shares = np.bincount([e.noise for e in posterior.explanations], [e.probability for e in posterior.explanations])
+    mean = 0.0
+    for problem, draws, share in zip(posterior.problems, posterior.draws, shares.tolist(), strict=True):
+        variances = [count * problem.products.state(key).variance for key, count in draws.items()]
+        mean += share * sum(variances) / draws.total()
+    return mean
 
 
 def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:

@@ -359,10 +359,6 @@ class Socket(AtTargets):
         pairs = self._pairs if self.at else self.distances  # between these cups, of all that are given
         return ("", "") if pairs else ("cups without a distance that is known", "give distances_mm between them")
 
-    def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
-        """Of a cup nothing is known but its center."""
-        return np.ones(len(points), dtype=bool)
-
     def hidden(self, base: Array) -> frozenset[str]:
         return frozenset(error_names(PLACE))
 

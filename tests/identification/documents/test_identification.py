@@ -87,9 +87,8 @@ def commands(errors: list[float], missed: list[float]) -> Compensation:
     """One joint turned by 0.5 rad for every target."""
     k = len(errors)
     angles, targets = np.full((k, 1), 0.5), np.zeros((k, 2))
-    return Compensation(
-        targets, angles, angles, np.array(errors), (), None, None, (("box",),) * len(targets), np.array(missed)[:, None]
-    )
+    barred = tuple("constraint 1 (box) is missed by 2 mm" if by > 0.0 else "" for by in missed)
+    return Compensation(targets, angles, np.array(errors), barred=barred)
 
 
 def test_counts_of_targets_without_a_command() -> None:
