@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
 from identification.bodies import Cell
-from identification.document import html_lines, html_table
+from identification.document import Document, Sheet, html
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, require
 from identification.kinematics.chain import KinematicChain, planar_chain
@@ -178,14 +178,32 @@ class Arm(ByValue):
 
     def __post_init__(self) -> None:
         chain: Any = self.chain
-        links = None if isinstance(chain, KinematicChain) else readonly(chain, -1)
-        n = len(chain) if links is None else links.size
-        require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
-        if links is not None:
+        if not isinstance(chain, KinematicChain):
+            links = readonly(chain, -1)
+            require(1 <= links.size <= MAX_LINKS, f"links_mm: {links.size} links, allowed: 1 to {MAX_LINKS}")
             positive = bool(np.all(np.isfinite(links) & (links > 0)))
             require(positive, f"links_mm: {links.tolist()}, allowed: lengths > 0")
             chain = planar_chain(links)
-        lower, upper = _joint_limits(self.lower, self.upper, chain)
+        n, turning = len(chain), np.array(chain.joint_types) == REVOLUTE
+        require(1 <= n <= MAX_LINKS, f"links_mm: {n} links, allowed: 1 to {MAX_LINKS}")
+        limits = {}
+        for name in ("lower", "upper"):
+            given = getattr(self, name)
+            limits[name] = readonly([getattr(joint, name) for joint in chain.joints] if given is None else given, -1)
+            size = limits[name].size
+            require(size == n, f"joint_limits_deg.{name}: {size} values for {n} links, allowed: {n}")
+            require(bool(np.all(np.isfinite(limits[name]))), f"joint_limits_deg.{name}: values must be finite")
+        lower, upper = limits.values()
+        for j in np.flatnonzero(lower >= upper):
+            unit, factor = ("deg", 180.0 / np.pi) if turning[j] else ("mm", 1.0)
+            order = f"joint {j + 1} has lower {lower[j] * factor:g} >= upper {upper[j] * factor:g}"
+            raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
+        farther = np.where(-lower > upper, lower, upper) * turning
+        worst = int(np.argmax(np.abs(farther)))
+        if abs(farther[worst]) > 10.0 * np.pi + 1e-6:  # [rad] no arm turns a joint farther; degrees do
+            limit = f"limit {farther[worst]:g} of joint {worst + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
+            message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
+            warnings.warn(message, UserWarning, stacklevel=3)
         if self.sigma is not None:
             require(np.isfinite(self.sigma) and self.sigma > 0, f"sigma_mm: {self.sigma}, allowed: > 0")
         ratios = None if self.gear_ratios is None else readonly(self.gear_ratios, -1)
@@ -194,7 +212,7 @@ class Arm(ByValue):
             require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
         hanging = self.gravity is not None and self.gravity.payload_at is not None
         require(not (chain.planar and hanging), "payload_at: found for a planar arm, allowed: in space")
-        for field_name, value in (("chain", chain), ("lower", lower), ("upper", upper), ("gear_ratios", ratios)):
+        for field_name, value in ({"chain": chain, "gear_ratios": ratios} | limits).items():
             object.__setattr__(self, field_name, value)
         if self.counting is not None:
             check_kinds(self.counting, self.joint_types)
@@ -254,27 +272,4 @@ class Arm(ByValue):
         for j, (kind, length, *limits) in enumerate(zip(*columns, strict=True), start=1):
             low, high = (f"{np.degrees(x):.6g} deg" if kind == REVOLUTE else f"{x:g} mm" for x in limits)
             rows.append((str(j), kind, f"{length:.6g}", low, high))
-        return html_lines([summary]) + html_table(("joint", "type", "length [mm]", "lower", "upper"), rows)
-
-
-def _joint_limits(
-    lower_limits: ArrayLike | None, upper_limits: ArrayLike | None, chain: KinematicChain
-) -> tuple[Array, Array]:
-    """(n,) lower and upper, those of the chain where None. Raises `InputError` for others than n pairs in order."""
-    n, turning = len(chain), np.array(chain.joint_types) == REVOLUTE
-    lower = readonly([joint.lower for joint in chain.joints] if lower_limits is None else lower_limits, -1)
-    upper = readonly([joint.upper for joint in chain.joints] if upper_limits is None else upper_limits, -1)
-    for name, limits in (("lower", lower), ("upper", upper)):
-        require(limits.size == n, f"joint_limits_deg.{name}: {limits.size} values for {n} links, allowed: {n}")
-        require(bool(np.all(np.isfinite(limits))), f"joint_limits_deg.{name}: values must be finite")
-    for j in np.flatnonzero(lower >= upper):
-        unit, factor = ("deg", 180.0 / np.pi) if turning[j] else ("mm", 1.0)
-        order = f"joint {j + 1} has lower {lower[j] * factor:g} >= upper {upper[j] * factor:g}"
-        raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
-    farther = np.where(-lower > upper, lower, upper) * turning
-    worst = int(np.argmax(np.abs(farther)))
-    if abs(farther[worst]) > 10.0 * np.pi + 1e-6:  # [rad] no arm turns a joint farther; degrees do
-        limit = f"limit {farther[worst]:g} of joint {worst + 1} is {abs(farther[worst]) / (2.0 * np.pi):.0f} turns"
-        message = f"Arm: {limit} and looks like degrees; lower and upper are in radians"
-        warnings.warn(message, UserWarning, stacklevel=4)
-    return lower, upper
+        return html(Document(parts=[summary, Sheet(("joint", "type", "length [mm]", "lower", "upper"), rows)]))

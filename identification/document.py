@@ -10,7 +10,7 @@ import base64
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from rich.console import RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType
 
 
 SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
@@ -41,9 +41,9 @@ class Sheet:
     where: str = "--out writes all"
 
     @classmethod
-    def facts(cls, facts: Iterable[tuple[str, str | None]]) -> Self:
+    def facts(cls, facts: Mapping[str, str | None]) -> Self:
         """Names and what is to be said of each, without those of which nothing is."""
-        return cls((), [(name, text) for name, text in facts if text])
+        return cls((), [(name, text) for name, text in facts.items() if text])
 
     def cut(self, most: int | None) -> tuple[Sequence[Sequence[str]], str]:
         """The first rows, and a line that says so if these are not all."""
@@ -86,9 +86,9 @@ class Document:
     verdict : sentences, the first of them the most important
     """
 
-    title: str
-    verdict: Sequence[str]
-    parts: Sequence[Part]
+    title: str = ""
+    verdict: Sequence[str] = ()
+    parts: Sequence[Part] = ()
     actions: Sequence[tuple[str, str]] = ()
     warnings: Sequence[str] = ()
 
@@ -101,6 +101,9 @@ class Document:
 
     def _repr_html_(self) -> str:
         return html(self)
+
+    def __rich_console__(self, _: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        return rendered(self, options.max_width)
 
 
 class Documented:
@@ -120,30 +123,25 @@ class Documented:
 
 
 Part: TypeAlias = str | Sheet | Pictures | Section | Document
-Files: TypeAlias = dict[Path, tuple[str, Any]]  # path -> what it is, and its content, as `write_together` takes it
+Files: TypeAlias = dict[Path | None, tuple[str, Any]]  # path, None: not asked for -> what it is, and its content
 
 
 @dataclass
 class Answer:
     """What a command answers.
 
-    data : the object of --json;  shown : documents and lines for people;  result : what both are of, for Python
+    data : the object of --json;  document : for people;  result : what both are of, for Python
     exit_code : 0 done, 1 the job failed
-    warnings : doubts that `shown` has too, for those who read `data`
+    warnings : doubts that `document` has too, for those who read `data`
     files : to be written: what each is, and its content
     """
 
     data: dict[str, Any]
-    shown: list[Any]
+    document: Document = Document()
     result: Any = None
     exit_code: int = 0
     warnings: Sequence[str] = ()
     files: Files = field(default_factory=dict)
-
-    def rendered(self, width: int) -> Iterator[RenderableType]:
-        """What a terminal of this many characters shows (rich), from the top."""
-        for part in self.shown:
-            yield from [part] if hasattr(part, "__rich_console__") else rendered(part, width)
 
 
 # -- HTML, everything escaped ------------------------------------------------------------------------------------------
@@ -160,47 +158,44 @@ def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name:
     picture : a figure as HTML, None: pictures are left out;  name : of the section around it, for those who hear it
     """
     if isinstance(part, str):
-        return html_lines([in_symbols(part)]) if part else ""
+        return f"<p>{escape(in_symbols(part))}</p>\n" if part else ""
     if isinstance(part, Sheet):
-        rows, rest = part.cut(200)  # where the text of the table says that there may be more
-        title = f"<h3>{escape(part.title)}</h3>\n" if part.title else ""
-        label = escape(f"{name}, table".removeprefix(", "))
-        box = f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">'
-        return f"{title}{box}{html_table(part.headings, rows)}</div>\n{html(rest)}" if part.rows else ""
+        return html_table(part, name) if part.rows else ""
     if isinstance(part, Pictures):
-        if picture is None:
-            return ""
-        drawn = part.draw()
-        shown = "".join(picture(one) for one in drawn if not isinstance(one, str))
+        drawn = part.draw() if picture else ()
+        shown = "".join(picture(one) for one in drawn if picture and not isinstance(one, str))
         box = f'<div class="pictures">{shown}</div>\n' if shown else ""
         return "".join(html(one) for one in drawn if isinstance(one, str)) + box
     inside = "".join(html(one, picture, part.title if isinstance(part, Section) else "") for one in part.parts)
     if isinstance(part, Section):
         head = f"<h2>{escape(part.title)}</h2>\n"
         return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if part.folded else head + inside
-    steps = html_lines(f"{text} {command}".strip() for text, command in part.actions)
-    return html_lines(map(in_symbols, [*part.warnings, *part.verdict]), strong=True) + inside + steps
+    first = "".join(f"<p><b>{escape(in_symbols(line))}</b></p>\n" for line in (*part.warnings, *part.verdict))
+    steps = "".join(f"<p>{escape(f'{text} {command}'.strip())}</p>\n" for text, command in part.actions)
+    return first + inside + steps
 
 
-def html_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Headings and rows of ready text; without headings names and what is to be said of each."""
-    lines = [list(row) for row in rows]
-    if not headings:
-        style = 'style="text-align: left"'
+def html_table(sheet: Sheet, name: str) -> str:
+    """A table, and what it leaves out;  name : of the section around it"""
+    lines, rest = sheet.cut(200)  # where the text of the table says that there may be more
+    if sheet.headings:
+        # texts, which may be broken, begin at the left
+        kinds = [' class="text"' * any(len(line[k]) > 24 for line in lines) for k in range(len(sheet.headings))]
+        heads = "".join(
+            f'<th scope="col"{k}>{escape(text)}</th>' for text, k in zip(sheet.headings, kinds, strict=True)
+        )
+        rows = [
+            "".join(f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds, strict=True)) for line in lines
+        ]
+    else:
+        heads, left = "", 'style="text-align: left"'
         pairs = ([escape(in_symbols(text)) for text in line] for line in lines)
-        body = "".join(f'<tr><th scope="row" {style}>{name}</th><td {style}>{text}</td></tr>\n' for name, text in pairs)
-        return f"<table>\n<tbody>\n{body}</tbody>\n</table>"
-    # texts, which may be broken, begin at the left
-    kinds = [' class="text"' if any(len(line[k]) > 24 for line in lines) else "" for k in range(len(headings))]
-    head = "".join(f'<th scope="col"{kind}>{escape(name)}</th>' for name, kind in zip(headings, kinds, strict=True))
-    texts = ((f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds, strict=True)) for line in lines)
-    body = "".join(f"<tr>{''.join(row)}</tr>\n" for row in texts)
-    return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody>\n</table>"
-
-
-def html_lines(lines: Iterable[str], *, strong: bool = False) -> str:
-    """A paragraph for each line."""
-    return "".join(f"<p><b>{escape(line)}</b></p>\n" if strong else f"<p>{escape(line)}</p>\n" for line in lines)
+        rows = [f'<th scope="row" {left}>{fact}</th><td {left}>{text}</td>' for fact, text in pairs]
+    head = f"<thead><tr>{heads}</tr></thead>\n" * bool(heads)
+    table = f"<table>\n{head}<tbody>\n{''.join(f'<tr>{row}</tr>' + chr(10) for row in rows)}</tbody>\n</table>"
+    title = f"<h3>{escape(sheet.title)}</h3>\n" * bool(sheet.title)
+    label = escape(f"{name}, table".removeprefix(", "))
+    return f'{title}<div class="scroll" tabindex="0" role="region" aria-label="{label}">{table}</div>\n{html(rest)}'
 
 
 def in_symbols(text: str) -> str:
@@ -217,13 +212,12 @@ def as_text(part: Part, width: int = 100) -> str:
 
     plain: dict[str, Any] = {"force_terminal": False, "force_jupyter": False, "color_system": None}
     console = Console(file=(text := io.StringIO()), width=width, highlight=False, markup=False, **plain)
-    for one in rendered(part, width):
-        console.print(one)
+    console.print(part if isinstance(part, Document) else Document(parts=[part]))
     return "".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines())
 
 
-def rendered(part: Part, width: int) -> Iterator[RenderableType]:
-    """What a terminal of this many characters shows of a part (rich), from the top."""
+def rendered(part: Any, width: int) -> Iterator[RenderableType]:
+    """What a terminal of this many characters shows of a part (rich), or of what rich itself can show, from the top."""
     from rich.text import Text
 
     if isinstance(part, str):
@@ -244,6 +238,8 @@ def rendered(part: Part, width: int) -> Iterator[RenderableType]:
             yield from rendered(one, width)
         for text, command in part.actions:
             yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
+    elif not isinstance(part, Sheet | Section | Pictures):
+        yield part
 
 
 def terminal_table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> RenderableType:
@@ -279,7 +275,7 @@ def number(value: float | None, digits: int = 4) -> str:
 def estimate_text(value: float | None, std: float | None, unit: str) -> str:
     """A parameter or a limit of its interval: three significant digits of the standard deviation, in mm and deg no more
     than five decimals."""
-    if not value or not std:
+    if not value or not std or math.isnan(std):
         return "0" if value == 0.0 else number(value)
     std = max(std, FINEST) if unit in ("mm", "deg") else std
     if std < FINEST:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from difflib import SequenceMatcher
+from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Self
 
@@ -50,7 +50,7 @@ def printable(text: str) -> str:
 
 
 def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> list[str]:
-    """Up to three names: those that are most alike (`difflib`), else those that begin with it or have it in them.
+    """Up to three names: those that are most alike (`difflib`), else those that it begins with or that have it in them.
 
     meant : another word -> the name that says the same
 
@@ -59,21 +59,13 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     >>> close_names("offset", ["base_offset", "tool_offset", "backlash"])
     ['base_offset', 'tool_offset']
     """
-    low, options = word.lower(), sorted(set(allowed))
-    if not 0 < len(low) <= 60:  # longer than any name
-        return []
-    spelt = {other: name for other, name in meant.items() if name in options} | {name: name for name in options}
-    alike = {other: SequenceMatcher(None, other.lower(), low, autojunk=False).ratio() for other in spelt}
-    best = max(alike.values(), default=0.0)
-    # the share of the letters that two words have in common, in this order; of three letters
-    if best >= (0.66 if len(low) == 3 else 0.75 if len(low) > 3 else 1.0):
-        near = dict.fromkeys(spelt[other] for other, ratio in alike.items() if ratio == best)
-    else:
-        bare = {name: re.sub(r"[^a-z0-9]", "", name.lower()) for name in (*options, word)}
-        part = bare[word]
-        near = dict.fromkeys(n for n in options if part and (bare[n].startswith(part) or part.startswith(bare[n])))
-        near = near or dict.fromkeys(n for n in options if len(part) >= 3 and part in bare[n])
-    return list(near) if len(near) <= 3 else []  # more help nobody
+    options, low = sorted(set(allowed)), word.lower()[:60]  # longer than any name
+    spelt = {other.lower(): name for other, name in meant.items() if name in options} | {n.lower(): n for n in options}
+    near = [spelt[other] for other in get_close_matches(low, spelt, n=4, cutoff=0.75)]
+    bare = {name: re.sub(r"[^a-z0-9]", "", name.lower()) for name in options}
+    part = re.sub(r"[^a-z0-9]", "", low)
+    near = near or [n for n in options if (part and part.startswith(bare[n])) or (len(part) > 2 and part in bare[n])]
+    return list(dict.fromkeys(near)) if len(near) <= 3 else []  # more help nobody
 
 
 def nearest(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> str:

@@ -141,8 +141,9 @@ class Replications:
         """Of an arm as the fit knows it, and as it is. Kept, so that all blocks of a cell use one model."""
         model, truth = Model(without_prior(fitted)), Model(true)
         transform = np.eye(len(model.names))
-        if model.parameters.by_link:
-            transform = np.vstack([transform, model.parameters.to_orientations])
+        if model.parameters.by_link:  # orientations, too: sums of joint offsets (the paper's sigma_q, eq. 25)
+            offsets = model.parameters.joint_offsets
+            transform = np.vstack([transform, np.tri(len(offsets)) @ transform[offsets]])
         return cls(model, truth, true_values(model, truth), transform)
 
     @property

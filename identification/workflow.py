@@ -44,12 +44,10 @@ class Declared(dict[str, tuple[Callable[..., Answer], str]]):
             @wraps(function)
             def verb(*arguments: P.args, **options: P.kwargs) -> Answer:
                 answer = function(*arguments, **options)
-                write_together(
-                    {path: content for path, (_, content) in answer.files.items()}, bool(options.get("force"))
-                )
-                lines = [f"{what} written to {path}" for path, (what, _) in answer.files.items()]
-                *before, last = answer.shown or [Document("", (), ())]
-                answer.shown = [*before, last.plus(*lines)] if isinstance(last, Document) else [*answer.shown, *lines]
+                files = {path: file for path, file in answer.files.items() if path is not None}
+                write_together({path: content for path, (_, content) in files.items()}, bool(options.get("force")))
+                lines = [f"{what} written to {path}" for path, (what, _) in files.items()]
+                answer.document = answer.document.plus(*lines)
                 return answer
 
             self[example.split()[1]] = verb, example
@@ -182,7 +180,8 @@ def init_files(
         looked = "plans will not look at collisions of these links; armcal init --package-dir finds and copies them"
         steps.append(f"{len(missing)} meshes are not found, the first of them {missing[0]}: {looked}")
     steps.append(f"in {out}: {step.partition('  #')[0].rstrip()}")
-    return Answer({"directory": out, "files": written, "next": steps}, [f"written: {', '.join(written)}", *steps])
+    document = Document(parts=[f"written: {', '.join(written)}", *steps])
+    return Answer({"directory": out, "files": written, "next": steps}, document)
 
 
 # -- check, simulate ---------------------------------------------------------------------------------------------------
@@ -206,7 +205,7 @@ def check_files(
     """
     import numpy as np
 
-    from identification.files.arm import load_arm, urdf_masses
+    from identification.files.arm import load_arm
     from identification.files.csv import read_table
     from identification.files.measurement import Plan
     from identification.inspection.inspection import inspect
@@ -222,14 +221,15 @@ def check_files(
         summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
         summary += f": {', '.join(map(str, outside))}" if outside else ""
         lines = [summary, *(line for clearance in bodies for line in clearance.in_words(q))]
-        return Answer({"ok": not outside and not near, "outside_limits": outside, "collisions": near}, lines)
+        answers = {"ok": not outside and not near, "outside_limits": outside, "collisions": near}
+        return Answer(answers, Document(parts=lines))
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
-    inspection = inspect(loaded, measurements, urdf_masses(arm))
-    answer = Answer(inspection.to_json(), [inspection.document(str(arm), str(data))], inspection)
+    inspection = inspect(loaded, measurements)
+    answer = Answer(inspection.to_json(), inspection.document(str(arm), str(data)), inspection)
     for clearance in bodies:
         answer.data["collisions"] = clearance.too_near(measurements.postures)
-        answer.shown.extend(clearance.in_words(measurements.postures))
+        answer.document = answer.document.plus(*clearance.in_words(measurements.postures))
     return answer
 
 
@@ -272,7 +272,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
         raise InputError(f"{truth}: {error}") from None
     text = measurement_text(replace(data, fit=wanted.fit), loaded.joint_types, loaded.chain.instrument)
     summary = {"rows": len(data), "links": data.links, "sigma_mm": sigma, "out": out}
-    return Answer(summary, [], data, files={out: (f"{len(data)} measurements, sigma {sigma:g} mm,", text)})
+    return Answer(summary, result=data, files={out: (f"{len(data)} measurements, sigma {sigma:g} mm,", text)})
 
 
 # -- identify ----------------------------------------------------------------------------------------------------------
@@ -384,9 +384,10 @@ def identify_files(
     if chosen:
         keys["only"] = chosen
         fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), chosen, rows)
+        fitted = reuse.with_held(fitted, loaded.calibration, rows)
         exact = "taken as exact: what they are off by is in no interval and no expected error"
-        lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {exact}.")
-    fitted = reuse.with_mounting_doubt(fitted, rows, fit)
+        how = "and what they are off by there is in intervals and expected error" if fitted.held else exact
+        lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {how}.")
     doubts, hidden = [*fitted.warnings], frozenset[str]()  # parameters of the library's effects
     if (effects := library(rows)) is not None:
         keys["prior"], hidden = effects.to_json(), frozenset(effects.prior.deviations)
@@ -414,9 +415,9 @@ def identify_files(
         refusal = "the fit is implausible; --force writes it all the same"
     files = Files()
     if out is not None and not refusal:
-        kinds, before = loaded.joint_types, loaded.calibration if chosen else None
-        calibration = reuse.with_held(fitted.calibration().about(set(fitted.names) - hidden), before, kinds)
-        calibration = without_sessions(reuse.with_data_of(calibration, None if old is None else old.calibration, kinds))
+        calibration = without_sessions(fitted.calibration().about(set(fitted.names) - hidden))
+        for before in (loaded.calibration if fitted.held else None, None if old is None else old.calibration):
+            calibration = reuse.with_data_of(calibration, before, loaded.joint_types)
         specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
         files |= arm_files(arm, specs, calibration, out, "calibrated arm")
     if urdf is not None and fitted.geometry is not None and not refusal:
@@ -426,9 +427,9 @@ def identify_files(
         lines.append(f"a URDF file has no effects: {labels} left out")
     document = identification_document(fitted, result, hidden).plus(*lines)
     if failed := bool(fitted.not_identifiable or (refusal and asked_for)):
-        return Answer(result, [document], fitted, int(failed), doubts)
+        return Answer(result, document, fitted, int(failed), doubts)
     actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(loaded))
-    return Answer(result, [replace(document, actions=actions)], fitted, warnings=doubts, files=files)
+    return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
 
 
 def dh_lines(
@@ -510,8 +511,8 @@ def diagnose_files(
         nominal = rms_distance(drawing_residuals(diagnosis.arm, measurements))
         read = [arm, *data, *([] if holdout is None else [holdout])]
         files[report] = "page", page(diagnosis.document(names, out, nominal), read)
-    shown, doubts = [diagnosis.document(names, out)], [*diagnosis.warnings, *refuted[:1]]
-    return Answer(result | {"files": names}, shown, diagnosis, warnings=doubts, files=files)
+    document, doubts = diagnosis.document(names, out), [*diagnosis.warnings, *refuted[:1]]
+    return Answer(result | {"files": names}, document, diagnosis, warnings=doubts, files=files)
 
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
@@ -542,7 +543,7 @@ def validate_files(
     result = validation.to_json()
     actions = validation_actions(result, str(model), str(data), beyond=beyond)
     notes = [f"{data}: {note}" for note in validation.notes]
-    return Answer(result, [replace(validation.document(), actions=actions)], validation, warnings=notes)
+    return Answer(result, replace(validation.document(), actions=actions), validation, warnings=notes)
 
 
 @VERBS.declare("armcal compensate calibrated.toml targets.csv --out commands.csv")
@@ -576,8 +577,8 @@ def compensate_files(
     wanted = load_targets(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
     commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
-    files: Files = {} if out is None else {out: ("commands", commands.text())}
-    return Answer(commands.to_json(), [commands.document()], commands, warnings=commands.warnings, files=files)
+    files: Files = {out: ("commands", commands.text())}
+    return Answer(commands.to_json(), commands.document(), commands, warnings=commands.warnings, files=files)
 
 
 # -- the library -------------------------------------------------------------------------------------------------------
@@ -595,6 +596,6 @@ def effects(name: str | None = None) -> Answer:
 
     if name is not None:
         effect = entry(name.partition(":")[0])
-        return Answer(effect, [entry_document(effect)])
+        return Answer(effect, entry_document(effect))
     listed = [entry(each) for each in library()]
-    return Answer({"effects": listed}, [library_document(listed)])
+    return Answer({"effects": listed}, library_document(listed))

@@ -11,7 +11,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import polars as pl
 
 from doe.studies.blind.simulator import Drawn, TrueArm, position, session, shift, turn
 from identification.arm import Arm, Gravity
@@ -87,11 +86,3 @@ def urdf(*, masses: bool = True) -> str:
         inertial = f'<inertial><mass value="{mass}"/></inertial>'
         text = re.sub(f'<link name="link_{number}"/>', f'<link name="link_{number}">{inertial}</link>', text)
     return text
-
-
-def as_csv(data: Measurements) -> str:
-    """The measurement file of these rows, as an instrument's program would write it."""
-    columns = {f"q{j + 1}_deg": np.degrees(data.postures[:, j]) for j in range(6)}
-    columns |= {f"{axis}_mm": data.positions[:, k] for k, axis in enumerate("xyz")}
-    columns |= {"marker": np.array(data.marker_names)[data.marker_numbers], "order": data.order}
-    return pl.DataFrame(columns).write_csv()

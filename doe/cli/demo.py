@@ -47,5 +47,5 @@ def demo_files(
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
         files = ", ".join(demo.data["files"])
         look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
-        answer = Answer(demo.data, [document.plus(look)])
+        answer = Answer(demo.data, document.plus(look))
         return with_collisions(answer, demo.design.problem, demo.design.plan.postures)

@@ -14,7 +14,7 @@ from doe import SINGLE_THREAD
 from doe.cli import demo, plans, study  # noqa: F401 - they declare their verbs
 from doe.cli.verb import command, in_one_line, say
 from identification import InputError
-from identification.document import Answer
+from identification.document import Answer, Document
 from identification.workflow import VERBS
 
 ORDER = (  # of the work
@@ -90,12 +90,13 @@ def help_of(topic: str = "formats") -> Answer:
         from rich.markdown import Markdown
 
         text = files("identification.files").joinpath("README.md").read_text(encoding="utf-8")
-        return Answer({"topic": topic, "text": text}, [Markdown(text)])
+        shown: Any = Markdown(text)
+        return Answer({"topic": topic, "text": text}, Document(parts=[shown]))
     if topic not in main.commands:
         raise InputError.unknown("unknown topic", topic, ["formats", *main.commands])
     parent = click.get_current_context().parent
     text = main.commands[topic].get_help(click.Context(main.commands[topic], info_name=topic, parent=parent))
-    return Answer({"topic": topic, "text": text}, [text])
+    return Answer({"topic": topic, "text": text}, Document(parts=[text]))
 
 
 for name in ORDER:

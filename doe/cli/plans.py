@@ -111,24 +111,11 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
     looked = [each for each in problem.constraints if isinstance(each, Clearance)]
     if looked or getattr(problem.model, "space", 0) == 3:
         answer.data["collisions_checked"] = bool(looked)
-        answer.shown.extend([] if looked else [COLLISIONS])
+        answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
     for clearance in looked if postures is not None else []:
         answer.data["collisions"] = clearance.too_near(postures)
-        answer.shown.extend(clearance.in_words(postures))
+        answer.document = answer.document.plus(*clearance.in_words(postures))
     return answer
-
-
-def with_clearance(arm: Arm, clearance: float | None) -> Arm:
-    """The arm, whose bodies keep this far apart [mm]; None: as its file says. Raises `InputError`."""
-    if clearance is None:
-        return arm
-    if not 0.0 <= clearance < math.inf:
-        raise InputError(f"--clearance-mm: found {clearance:g}, allowed: a number >= 0")
-    if arm.cell is None:
-        raise InputError(
-            "--clearance-mm: found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
-        )
-    return replace(arm, cell=replace(arm.cell, clearance=clearance))
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -182,7 +169,14 @@ def design_files(
 
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    loaded = with_clearance(load_arm(arm, package_dir), clearance_mm)
+    loaded = load_arm(arm, package_dir)
+    if clearance_mm is not None:
+        if not 0.0 <= clearance_mm < math.inf:
+            raise InputError(f"--clearance-mm: found {clearance_mm:g}, allowed: a number >= 0")
+        if loaded.cell is None:
+            lacks = "found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
+            raise InputError(f"--clearance-mm: {lacks}")
+        loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     if approach != "any" and loaded.chain.instrument.contact:
         raise InputError(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
@@ -216,7 +210,7 @@ def design_files(
     data |= driven.to_json()
     extra += driven.in_words()
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
-    files: dict[Path, tuple[str, Any]] = {} if out is None else {out: ("plan", text)}
+    files: dict[Path | None, tuple[str, Any]] = {out: ("plan", text)}
     if picture is not None:
         from doe.report.figures import plan_figure  # matplotlib takes longer to load than a small design
 
@@ -224,7 +218,7 @@ def design_files(
     first = "--out plan.csv writes this plan; " if out is None else ""
     then = f"; then armcal identify {arm} DATA --{problem.fit} --out calibrated.toml" if problem.fit else ""
     extra.append(f"Next: {first}measure the tip at these postures, then armcal check {arm} DATA{then}")
-    answer = Answer(design.to_json() | data, [design_document(design).plus(*extra)], files=files)
+    answer = Answer(design.to_json() | data, design_document(design).plus(*extra), files=files)
     return with_collisions(answer, design.problem, design.plan.postures)
 
 
@@ -288,7 +282,7 @@ def score_files(
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
-    return with_collisions(Answer(data, [document]), problem, judged.postures)
+    return with_collisions(Answer(data, document), problem, judged.postures)
 
 
 @VERBS.declare("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
@@ -326,7 +320,7 @@ def advise_files(
     numbers = range(max(low, fewest), high + 1)
     advice = advise(problem, numbers, target=target_mm, seed=seed, seconds=seconds, progress=progress)
     doubts = [given_sigma] if given_sigma else []
-    answer = Answer(advice.to_json(), [advice_document(advice).plus(*doubts)], warnings=doubts)
+    answer = Answer(advice.to_json(), advice_document(advice).plus(*doubts), warnings=doubts)
     return with_collisions(answer, problem)
 
 
@@ -399,9 +393,7 @@ def relax_files(
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
-    answer = Answer(data, [relax_document(relaxation, compared)])
-    if out is not None:
-        answer.files[out] = "plan with weights", text
+    answer = Answer(data, relax_document(relaxation, compared), files={out: ("plan with weights", text)})
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 
@@ -460,7 +452,8 @@ def compare_files(
             }
             write_together(files, force=True)
             shown.append(f"rows, summary and picture written to {job.out}")
-        return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, shown)
+        data = {"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}
+        return Answer(data, Document(parts=shown))
 
 
 @VERBS.declare("armcal program arm.toml plan.csv --robot ur --out plan.script")
@@ -509,8 +502,8 @@ def program_files(
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
     doubts = in_sentences(made.not_free)
-    shown = [sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts]
-    return Answer(data, shown, warnings=[line.strip() for line in doubts], files={out: ("program", made.text)})
+    document = Document(parts=[sentence, Sheet(headings, rows, most=60, where="the program lists all"), *doubts])
+    return Answer(data, document, warnings=[line.strip() for line in doubts], files={out: ("program", made.text)})
 
 
 # -- after measurements ------------------------------------------------------------------------------------------------
@@ -570,7 +563,7 @@ def discriminate_files(
             "pairs": [],
             **dict.fromkeys(("payload_kg", "directions", "chance", "status")),
         }
-        return Answer(keys | nothing, lines)
+        return Answer(keys | nothing, Document(parts=lines))
     end = perf_counter() + seconds
 
     def late() -> bool:
@@ -579,10 +572,9 @@ def discriminate_files(
         return left < 0.0
 
     chosen = discriminate(loaded, diagnosis, runs, seed, masses, stop=late)
-    answer = Answer(keys | chosen.to_json(), [next_document(diagnosis, chosen)])
-    if out is not None:
-        answer.files[out] = "next postures", chosen.plan.text(further=chosen.columns)
-        answer.shown.append(f"Measure these postures and append the rows to {data[-1]}.")
+    document = next_document(diagnosis, chosen).plus(f"Measure these postures and append the rows to {data[-1]}.")
+    text = chosen.plan.text(further=chosen.columns)
+    answer = Answer(keys | chosen.to_json(), document, files={out: ("next postures", text)})
     return with_collisions(answer, problem, chosen.plan.postures)
 
 
@@ -615,4 +607,4 @@ def report_files(
         for name, size, digest in hashes(files)
     ]
     data = {"page": out, "verdict": campaign.verdict, "files": listed}
-    return Answer(data, [*campaign.verdict], files={out: ("page", text)})
+    return Answer(data, Document(parts=campaign.verdict), files={out: ("page", text)})

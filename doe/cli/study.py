@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from doe.cli.verb import Count, JobOptions, interruptible
 from identification import InputError, JobError, Progress
-from identification.document import Answer
+from identification.document import Answer, Document
 from identification.files.io import write_together
 from identification.workflow import VERBS
 
@@ -87,7 +87,8 @@ def study_files(
             shown, sets = blind_parts(tables), tables.pop("sets")
             passed = "failed" not in sets["status"]
             rows = {name: table.to_dicts() for name, table in tables.items()}
-            return Answer({"out": folder, "passed": passed, **rows}, shown, exit_code=0 if passed else 1)
+            data = {"out": folder, "passed": passed, **rows}
+            return Answer(data, Document(parts=shown), exit_code=0 if passed else 1)
         from doe.report.studies import monte_carlo_parts
         from doe.studies.monte_carlo import load_study, run_study
 
@@ -98,4 +99,4 @@ def study_files(
             raise JobError(f"no cell could be done: {reason}")
         data = {"out": folder, "cells": made.to_dicts(), "failed": len(made.filter(made["status"] != "done"))}
         written = f"{len(made)} rows written to {folder / 'cells.parquet'}"
-        return Answer(data, [*monte_carlo_parts(tables), written])
+        return Answer(data, Document(parts=[*monte_carlo_parts(tables), written]))

@@ -406,13 +406,12 @@ def shown(answer: Answer, as_json: bool) -> None:
     if columns.isdecimal() and int(columns):
         width = int(columns)
     console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
-    for one in answer.rendered(console.width):
-        # names in files may have control characters, which a terminal would obey
-        segments = (
-            Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
-            for s in console.render(one)
-        )
-        console.print(Segments(segments), end="")
+    # names in files may have control characters, which a terminal would obey
+    segments = (
+        Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)
+        for s in console.render(answer.document)
+    )
+    console.print(Segments(segments), end="")
 
 
 def plain(value: Any) -> Any:

@@ -190,7 +190,7 @@ def run_demo(
             ],
             "model_error_mm": rms_distance(fresh.positions - after - scenario.real(fresh.postures)),
             "targets_reached": int(near.sum()),
-            "targets_as_drawn_mm": rms_distance(scenario.real(sent.nominal[near]) - sent.targets[near]),
+            "targets_as_drawn_mm": rms_distance(scenario.real(targets[near]) - sent.targets[near]),
             "targets_corrected_mm": rms_distance(scenario.real(sent.commands[near]) - sent.targets[near]),
         },
         "files": files,

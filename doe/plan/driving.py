@@ -90,7 +90,8 @@ class Drive:
                 how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
                 lines.append(f"every joint comes to each posture {how}")
             if self.replaced:
-                lines.append(f"{self.replaced} of the postures were replaced: no free way led from the others to them")
+                were = "1 of the postures was" if self.replaced == 1 else f"{self.replaced} of the postures were"
+                lines.append(f"{were} replaced: no free way led there from the others")
         return lines
 
 

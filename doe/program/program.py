@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,46 +23,16 @@ from identification import Arm, Array, InputError, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
-
-
-class Language(NamedTuple):
-    """Of a controller: its template, the units of its angles and lengths, and how many joints its arm and all have."""
-
-    template: str
-    angle: str
-    length: str
-    arm: int
-    most: int
-
-
-# robot -> language; UR controllers know six joints only
+# robot -> template, units of angles and lengths, fewest joints, most of the arm and of all; a UR controller knows six
 LANGUAGES = {
-    "ur": Language("ur.script.j2", "rad", "m", 6, 6),
-    "abb": Language("abb.mod.j2", "deg", "mm", 6, 12),
-    "kuka": Language("kuka.src.j2", "deg", "mm", 6, 12),
-    "fanuc": Language("fanuc.ls.j2", "deg", "mm", 6, 9),
-    "ros": Language("ros.yaml.j2", "rad", "m", 99, 99),
+    "ur": ("ur.script.j2", "rad", "m", 6, 6, 6),
+    "abb": ("abb.mod.j2", "deg", "mm", 1, 6, 12),
+    "kuka": ("kuka.src.j2", "deg", "mm", 1, 6, 12),
+    "fanuc": ("fanuc.ls.j2", "deg", "mm", 1, 6, 9),
+    "ros": ("ros.yaml.j2", "rad", "m", 1, 99, 99),
 }
 # of [deg] and [mm], and digits: to 1e-7 deg and 1e-6 mm nothing is lost, and no exponent is needed
 UNITS = {"rad": (np.radians(1.0), 9), "deg": (1.0, 6), "m": (1e-3, 9), "mm": (1.0, 6)}
-
-
-class Move(NamedTuple):
-    """A motion to a row of a plan, as templates have it.
-
-    run : number of the measurement there, 0 at a way-point
-    joints, external : positions of the arm's joints, and of external axes: of more than six joints those that slide,
-        and those that turn after the sixth
-    arrival, departure : [ms] from the start, departure after settling
-    comment : `run 3` or `via`, and whether the move there may collide
-    """
-
-    run: int
-    joints: list[str]
-    external: list[str]
-    arrival: int
-    departure: int
-    comment: str
 
 
 class Program(NamedTuple):
@@ -102,64 +71,78 @@ def program(
     Raises `InputError` for an arm that the controller does not know, rows that the arm must not be driven to, and a
     template that does not work.
     """
-    language, n = LANGUAGES[robot], arm.links
-    least = 6 if robot == "ur" else 1
-    if not least <= n <= language.most:
-        allowed = f"{least} to {language.most}" if least < language.most else least
+    (file, angle, length, least, of_arm, most), n = LANGUAGES[robot], arm.links
+    if not least <= n <= most:
+        allowed = f"{least} to {most}" if least < most else least
         raise InputError(f"--robot {robot}: {n} joints, allowed: {allowed}")
     if not 0.0 <= settle <= 300.0:  # a FANUC waits 327 s at most
         raise InputError(f"--settle: {settle:g} s, allowed: 0 to 300")
     plan = replace(plan, joint_types=arm.joint_types)
-    slides = np.array([unit == "mm" for unit in plan.units])
+    columns, slides = plan.displayed, np.array([unit == "mm" for unit in plan.units])
     if robot == "ur" and slides.any():
         raise InputError(f"--robot ur: joint {np.argmax(slides) + 1} slides, allowed: joints that turn")
     via = np.zeros(len(plan), dtype=bool) if plan.via is None else plan.via
-    ends = np.array(arm.column_limits)  # NaN where there are none
-    ends = np.where(slides, ends, np.degrees(ends))
-    columns, runs = plan.displayed, np.where(via, 0, np.cumsum(~via)).tolist()
-    for row, j in np.argwhere((columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4))[
-        :1
-    ]:  # [deg, mm] rounding of files
-        found = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
-        raise InputError(f"{found}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
+    ends = np.where(slides, arm.column_limits, np.degrees(arm.column_limits))  # [deg, mm], NaN where there are none
+    outside = (columns < ends[0] - 1e-4) | (columns > ends[1] + 1e-4)  # by more than rounding of files
+    for row, j in np.argwhere(outside)[:1]:
+        place = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
+        raise InputError(f"{place}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
     not_free = check_rows(arm, plan.postures, via)
-    comments = [f"run {run}" if run else "via" for run in runs]
+
+    # the moves: one from where the arm stands at first, which is not known but within the limits, then row to row
+    first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
+    ways = np.abs(np.vstack([first, np.diff(columns, axis=0)]))
+    fastest = np.where(slides, FULL_SPEED[1], FULL_SPEED[0]) * speed / 100.0
+    moving = np.maximum(15.0 / 8.0 * (ways / fastest).max(axis=1), 0.5)  # no controller knows a move without duration
+    left = np.cumsum(moving + settle * ~via)
+    arrivals, departures = (np.ceil(1000.0 * each).astype(int).tolist() for each in (left - settle * ~via, left))
+    units = [length if slide else angle for slide in slides]
+    order = [*range(n)] if n <= of_arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
+    inner, outer = order[:of_arm], order[of_arm:]
+    runs = np.where(via, 0, np.cumsum(~via)).tolist()
+    labels = [f"run {run}" if run else "via" for run in runs]
+    comments = labels.copy()
     for move in not_free:
         comments[move["row"] - 1] += SPECIAL.sub("?", f", may collide: {' and '.join(move['bodies'])}")
-    units = [language.length if slide else language.angle for slide in slides]
-    order = [*range(n)] if n <= language.arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
-    inner, outer = order[: language.arm], order[language.arm :]
-    positions = [[decimal(x, *UNITS[u]) for x, u in zip(row, units, strict=True)] for row in columns]
-    arrivals, departures = schedule(columns, slides, ~via, speed, settle, ends)
+    moves = []
+    for k, row in enumerate(columns):
+        joints = [decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)]
+        moves.append(
+            {
+                "run": runs[k],  # number of the measurement there, 0 at a way-point
+                "joints": [joints[j] for j in inner],
+                "external": [joints[j] for j in outer],  # of more than six those that slide, or turn after the sixth
+                "arrival": arrivals[k],  # [ms] from the start
+                "departure": departures[k],  # after settling
+                "comment": comments[k],
+            }
+        )
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
     planned = f"{max(runs)} runs, {speed} % speed, {settle:g} s to settle"
     rest = f"about {departures[-1] / 60e3:.1f} min without measuring"
-    known = {
+    variables = {
         "name": identifier,
         "title": SPECIAL.sub("?", f"armcal program: {arm.name}, {planned}, {rest}"),
         "robot": robot,
         "speed": speed,
-        "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0, UNITS[language.angle][0], 6),
+        "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0, UNITS[angle][0], 6),
         "settle": decimal(settle, 1.0, 3),
         "names": [SPECIAL.sub("_", joint.name) or f"joint_{j}" for j, joint in enumerate(arm.chain.joints, 1)],
         "units": [units[j] for j in inner],
         "external_units": [units[j] for j in outer],
         "postures": [  # what the pendant shows, for a dry run
-            f"{k:3d} {f'run {run}' if run else 'via':8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
-            for k, run, row in zip(count(1), runs, columns, strict=False)
+            f"{k:3d} {label:8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
+            for k, (label, row) in enumerate(zip(labels, columns, strict=True), start=1)
         ],
-        "moves": [
-            Move(run, [row[j] for j in inner], [row[j] for j in outer], a, d, comment)
-            for run, row, a, d, comment in zip(runs, positions, arrivals, departures, comments, strict=True)
-        ],
+        "moves": moves,
     }
-    moves = [
-        {"kind": "measure" if run else "via", "run": run or None, "joints": row, "seconds": a / 1000.0}
-        for run, row, a in zip(runs, columns.tolist(), arrivals, strict=True)
+    listed = [
+        {"kind": "measure" if run else "via", "run": run or None, "joints": row, "seconds": arrival / 1000.0}
+        for run, row, arrival in zip(runs, columns.tolist(), arrivals, strict=True)
     ]
-    text = rendered_template(language.template, template, known)
-    return Program(text, identifier, moves, plan.units, departures[-1] / 1000.0, not_free)
+    text = rendered_template(file, template, variables)
+    return Program(text, identifier, listed, plan.units, departures[-1] / 1000.0, not_free)
 
 
 def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[dict[str, Any]]:
@@ -168,8 +151,8 @@ def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[dict[s
     constraints = constraints_of(arm)
     room = room_of(constraints)
     for constraint in constraints:
-        passed = via & (constraint.kind == "line_of_sight" or room is not None)
-        broken = np.any(constraint.margin(postures) < -ROUNDING, axis=1) & ~passed
+        exempt = via & (constraint.kind == "line_of_sight" or room is not None)
+        broken = np.any(constraint.margin(postures) < -ROUNDING, axis=1) & ~exempt
         for row in np.flatnonzero(broken)[:1]:
             raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
     for row in [] if room is None else np.flatnonzero(np.any(room.margin(postures) < -ROUNDING, axis=1)):
@@ -183,23 +166,7 @@ def decimal(value: float, unit: float, digits: int) -> str:
     return f"{text}0" if text.endswith(".") else text
 
 
-def schedule(
-    columns: Array, slides: NDArray[np.bool_], measured: NDArray[np.bool_], speed: int, settle: float, ends: Array
-) -> tuple[list[int], list[int]]:
-    """(m,) [ms] from the start at which each row is reached, and left again after settling where it is measured.
-
-    ends : (2, n) limits [deg, mm]; where the arm stands at first is not known, but it is within them
-    """
-    first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
-    ways = np.abs(np.vstack([first, np.diff(columns, axis=0)]))
-    fastest = np.where(slides, FULL_SPEED[1], FULL_SPEED[0]) * speed / 100.0
-    moving = np.maximum(15.0 / 8.0 * (ways / fastest).max(axis=1), 0.5)  # no controller knows a move without duration
-    departures = np.cumsum(moving + settle * measured)
-    arrivals = departures - settle * measured
-    return np.ceil(arrivals * 1000.0).astype(int).tolist(), np.ceil(departures * 1000.0).astype(int).tolist()
-
-
-def rendered_template(own: str, template: Path | None, known: dict[str, Any]) -> str:
+def rendered_template(own: str, template: Path | None, variables: dict[str, Any]) -> str:
     """The text of a template, its own or a user's file, which runs in jinja's sandbox and knows these variables.
 
     Raises `InputError`, one line, where a user's does not work.
@@ -212,9 +179,9 @@ def rendered_template(own: str, template: Path | None, known: dict[str, Any]) ->
     environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)
     if template is None:
         environment.loader = PackageLoader("doe.program", ".")
-        return environment.get_template(own).render(known)
+        return environment.get_template(own).render(variables)
     try:
-        return environment.from_string(template.read_text("utf-8-sig")).render(known)
+        return environment.from_string(template.read_text("utf-8-sig")).render(variables)
     except OSError as error:
         raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
     except UnicodeDecodeError:
@@ -222,5 +189,5 @@ def rendered_template(own: str, template: Path | None, known: dict[str, Any]) ->
     except failures as error:
         line = getattr(error, "lineno", None)
         where = f"{template}: " if line is None else f"{template}: line {line}: "
-        allowed = f"allowed: a jinja template of the variables {', '.join(known)}"
+        allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
         raise InputError(f"{where}{error}, {allowed}") from None

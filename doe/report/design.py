@@ -83,27 +83,26 @@ def design_facts(data: Data, status: str) -> Sheet:
     outside, table_1 = data["outside_limits"], data["table_1_max_residual"]
     words = bound_in_words(bound) if bound and not outside else ""
     efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
-    optimal = optimality_in_words(data["optimality"], bound) or "no"
+    optimal = optimality_in_words(data["optimality"], bound) or "not shown"
     optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
     if outside:
         listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
         are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
         optimal = f"no: {are} outside joint limits or constraints"
-    upper = None if in_mm or not words else f"{number(bound['value'], 7)} ({words})"
     searched = f"{data['solver']}, {data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
-    return Sheet.facts(
-        [
-            ("criterion", f"{kind}, {data['runs']} runs, {data['links']} links"),
-            (f"value of {kind}", None if kind == "D" or in_mm else number(data["value"], 7)),
-            ("information (log det M')", None if kind == "I" else number(data["log_det"], 7)),
-            ("upper bound" if kind == "D" else f"upper bound of {kind}", upper),
-            ("efficiency", f"{efficiency} of the bound ({words})" if words and in_mm else efficiency),
-            ("optimal", optimal),
-            ("deviation from orthogonality (Table I)", None if table_1 is None or kind == "I" else number(table_1, 6)),
-            ("solver", searched if data["solver"] else None),
-            ("status", status),
-        ]
-    )
+    upper = f"{number(bound['value'], 7)} ({words})" if words and not in_mm else None
+    facts = {
+        "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
+        f"value of {kind}": None if kind == "D" or in_mm else number(data["value"], 7),
+        "information (log det M')": None if kind == "I" else number(data["log_det"], 7),
+        "upper bound" if kind == "D" else f"upper bound of {kind}": upper,
+        "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
+        "optimal": optimal,
+        "deviation from orthogonality (Table I)": None if table_1 is None or kind == "I" else number(table_1, 6),
+        "solver": searched if data["solver"] else None,
+        "status": status,
+    }
+    return Sheet.facts(facts)
 
 
 def posture_headings(plan: Plan) -> list[str]:
@@ -117,13 +116,12 @@ def remarks(design: Design) -> list[str]:
     lines, runs, apart = [], len(design.plan), design.problem.spacing
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
+        rest = ", ..." if len(combinations) > 4 else ""
+        why = f"not estimable from the plan: {', '.join(combinations[:4])}{rest}"
         if not combinations:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
-        else:
-            rest = ", ..." if len(combinations) > 4 else ""
-            why = f"not estimable from the plan: {', '.join(combinations[:4])}{rest}"
         lines.append(f"no log det: {why}")
     better = "armcal design --repeats lets them be equal, which can be better"
     if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`
@@ -136,35 +134,28 @@ def remarks(design: Design) -> list[str]:
 def accuracy(design: Design) -> list[Sheet | str]:
     """Expected standard deviations per link of a planar arm, else per parameter, those that may be missing and those
     that the prior of [machining] holds left out and counted; or why there are none."""
-    problem, sigma, mean = design.problem, design.problem.model.sigma, design.deviations
-    if sigma is None:
-        return ["No expected standard deviations: the arm file has no sigma_mm."]
-    if mean is None:
-        return ["No expected standard deviations: not every parameter is estimable from the plan."]
+    problem, sigma, mean, weak = design.problem, design.problem.model.sigma, design.deviations, 0
     missing = problem.missing
-    columns = {"std": mean.values * [p.to_file for p in mean.parameters]}
+    if sigma is None or mean is None:
+        why = "the arm file has no sigma_mm" if sigma is None else "not every parameter is estimable from the plan"
+        return [f"No expected standard deviations: {why}."]
     if mean.by_link:
-        angles = {
-            "orientation [deg]": np.degrees(mean.orientation),
-            "joint offset [deg]": np.degrees(mean.joint_offset),
-        }
-        columns = {"length [mm]": mean.length} | angles
-    weak = [
-        p.name
-        for p, std in zip(mean.parameters, mean.values.tolist(), strict=True)
-        # above half of the deviation before, the prior says more of a parameter than the plan
-        if not mean.by_link and not p.of_effect and std > 0.5 * problem.deviations.get(p.name, np.inf)
-    ]
-    names = ["" if p.name in {*missing, *weak} else f"{p.name} [{p.file_unit}]" for p in mean.parameters]
-    names = [str(link) for link in range(1, mean.length.size + 1)] if mean.by_link else names
-    values = zip(names, *columns.values(), strict=True)
-    rows = [[name, *(number(v, 5) for v in figures)] for name, *figures in values if name]
+        columns = mean.length, np.degrees(mean.orientation), np.degrees(mean.joint_offset)
+        headings = ["link", "length [mm]", "orientation [deg]", "joint offset [deg]"]
+        rows = [[str(j), *(number(v, 5) for v in each)] for j, each in enumerate(zip(*columns, strict=True), start=1)]
+    else:
+        headings, rows = ["parameter", "std"], []
+        for parameter, std in zip(mean.parameters, mean.values.tolist(), strict=True):
+            # above half of the deviation before, the prior says more of a parameter than the plan
+            if not parameter.of_effect and std > 0.5 * problem.deviations.get(parameter.name, np.inf):
+                weak += 1
+            elif parameter.name not in missing:
+                rows.append([f"{parameter.name} [{parameter.file_unit}]", number(std * parameter.to_file, 5)])
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
     noise = f"{sigma:.4g} mm, an error of each posture included" if missing else f"{sigma:g} mm"
-    title = f"Expected standard deviations {condition} (sigma = {noise})"
-    table = Sheet(["link" if mean.by_link else "parameter", *columns], rows, title)
+    table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {noise})")
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
-    return [table, *([f"and {len(weak)} {held}"] if weak else [])]
+    return [table, *([f"and {weak} {held}"] if weak else [])]
 
 
 def missing_lines(design: Design) -> list[str]:
@@ -365,15 +356,15 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> 
     rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= least]
     unseen = len(design.plan) - len(rows)
     rest = [f"and {unseen} more of less weight than {least:g}; --json and --out have them"] if unseen else []
-    facts: list[tuple[str, str | None]] = [
-        ("criterion", f"{design.criterion} over {where}, {len(design.plan)} with positive weight"),
-        ("value", number(design.value, 9)),
-        ("upper bound", "-" if design.bound is None else str(design.bound)),
-        (f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})", number(design.gap, 3)),
-        ("efficiency at least", number(design.efficiency_lower_bound, 9)),
-        ("solver", f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s"),
-        ("status", design.status.value),
-    ]
+    facts: dict[str, str | None] = {
+        "criterion": f"{design.criterion} over {where}, {len(design.plan)} with positive weight",
+        "value": number(design.value, 9),
+        "upper bound": "-" if design.bound is None else str(design.bound),
+        f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})": number(design.gap, 3),
+        "efficiency at least": number(design.efficiency_lower_bound, 9),
+        "solver": f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s",
+        "status": design.status.value,
+    }
     support = Sheet(["weight", *posture_headings(design.plan)], rows, "Support", 24)
     digits = {"value": 7, "bound": 7, "table_1_max_residual": 4}
     answers = [[row["method"], row["space"], *(number(row[k], n) for k, n in digits.items())] for row in compared]

@@ -12,7 +12,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from doe.advise import Advice
 from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
 from doe.report.scene import side, simplified, trackers
@@ -197,25 +196,4 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4
         axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
         axis.margins(y=0.12)
     axes[0].set_ylabel("largest d(q), dashed: p")
-    return figure
-
-
-def advice_figure(advice: Advice) -> Figure:
-    """Efficiency and expected accuracy against the number of runs."""
-    accuracies = [advice.accuracy(design) for design in advice.designs]
-    with_accuracy = all(accuracy is not None for accuracy in accuracies)
-    figure = Figure(figsize=(10.0, 3.6) if with_accuracy else (6.0, 3.6), layout="constrained")
-    axes = figure.subplots(1, 2 if with_accuracy else 1, squeeze=False)[0]
-    good = set(advice.efficient_runs())
-    efficiencies = [design.efficiency or float("nan") for design in advice.designs]
-    axes[0].plot(advice.runs, efficiencies, color=AFTER, lw=1)
-    colors = [AFTER if m in good else "white" for m in advice.runs]
-    axes[0].scatter(advice.runs, efficiencies, c=colors, edgecolors=AFTER, s=30, zorder=3)
-    axes[0].set(xlabel="runs m", ylabel="D-efficiency", title="filled: within 0.1 % of the bound")
-    if with_accuracy:
-        axes[1].plot(advice.runs, accuracies, "o-", color=AFTER, ms=4, lw=1)
-        if advice.target is not None:
-            axes[1].axhline(advice.target, color=BEFORE, ls="--", lw=1)
-        what = "expected error of the tip, model right [mm]" if advice.of_tip else "largest std of a length [mm]"
-        axes[1].set(xlabel="runs m", ylabel=what, ylim=(0, None))
     return figure

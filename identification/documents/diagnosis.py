@@ -197,7 +197,9 @@ def diagnosis_document(
     parts.append(gap_section(data, diagnosis, nominal))
     if diagnosis is not None:
         arm = diagnosis.extended_arm(diagnosis.named)
-        values, doubted = corrected_values(arm, diagnosis.named.calibration), data["confirmed"] is False
+        unknown = [p.name for p in diagnosis.named.parameters if np.isnan(p.std)]
+        values = corrected_values(arm, diagnosis.named.calibration, unknown=unknown)
+        doubted = data["confirmed"] is False
         title = "Corrected values, not confirmed" if doubted else "Corrected values"
         parts.append(corrected_section(title, values, folded=doubted))
         parts.append(Section("Signed error against each joint", pictures_of(diagnosis, "signed_of")))

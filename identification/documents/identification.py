@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
-REMOUNTED = "reflectors are mounted elsewhere than in the session before"  # the beginning of that sentence
 MOST_HELD = 24  # parameters of effects that are listed without intervals; --library-prior has hundreds of them
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
@@ -77,34 +76,34 @@ def unit_key(arm: Any) -> dict[str, str]:
     return {} if (unit := reading_unit(arm)) == "mm" else {"reading_unit": unit}
 
 
-def fit_facts(fit: Identification) -> list[tuple[str, str | None]]:
+def fit_facts(fit: Identification) -> dict[str, str | None]:
     """What, and what is said of it: how the fit ended, the largest error left, what it promises, sigma, intervals."""
     closed = fit.method == "linear" and fit.status is Status.converged
     outcome = "Closed form, the exact global minimum." if closed else fit.status.value
-    unit, tip = reading_unit(fit.arm), None
+    unit, tip, chi2, angles, sigma = reading_unit(fit.arm), None, None, None, "unknown"
     if fit.expected_tip is not None:
         by_repeats = any(each.startswith(MISFIT) for each in fit.doubts)  # more than they scatter by
         witness = "chi2 says" if fit.misfit else "repeats say" if by_repeats else ""
         doubt = f"; but {witness} that it is not" if witness else ""
         measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
         tip = f"{measured}, {fit.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
-    sigma = f"{fit.sigma or 0.0:.4g} {unit} per axis ({'given' if fit.sigma_known else 'estimated'})"
-    sigma = "unknown" if fit.sigma is None else sigma
-    chi2 = None
+    if fit.sigma is not None:
+        sigma = f"{fit.sigma:.4g} {unit} per axis ({'given' if fit.sigma_known else 'estimated'})"
     if fit.p_value is not None:
         chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
         if fit.scatter is not None and not np.isclose(fit.scatter, fit.sigma or 0.0):  # a prior's fit has no less
             chi2 += f": the residuals scatter {number(fit.scatter, 5)} {unit}"
-    angles = None if fit.rms_angles is None else "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
-    return [
-        ("method", f"{fit.method}: {outcome}"),
-        ("left at most", f"{fit.largest[1]:.4g} {unit}"),
-        ("orientations, RMS", angles),
-        ("expected error", tip),
-        ("sigma", f"{sigma}, {fit.dof} degrees of freedom"),
-        ("chi2", chi2),
-        ("95 % intervals", fit.uncertainty.sentence),
-    ]
+    if fit.rms_angles is not None:
+        angles = "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
+    return {
+        "method": f"{fit.method}: {outcome}",
+        "left at most": f"{fit.largest[1]:.4g} {unit}",
+        "orientations, RMS": angles,
+        "expected error": tip,
+        "sigma": f"{sigma}, {fit.dof} degrees of freedom",
+        "chi2": chi2,
+        "95 % intervals": fit.uncertainty.sentence,
+    }
 
 
 def identification_document(
@@ -130,7 +129,7 @@ def identification_document(
         tables = [Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), [*rows])]
     drawn = data.get("rms_drawing_mm") if "only" in data else None
     by_drawing = None if drawn is None else f"{number(drawn)} {reading_unit(fit.arm)} RMS, {DRAWN['base']}"
-    parts: list[Part] = [Sheet.facts([*fit_facts(fit), ("drawing", by_drawing)]), *tables]
+    parts: list[Part] = [Sheet.facts(fit_facts(fit) | {"drawing": by_drawing}), *tables]
     if fit.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         parts += [f"  {combination}" for combination in fit.not_identifiable]
@@ -214,7 +213,8 @@ def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
     keys, cells = ("nominal", "corrected", "std", "low_95", "high_95"), []
     for row in rows:
         name, std, unit = f"{row.name} *" if row.weak else row.name, row.std, row.unit
-        same = {number(getattr(row, key), 4) for key in keys if key != "std"}
+        limits = () if row.corrected is not None and std is None else (row.low_95, row.high_95)  # of a held value none
+        same = {number(value, 4) for value in (row.nominal, row.corrected, *limits)}
         if unit not in ("mm", "deg") or len(same) > 1 or row.nominal is None:
             cells.append([name, *(estimate_text(getattr(row, key), std, unit) for key in keys), unit_or_dash(unit)])
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)
@@ -247,9 +247,6 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
     written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
     """
     calibrated = str(written or "calibrated.toml")
-    if any(warning.startswith(REMOUNTED) for warning in data["warnings"]):
-        why = "Give these reflectors another name in those sessions, in the column marker, and fit again:"
-        return [Action(why, identify_command(arm, rows, out=calibrated))]
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(arm, rows, calibrated)
     if "prior" not in data:
@@ -373,14 +370,14 @@ def library_document(entries: Sequence[dict[str, Any]]) -> Document:
 
 def entry_document(entry: dict[str, Any]) -> Document:
     """Everything about one effect."""
-    about = [
-        ("cause", entry["summary"]),
-        ("model", entry["formula"]),
-        ("belongs to", entry["place"]),
-        ("arms", " and ".join(entry["arms"])),
-        ("needs", "; ".join(entry["supply"]) or "nothing besides postures and positions"),
-        ("looks like", entry["alias"]),
-    ]
+    about = {
+        "cause": entry["summary"],
+        "model": entry["formula"],
+        "belongs to": entry["place"],
+        "arms": " and ".join(entry["arms"]),
+        "needs": "; ".join(entry["supply"]) or "nothing besides postures and positions",
+        "looks like": entry["alias"],
+    }
     rows = [
         [p["key"], unit_or_dash(p["unit"]), "-" if p["typical"] is None else f"{p['typical']:.2g}"]
         for p in entry["parameters"]

@@ -39,8 +39,7 @@ def dots(axes: Axes, x: Array, pairs: Pairs) -> None:
     for (values, name), color in zip(pairs, (BEFORE, AFTER), strict=True):
         axes.plot(x, values, ".", color=color, **style)
         axes.plot([], [], ".", color=color, label=name)
-    if axes.get_yscale() == "linear":
-        axes.locator_params(axis="y", nbins=6)
+    axes.locator_params(axis="y", nbins=6)
 
 
 # -- against joints ----------------------------------------------------------------------------------------------------
@@ -76,21 +75,6 @@ def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditio
 
 
 # -- residuals ---------------------------------------------------------------------------------------------------------
-def residual_figure(arm: Arm, postures: Array, positions: Array, before: Array, after: Array) -> Figure:
-    """Residuals (m, d) before and after, over the workspace (arrows, enlarged) and against each joint."""
-    views = 1 + (before.shape[1] > 2)
-    figure = Figure(figsize=(10.0, 2.6 + 3.6 * views), layout="constrained")
-    top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[1.3 * views, 1.0]))
-    pairs = (before, "before"), (after, "after")
-    draw_workspace(top, arm, positions, pairs)
-    (strips,) = bottom.subplots(1, postures.shape[1], sharey=True, squeeze=False)
-    for j, axis in enumerate(strips):
-        dots(axis, np.degrees(postures[:, j]), [(distances(residuals), name) for residuals, name in pairs])
-        axis.set(xlabel=f"$q_{j + 1}$ [deg]", yscale="log")
-    strips[0].set_ylabel(f"residual [{reading_unit(arm)}]")
-    return figure
-
-
 def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), on one scale."""
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
@@ -130,16 +114,6 @@ def draw_workspace(figure: Figure | SubFigure, arm: Arm, positions: Array, pairs
     return [list(column) for column in grid.T]
 
 
-def draw_distances(axis: Axes, x: Array, pairs: Pairs) -> None:
-    """Distances (m,) of two models as points, and their RMS in up to twelve groups of rows as lines."""
-    dots(axis, x, pairs)
-    groups = np.array_split(np.argsort(x, kind="stable"), min(12, max(1, len(x) // 4)))
-    middle = [np.mean(x[g]) for g in groups]
-    for (values, _), color in zip(pairs, (BEFORE, AFTER), strict=True):
-        axis.plot(middle, [np.sqrt(np.mean(values[g] ** 2)) for g in groups], color=color, lw=1.8)
-    axis.set(ylim=(0, None))
-
-
 # -- diagnoses, without outlier rows, which would set the scale --------------------------------------------------------
 def kept_rows(diagnosis: Diagnosis) -> tuple[NDArray[np.int64], Array, Pairs]:
     """Numbers of the rows that are no outliers, their postures (m, n) [rad], and what is left of them (m, d) [mm]."""
@@ -171,8 +145,16 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
 
     def draw(axis: Axes, name: str) -> None:
         values = diagnosis.residuals.against[name][kept]
-        draw_distances(axis, np.degrees(values) if "[rad]" in name else values, apart)
-        axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel=f"residual [{reading_unit(diagnosis.arm)}]")
+        x = np.degrees(values) if "[rad]" in name else values
+        dots(axis, x, apart)
+        # and the RMS in up to twelve groups of rows
+        groups = np.array_split(np.argsort(x, kind="stable"), min(12, max(1, len(x) // 4)))
+        for (distance, _), color in zip(apart, (BEFORE, AFTER), strict=True):
+            root = [np.sqrt(np.mean(distance[g] ** 2)) for g in groups]
+            axis.plot([np.mean(x[g]) for g in groups], root, color=color, lw=1.8)
+        axis.set(
+            xlabel=name.replace("[rad]", "[deg]"), ylabel=f"residual [{reading_unit(diagnosis.arm)}]", ylim=(0, None)
+        )
 
     return panels([*diagnosis.residuals.against], 3, 2.3, draw, sharey=True)
 

@@ -18,7 +18,6 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from identification.arm import Arm
@@ -157,6 +156,9 @@ class Effect:
     tabulated: ClassVar[bool] = False  # a table of values (`EffectSpec.curve`) without parameters
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)  # of the arms that can have it: 2 in the plane, 3 in space
     disturb: ClassVar[Callable[..., Array]]
+    reach = property(attrgetter("chain.reach"))  # of the stretched arm [mm]
+    # over which its joint acts [mm]: in the plane of the link behind it
+    link_length = property(lambda self: float(self.chain.levers[self.joint_index]))
     curve: ErrorCurve | None = None
     fixed: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
 
@@ -197,28 +199,11 @@ class Effect:
         return self.place + (f"[{settings}]" if settings else "")
 
     @property
-    def link_length(self) -> float:
-        """Length over which this effect's joint acts [mm]: in the plane of the link behind it."""
-        return float(self.chain.levers[self.joint_index])
-
-    @property
-    def reach(self) -> float:
-        """Length of the stretched arm [mm]."""
-        return self.chain.reach
-
-    @property
     def joint_index(self) -> int:
         """The joint from 0, as an index of arrays. Raises `InputError` for an effect of the whole arm."""
         if self.joint is None:
             raise InputError(f"effects: {self.name} needs a joint, allowed: 1 to {len(self.chain)}")
         return self.joint - 1
-
-    def at_joint(self, value: ca.SX, chain: Any = None) -> ca.SX:
-        """(n,) zeros except a value at this effect's joint, or (k n,) of a value (k,)."""
-        size = ca.SX(value).numel()
-        values = ca.SX.zeros(size * len(self.chain))
-        values[size * self.joint_index : size * (self.joint_index + 1)] = value
-        return values
 
 
 _LIBRARY: dict[str, type[Effect]] = {}

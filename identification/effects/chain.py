@@ -12,13 +12,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
+from operator import attrgetter
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, Gravity
-from identification.arrays import Array, slices
+from identification.arrays import slices
 from identification.conditions import REMEMBERED
 from identification.effects.base import Effect
 from identification.errors import InputError
@@ -59,20 +60,10 @@ class Chain:
         turned, shifted = ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension)
         return cls(arm.chain, arm.gravity, q, turned, shifted, **at)
 
-    @property
-    def previous(self) -> ca.SX:
-        """(n,) the posture before [rad]; in the first row the posture itself."""
-        return self.q if self.past is None else self.past[:, -1]
-
-    @property
-    def links(self) -> int:
-        """n, the number of links."""
-        return len(self.geometry)
-
-    @property
-    def lengths(self) -> Array:
-        """(n,) nominal link lengths [mm]."""
-        return self.geometry.lengths
+    # (n,) the posture before [rad]; in the first row the posture itself
+    previous = property(lambda self: self.q if self.past is None else self.past[:, -1])
+    links = property(lambda self: len(self.geometry))  # n, the number of links
+    lengths = property(attrgetter("geometry.lengths"))  # (n,) of the links, nominal [mm]
 
     @cached_property
     def frames(self) -> list[Frame]:
@@ -103,7 +94,8 @@ class Chain:
         at = ca.SX(ca.DM(next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at))
         masses = [(self.payload, self.links - 1, self.frames[-1].point(at + in_space(self.payload_shift)))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
-            masses.append((ca.SX(mass), k, self.frames[k + 1].point(ca.SX(ca.DM(share * chain.link_vectors[k])))))
+            along = ca.SX(ca.DM(share * chain.link_poses[k + 1][:3, 3]))
+            masses.append((ca.SX(mass), k, self.frames[k + 1].point(along)))
         return masses
 
     @cached_property
@@ -184,6 +176,8 @@ def contribution(
     size = widths(effect.chain)[place]
     lengthened = (lengths,) if place == "extensions" else ()
     value = ca.SX(getattr(effect, place)(tip if place == "instrument" else chain, values, *lengthened))
-    if effect.joint is not None and place in BY_JOINT and value.numel() * len(effect.chain) == size:
-        return effect.at_joint(value)
-    return ca.SX.zeros(size) + value
+    values, one = ca.SX.zeros(size), value.numel()
+    if effect.joint is None or place not in BY_JOINT or one * len(effect.chain) != size:
+        return values + value
+    values[one * effect.joint_index : one * (effect.joint_index + 1)] = value
+    return values

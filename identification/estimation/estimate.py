@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.estimation.doubts import UNUSUAL, doubts, far_rows, flange_turns
+from identification.estimation.doubts import UNUSUAL, doubts, far_rows
 from identification.estimation.problem import (
     METHODS,
     Prior,
@@ -28,7 +28,7 @@ from identification.estimation.problem import (
     starts,
 )
 from identification.estimation.result import Identification
-from identification.estimation.uncertainty import WhiteRows, limit_of, outlying, robust_squares, together, uncertainty
+from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
@@ -220,20 +220,16 @@ def _identification(
         was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
     before = problem.residuals(was)[0]
     sentences, implausible = doubts(model, x, identifiable, before, after, data)
-    # rows that the model does not explain, where enough equations are left to tell; rows nearer than half the limit
-    # need no test with their leverage, which is small where rows are many
+    # rows that the model does not explain, where enough equations are left to tell
     used, held = problem.weights > 0.0, problem.prior_rows
     unexplained, (m, d, p) = np.zeros(len(after), dtype=bool), rows.jacobian.shape
-    white = (problem.root_weights * after)[used]
-    near = m * d > 20 * p and robust_squares(np.sum(white**2, axis=1), d).max() < 0.5 * limit_of(d)
-    if m * d - p + len(held) > p and not near:
-        unexplained[used] = outlying(white, rows.jacobian.reshape(m * d, p), held, held @ (problem.prior_center - x))
+    if m * d - p + len(held) > p:
+        white, left = (problem.root_weights * after)[used], held @ (problem.prior_center - x)
+        unexplained[used] = outlying(white, rows.jacobian.reshape(m * d, p), held, left)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
-    arm, status = getattr(model, "arm", None), solution.status[0]
-    stands = arm is None or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
-    status = Status.not_identifiable if undetermined else status
+    status = Status.not_identifiable if undetermined else solution.status[0]
     return Identification(
         model=model,
         parameters=x,
@@ -253,7 +249,6 @@ def _identification(
         uncertainty=made,
         scatter=scatter,
         doubts=(*sentences, *far_rows(after, outlier, structure)),
-        flange_turns=None if arm is None or stands else flange_turns(arm.chain, data),
         postures=data.postures[first],
         inside=rows.inside(decomposed.root),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),

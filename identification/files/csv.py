@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import hashlib
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,14 +19,12 @@ from identification.arrays import Array
 from identification.errors import InputError, close_names, suggestion
 from identification.files.io import PathLike, decode, read_bytes
 
-QUOTED = "cells without quotation marks, or in a pair of them"
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 # columns that mean something by themselves: none of them is a misspelling of another
 KNOWN = re.compile(
     r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
     r"|marker|surface|cup|kind|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
 )
-NAMES = ("session", "marker", "surface", "cup", "kind")  # columns of texts
 MEASURE, VIA = "measure", "via"  # of the column `kind`: rows to measure, and way-points of the moves between them
 FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal identify`
 
@@ -36,7 +33,7 @@ FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal id
 class Table:
     """A table of text, blank lines left out.
 
-    frame : the columns, all of them strings, numbers with decimal points; an empty cell is null
+    frame : the columns, all of them strings without spaces around them; an empty cell is null
     lines : (m,) line number of every row in the file, from 1; empty: a table without lines
     sha256 : of the file's bytes; empty: no file
     fit : what a comment `# fit: library-prior` above the header says, as options of `armcal identify`; empty: nothing
@@ -49,6 +46,17 @@ class Table:
     sha256: str = ""
     fit: str = ""
     used: set[str] = field(default_factory=set)
+
+    @classmethod
+    def of(cls, path: str, columns: Mapping[str, Sequence[str]], lines: Sequence[int] = (), **others: Any) -> Table:
+        """Of texts; raises `InputError` for columns of different lengths and for no rows."""
+        if len(sizes := {len(cells) for cells in columns.values()}) > 1:
+            raise InputError(f"{path}: found columns of different lengths, allowed: one length")
+        if not sizes or 0 in sizes:
+            raise InputError(f"{path}: there are no rows, allowed: at least 1 row")
+        series = [pl.Series(name, cells, pl.String).str.strip_chars() for name, cells in columns.items()]
+        frame = pl.DataFrame(series).with_columns(pl.all().replace("", None))
+        return cls(path, frame, np.array(lines, dtype=np.int64), **others)
 
     def __len__(self) -> int:
         return self.frame.height
@@ -65,11 +73,8 @@ class Table:
         """Raises `InputError` naming the first of `columns` that is missing, and a column that may be meant."""
         for column in columns:
             if column not in self:
-                others = [name for name in self.columns if not KNOWN.fullmatch(name)]
-                close = close_names(column, others)
-                if not close and (joint := re.match(r"q(\d+)_", column)):  # a name such as `theta1_deg` or `J1`
-                    close = [name for name in others if re.fullmatch(rf"[A-Za-z_]+0*{joint[1]}([^\d].*)?", name)]
-                hint = suggestion(close[:1]).replace("did you mean", "did you mean to rename")
+                close = close_names(column, (name for name in self.columns if not KNOWN.fullmatch(name)))[:1]
+                hint = suggestion(close).replace("did you mean", "did you mean to rename")
                 state = f"column {column!r} is missing, found: {', '.join(self.columns)}"
                 raise InputError(f"{self.path}: {state}; {hint}allowed: a column of that name")
             self.used.add(column)
@@ -94,10 +99,7 @@ class Table:
         """
         self.require([column])
         text = self.frame[column]
-        numbers = text.cast(pl.Float64, strict=False)
-        if numbers.null_count() > text.null_count():  # spaces around a number are fine, and rare
-            numbers = text.str.strip_chars().cast(pl.Float64, strict=False)
-        values = numbers.fill_null(np.nan).to_numpy()
+        values = text.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
         good = np.isfinite(values) & test(values)
         if empty is not None:
             blank = (text.fill_null("nan").str.to_lowercase() == "nan").to_numpy()
@@ -106,17 +108,16 @@ class Table:
         return values
 
     def texts(self, column: str) -> NDArray[np.str_]:
-        """(m,) the column as texts, spaces around them cut off. Raises `InputError` naming the first empty row."""
+        """(m,) the column as texts. Raises `InputError` naming the first empty row."""
         self.require([column])
-        text = self.frame[column].str.strip_chars().fill_null("")
-        self.require_good((text != "").to_numpy(), column, "a name")
-        return np.array(text.to_list(), dtype=np.str_)
+        self.require_good(self.frame[column].is_not_null().to_numpy(), column, "a name")
+        return np.array(self.frame[column].to_list(), dtype=np.str_)
 
     def require_good(self, good: NDArray[np.bool_], column: str, allowed: str) -> None:
         """Raises `InputError` naming the first row that is not."""
         if not good.all():
             text = self.frame[column][row := int(np.argmin(good))]
-            cell = repr(text) if text and text.strip() else "an empty cell"
+            cell = "an empty cell" if text is None else repr(text)
             raise InputError(f"{self.place(row, column)}: found {cell}, allowed: {allowed}")
 
     def warn_unused(self, expected: Iterable[str] = (), hint: str = "") -> None:
@@ -134,6 +135,22 @@ class Table:
             message = "; ".join(filter(None, [f"{columns} not used: {', '.join(unused)}", hint]))
             warnings.warn(f"{self.path}: {message}", UserWarning, stacklevel=3)
 
+    def measured(self, vias: bool) -> Table:
+        """The rows to measure, and way-points if wanted, where a column `kind` says which are."""
+        if "kind" not in self:
+            return self
+        kinds = self.frame["kind"].fill_null("")
+        measured, via = (kinds == MEASURE).to_numpy(), (kinds == VIA).to_numpy()
+        if via.any():
+            self.require_good(measured | via, "kind", f"{MEASURE} or {VIA}")
+            if not measured.any():
+                raise InputError(f"{self.path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
+        if not (measured | via).all():  # a column of somebody else
+            return self
+        self.used.add("kind")
+        rows = measured | vias
+        return replace(self, frame=self.frame.filter(rows), lines=self.lines[rows] if len(self.lines) else self.lines)
+
 
 def read_table(path: PathLike, *, vias: bool = False) -> Table:
     """Reads a Parquet file, or a text file of columns with one header line.
@@ -142,10 +159,10 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
 
     Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
-    points or commas. Between commas numbers with decimal commas are in quotation marks.
+    points or commas.
 
     Raises `InputError` for a missing or empty file, no data rows, a header that is missing, repeats a name or does not
-    fit the rows (ragged rows), bytes that are not UTF-8, and quoted numbers whose commas may separate thousands.
+    fit the rows (ragged rows), and bytes that are not UTF-8.
     """
     content = read_bytes(path)
     sha256 = hashlib.sha256(content).hexdigest()
@@ -157,57 +174,56 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
         return table_of_frame(frame, str(path), sha256, vias=vias)
     if content.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):  # .xlsx and .ods, or .xls
         raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
-    content, line, fit = content.removeprefix(codecs.BOM_UTF8), 1, ""
-    if b"\r" in content:
-        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    text, above, fit = decode(path, content).replace("\r\n", "\n").replace("\r", "\n"), 0, ""
     # a spreadsheet makes cells of a comment: it may come back in quotation marks and with separators at its end
-    while (above := re.match(rb'[^\S\n]*\n|"?#.*\n?', content)) is not None:
-        if asked := re.match(r"#\s*fit\s*:\s*(.*)", decode(path, above[0]).strip('"\n,;\t ')):
+    while (comment := re.match(r'[^\S\n]*\n|"?#.*\n?', text)) is not None:
+        text, above = text[comment.end() :], above + 1
+        if asked := re.match(r"#\s*fit\s*:\s*(.*)", comment[0].strip('"\n,;\t ')):
             fit = " ".join(asked[1].split())
             if not FITS.fullmatch(fit):
                 allowed = "library-prior, or library-prior --missing NAMES"
-                raise InputError(f"{path}: line {line}: fit {fit!r}, allowed: {allowed}")
-        content, line = content[above.end() :], line + 1
-    first = decode(path, content.partition(b"\n")[0])
+                raise InputError(f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
+    first = text.partition("\n")[0]
     separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
+    reader, lines, rows = (
+        csv.reader(io.StringIO(text), delimiter=separator, strict=True),
+        list[int](),
+        list[list[str]](),
+    )
     try:
-        frame = pl.read_csv(content, infer_schema=False, separator=separator)
-    except pl.exceptions.PolarsError as error:
-        _raise_for_ragged_row(path, content, line, separator)
-        state = f"not a valid CSV file: {str(error).splitlines()[0]}"
-        raise InputError(f"{path}: {state}, allowed: the names of the columns, {QUOTED}") from None
-    header = [re.sub(r"_duplicated_\d+$", "", name).strip() for name in frame.columns]
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            rows.append(cells)
+            lines.append(above + reader.line_num)
+            if len(cells) != len(rows[0]):
+                allowed = f"{len(rows[0])} separated by {SEPARATORS[separator]}, as in the header"
+                found = f"row {len(rows) - 1} (line {lines[-1]}): found {len(cells)} cells"
+                raise InputError(f"{path}: {found}, allowed: {allowed}")
+    except csv.Error as error:
+        allowed = "cells without quotation marks, or in a pair of them"
+        line = lines[-1] + 1 if lines else above + 1
+        raise InputError(f"{path}: row {len(rows)} (from line {line}): {error}, allowed: {allowed}") from None
+    if not rows:
+        raise InputError(f"{path}: there is no header, allowed: the names of the columns")
+    header = [name.strip() for name in rows[0]]
     for name in filter(None, header):
         if re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", name):
-            raise InputError(f"{path}: line {line} has the number {name!r}, allowed: the names of the columns")
+            raise InputError(f"{path}: line {lines[0]} has the number {name!r}, allowed: the names of the columns")
         if header.count(name) > 1:
             raise InputError(f"{path}: column {name!r} is there {header.count(name)} times, allowed: once")
-    # short rows are filled up with nulls: a null in the last column asks for a closer look
-    if frame.width > 1 and frame.to_series(-1).null_count():
-        _raise_for_ragged_row(path, content, line, separator)
-    frame.columns = [name or f"\n{k}" for k, name in enumerate(header)]  # a name that no header can have
-    filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
-    frame, lines = frame.filter(filled), np.flatnonzero(filled.to_numpy()) + line + 1
-    if frame.height == 0:
-        _raise_for_ragged_row(path, content, line, separator)
-        raise InputError(f"{path}: there are no rows below the header, allowed: at least 1 row")
-    for k in (k for k, name in enumerate(header) if not name):  # empty ones are what spreadsheets leave behind
-        if frame[f"\n{k}"].null_count() < frame.height:
-            raise InputError(f"{path}: column {k + 1} has no name in line {line}, allowed: a name")
-        frame = frame.drop(f"\n{k}")
-    numbers = frame.columns
-    if separator == ",":  # then decimal commas are in quotation marks, and may be those of thousands
-        numbers = [name for name in frame.columns if b'"' in content and KNOWN.fullmatch(name) and name not in NAMES]
-        cells = frame.select(numbers).unpivot()["value"] if numbers else pl.Series([], dtype=pl.String)
-        commas = cells.filter(cells.str.contains(r"^\s*[-+]?\d*,\d*([eE][-+]?\d+)?\s*$"))
-        if len(commas) and commas.str.contains(r"^\s*[-+]?[1-9]\d{0,2},\d{3}\s*$").all():
-            allowed = "decimal points, or semicolons between the columns"
-            raise InputError(f"{path}: found {commas[0]!r}, a decimal comma or one of thousands, allowed: {allowed}")
-    for name in numbers:
-        points: Any = frame[name].str.strip_chars().str.replace(",", ".", literal=True)
-        number = points.cast(pl.Float64, strict=False).is_not_null()
-        frame = frame.with_columns(points.zip_with(number, frame[name]).alias(name))
-    return _measured(Table(str(path), frame, lines, sha256, fit), vias)
+    columns = dict[str, Sequence[str]]()
+    for k, (name, column) in enumerate(zip(header, zip(*rows[1:], strict=True), strict=False), start=1):
+        if name:
+            columns[name] = column if separator == "," else [_with_point(cell) for cell in column]
+        elif any(cell.strip() for cell in column):  # empty ones are what spreadsheets leave behind
+            raise InputError(f"{path}: column {k} has no name in line {lines[0]}, allowed: a name")
+    return Table.of(str(path), columns, lines[1:], sha256=sha256, fit=fit).measured(vias)
+
+
+def _with_point(cell: str) -> str:
+    """A number with a decimal comma with a point."""
+    return cell.replace(",", ".") if re.fullmatch(r"\s*[-+]?\d*,\d*([eE][-+]?\d+)?\s*", cell) else cell
 
 
 def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: bool = False) -> Table:
@@ -217,51 +233,12 @@ def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: b
     """
     if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
         raise InputError(f"{name}: {type(frame).__name__}, allowed: a data frame of polars or pandas")
-    series = []
-    for column in list(frame.columns if hasattr(frame, "columns") else frame.keys()):
+    columns = {}
+    for column in frame.columns if hasattr(frame, "columns") else frame:
         cells = frame[column].to_list() if hasattr(frame[column], "to_list") else np.asarray(frame[column]).tolist()
         # numbers by `repr`, which loses no digit
-        texts = [None if text in ("None", "nan", "<NA>") else text for text in map(str, cells)]
-        series.append(pl.Series(str(column), texts, dtype=pl.String))
-    if len({len(each) for each in series}) > 1:
-        raise InputError(f"{name}: found columns of different lengths, allowed: one length")
-    if not series or not len(series[0]):
-        raise InputError(f"{name}: there are no rows, allowed: at least 1 row")
-    return _measured(Table(name, pl.DataFrame(series), np.zeros(0, dtype=np.int64), sha256), vias)
-
-
-def _measured(table: Table, vias: bool) -> Table:
-    """The rows to measure of a table whose column `kind` says of the others that they are way-points."""
-    if "kind" not in table:
-        return table
-    kinds = table.frame["kind"].str.strip_chars().fill_null("")
-    measured, via = (kinds == MEASURE).to_numpy(), (kinds == VIA).to_numpy()
-    if via.any():
-        table.require_good(measured | via, "kind", f"{MEASURE} or {VIA}")
-        if not measured.any():
-            raise InputError(f"{table.path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
-    if not (measured | via).all():  # a column of somebody else
-        return table
-    table.used.add("kind")
-    rows = measured | vias
-    return replace(table, frame=table.frame.filter(rows), lines=table.lines[rows] if len(table.lines) else table.lines)
-
-
-def _raise_for_ragged_row(path: PathLike, content: bytes, header: int, separator: str) -> None:
-    """Raises `InputError` for a row of another length, or with quotation marks that do not enclose a whole cell.
-
-    header : its line
-    """
-    reader = csv.reader(io.StringIO(decode(path, content), newline=""), delimiter=separator, strict=True)
-    row, line, columns = -1, header - 1, 0
-    try:
-        for cells in (cells for cells in reader if any(cell.strip() for cell in cells)):
-            row, line, columns = row + 1, header - 1 + reader.line_num, columns or len(cells)
-            if len(cells) != columns:
-                allowed = f"{columns} separated by {SEPARATORS[separator]}, as in the header"
-                raise InputError(f"{path}: row {row} (line {line}): found {len(cells)} cells, allowed: {allowed}")
-    except csv.Error as error:
-        raise InputError(f"{path}: row {row + 1} (from line {line + 1}): {error}, allowed: {QUOTED}") from None
+        columns[str(column)] = ["" if text in ("None", "nan", "<NA>") else text for text in map(str, cells)]
+    return Table.of(name, columns, sha256=sha256).measured(vias)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from identification.gap.fit import At
 from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
-from identification.information import RANK_TOLERANCE, column_space_of
+from identification.information import RANK_TOLERANCE, column_space
 from identification.instruments.search import registered
 from identification.measurements import POINT, Conditions, Measurements, distances
 
@@ -381,21 +381,23 @@ def predicted_from_others(
     priors = [np.log(one.probability) - problem.products.state(one.key).ratio for one in sets]
     # the base's columns, orthonormal when white, the others, and y: in mm, and white
     m, d = y.shape
-    back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
+    back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
     own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, back.shape[1]
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
     table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
     white = rows.whiten(table.reshape(m, d, -1))
-    every, points = white.T @ white, np.zeros((m, d), dtype=bool)
+    points = np.zeros((m, d), dtype=bool)
     points[:, POINT] = True
     # expected square of the noise of a row, for unit sigma
     spread = np.eye(d)[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
     for folds in partitions:
         before, after, expected = np.empty(m * d), np.empty(m * d), 0.0
-        for fold in range(folds.max() + 1):
-            test = np.repeat(folds == fold, d)
-            others = every - white[test].T @ white[test]
+        tests = [np.repeat(folds == fold, d) for fold in range(folds.max() + 1)]
+        grams = [part.T @ part for part in (white[test] for test in tests)]
+        every = np.sum(grams, axis=0)
+        for test, gram in zip(tests, grams, strict=True):
+            others = every - gram
             values, vectors = np.linalg.eigh(others[:rank, :rank])
             seen = values > RANK_TOLERANCE
             turn = vectors[:, seen] / np.sqrt(values[seen])

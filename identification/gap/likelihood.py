@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
+from scipy.linalg import lapack, solve_triangular
 from scipy.special import log_ndtr
 
 from identification.arrays import Array, eigen_of_pairs
@@ -30,6 +29,7 @@ LEAST = 1e-14  # of y^T y; numerical: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
 Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending
+Left = tuple[Array, tuple[Array, ...]]  # of all columns, `State.left`
 
 
 def orthonormal(gram: Array, tolerance: float = VISIBLE) -> Array:
@@ -67,14 +67,11 @@ class Products:
         """(B,) columns of each block."""
         return np.diff(self.starts)
 
-    @cached_property
-    def _each_place(self) -> list[Index]:
-        """Of each block the indices of its columns."""
-        return [np.arange(*ends) for ends in pairwise(self.starts.tolist())]
-
     def places(self, blocks: Sequence[int]) -> Index:
         """Indices of the columns of these blocks, in their order."""
-        return np.concatenate([np.zeros(0, dtype=np.int64), *(self._each_place[b] for b in blocks)])
+        chosen = np.array(blocks, dtype=np.int64)
+        widths = self.widths[chosen]
+        return np.repeat(self.starts[chosen] - np.cumsum(widths) + widths, widths) + np.arange(np.sum(widths))
 
     @cached_property
     def alike(self) -> list[Index]:
@@ -88,8 +85,9 @@ class Products:
     def beside(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
         large = self.state([(block, len(SIZES) - 1) for block in blocks])
-        gram, freedom = self.gram - large.rows.T @ large.solve(large.rows), self.freedom - len(large.places)
-        return Products(gram, large.scores, large.squares, freedom, self.starts, self.signs)
+        rows, freedom = self.gram[large.places], self.freedom - len(large.places)
+        gram = self.gram - rows.T @ large.solve(rows)
+        return Products(gram, large.left[0], large.squares, freedom, self.starts, self.signs)
 
     def f_of(self, blocks: Sequence[int]) -> float:
         """F statistic of a few blocks against the base model."""
@@ -103,12 +101,13 @@ class Products:
     def added(self, state: State) -> Array:
         """(B, S) log likelihood ratio of each block added to a set, or in it, for each size."""
         values, parts = np.empty(len(self.right)), np.empty(len(self.right))
-        for index, own in zip(self.alike, state.within, strict=True):
+        scores, within = state.left
+        for index, own in zip(self.alike, within, strict=True):
             if own.shape[1] == 1:
-                values[index], parts[index] = own[:, 0], state.scores[index]
+                values[index], parts[index] = own[:, 0], scores[index]
             else:
                 values[index], vectors = eigen_of_pairs(own) if own.shape[1] == 2 else np.linalg.eigh(own)
-                parts[index] = (state.scores[index][:, None, :] @ vectors)[:, 0]
+                parts[index] = (scores[index][:, None, :] @ vectors)[:, 0]
         squared, starts = np.square(SIZES)[:, None], self.starts[:-1]
         spread = 1.0 + squared * np.maximum(values, 0.0)  # (S, P)
         gains = np.add.reduceat(squared * np.square(parts) / spread, starts, axis=1)  # (S, B)
@@ -170,30 +169,20 @@ class State:
         return np.repeat(SIZES[[s for _, s in self.pairs]], self.products.widths[[b for b, _ in self.pairs]])
 
     @cached_property
-    def rows(self) -> Array:
-        """(k, P) of G."""
-        return self.products.gram[self.places]
-
-    @cached_property
-    def inner(self) -> Array:
-        """(k, k) G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
+    def factor(self) -> Array:
+        """(k, k) lower Cholesky factor of G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
         inner = self.products.gram[np.ix_(self.places, self.places)]
         inner[np.diag_indices(len(inner))] += self.sizes**-2.0
-        return inner
-
-    @cached_property
-    def _factor(self) -> Array:
-        """(k, k) lower Cholesky factor of `inner`."""
-        return lapack.dpotrf(self.inner.T, lower=1, clean=1)[0] if self.pairs else self.inner
+        return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.pairs else inner
 
     def solve(self, table: Array) -> Array:
         """(k, n) of the coefficients' covariance, for unit sigma, times a table (k, n)."""
-        return np.asarray(lapack.dpotrs(self._factor, table, lower=1)[0]) if table.size else table
+        return np.asarray(lapack.dpotrs(self.factor, table, lower=1)[0]) if table.size else table
 
     @cached_property
     def covariance(self) -> Array:
         """(k, k) of its coefficients, for unit sigma."""
-        half = lapack.dpotri(self._factor, lower=1)[0] if self.pairs else self._factor
+        half = lapack.dpotri(self.factor, lower=1)[0] if self.pairs else self.factor
         return np.asarray(half + np.tril(half, -1).T)
 
     @cached_property
@@ -208,20 +197,18 @@ class State:
         return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
 
     @cached_property
-    def scores(self) -> Array:
-        """(P,) V's counterpart of c."""
-        return np.asarray(self.products.right - self.mean @ self.rows)
+    def left(self) -> Left:
+        """What the set leaves of all columns: (P,) V's counterpart of c, and of each group of `Products.alike` the
+        blocks' own parts of V."""
+        rows = self.products.gram[self.places]
+        within = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
+        return self._moved((self.products.right, within), self.mean, rows, -self.solve(rows))
 
-    @cached_property
-    def within(self) -> tuple[Array, ...]:
-        """Of each group of `Products.alike` the blocks' own parts of V."""
-        own = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
-        return self._changed(own, self.rows, -self.solve(self.rows))
-
-    def _changed(self, within: tuple[Array, ...], one: Array, other: Array) -> tuple[Array, ...]:
-        """The blocks' own parts of V + one^T other, with (v, P) each, from those of V."""
-        pairs = zip(self.products.alike, within, strict=True)
-        return tuple(own + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, own in pairs)
+    def _moved(self, left: Left, mean: Array, one: Array, other: Array) -> Left:
+        """`left` for V + one^T other, with (v, P) each, where rows `one` have coefficients (v,)."""
+        pairs = zip(self.products.alike, left[1], strict=True)
+        within = tuple(part + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, part in pairs)
+        return left[0] - mean @ one, within
 
     @property
     def variance(self) -> float:
@@ -231,7 +218,7 @@ class State:
     @property
     def ratio(self) -> float:
         """Log likelihood ratio against nothing missing, signs left out."""
-        volume = 2.0 * float(np.sum(np.log(np.diag(self._factor) * self.sizes)))
+        volume = 2.0 * float(np.sum(np.log(np.diag(self.factor) * self.sizes)))
         share = self.squares / max(self.products.squares, 1e-300)
         return -0.5 * volume - 0.5 * self.products.freedom * float(np.log(share))
 
@@ -253,22 +240,23 @@ class State:
         out = slice(first, first + int(self.products.widths[block]))
         part = self.solve(np.eye(len(self.places))[:, out]).T
         # by what V is larger in the block's coefficients, and how they take up a unit of each column
-        inner, taken, mean = np.linalg.inv(part[:, out]), part @ self.rows, self.mean[out]
-        known = {
-            "inner": np.delete(np.delete(self.inner, out, axis=0), out, axis=1),
-            "squares": self.squares + float(mean @ inner @ mean),
-            "scores": self.scores + (inner @ mean) @ taken,
-            "within": self._changed(self.within, taken, inner @ taken),
-        }
+        inner, taken = np.linalg.inv(part[:, out]), part @ self.products.gram[self.places]
+        left = self._moved(self.left, -inner @ self.mean[out], taken, inner @ taken)
+        known = {"squares": self.squares + float(self.mean[out] @ inner @ self.mean[out]), "left": left}
         return State(self.products, self.pairs[:number] + self.pairs[number + 1 :], known)
 
     def beside(self, pair: tuple[int, int] | None) -> State:
         """The set with a further block of the size with this number; None: itself."""
         if pair is None:
             return self
-        own = self.products.places([pair[0]])
-        rows, ridge = self.products.gram[own], SIZES[pair[1]] ** -2.0 * np.eye(len(own))
-        left, across = rows - self.solve(self.rows[:, own]).T @ self.rows, rows[:, self.places]
-        inner = np.block([[self.inner, across.T], [across, rows[:, own] + ridge]])
-        within = self._changed(self.within, left, -np.linalg.solve(left[:, own] + ridge, left))
-        return State(self.products, (*self.pairs, pair), {"inner": inner, "within": within})
+        places = self.products.places([pair[0]])
+        rows, ridge = self.products.gram[places], SIZES[pair[1]] ** -2.0 * np.eye(len(places))
+        across = rows[:, self.places]
+        taken = rows - self.solve(across.T).T @ self.products.gram[self.places]
+        inner, (scores, _) = taken[:, places] + ridge, self.left
+        factor = np.zeros((len(self.places) + len(places),) * 2, order="F")
+        factor[: len(self.places), : len(self.places)] = self.factor
+        factor[len(self.places) :, : len(self.places)] = solve_triangular(self.factor, across.T, lower=True).T
+        factor[len(self.places) :, len(self.places) :] = np.linalg.cholesky(inner)
+        left = self._moved(self.left, np.linalg.solve(inner, scores[places]), taken, -np.linalg.solve(inner, taken))
+        return State(self.products, (*self.pairs, pair), {"factor": factor, "left": left})

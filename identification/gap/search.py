@@ -98,7 +98,9 @@ class Search:
                 tops += [single, self._exchanged(pair, block, block)]
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
         for _ in range(PASSES):
-            top = self._up(top)
+            before, top = top, self._up(top)
+            if top.key == before.key:
+                break
         return top
 
     def _up(self, state: State) -> State:
@@ -142,9 +144,10 @@ class Search:
         return sorted({*order[np.cumsum(shares[order]) > NEGLIGIBLE * (1.0 + shares.sum())].tolist(), *top.blocks})
 
     def walk(self, top: State, generator: np.random.Generator) -> tuple[list[Weighed], Counter[Key]]:
-        """The sets that matter, likeliest first, and how often each was drawn, from a set to start from."""
+        """The sets that matter, likeliest first, and draws of sets (one for each tenth of a set that was moved), from a
+        set to start from."""
         state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
-        for _ in range(MOVES):
+        for move in range(MOVES):
             taken = int(generator.integers(len(state.key) + 1))
             left = state.without(state.blocks[taken] if taken < len(state.key) else None)
             if left.key not in steps:
@@ -156,7 +159,8 @@ class Search:
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
             if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
                 state = left.beside(pair)
-            draws[key] += 1
+            if move % max(len(key) // 10, 1) == 0:
+                draws[key] += 1
         # the sets from the probabilities with which each was drawn, whatever its sizes; and of those drawn with theirs
         sets, ways, share = (
             defaultdict[tuple[int, ...], list[tuple[float, Key]]](list),
@@ -248,7 +252,7 @@ class Explanation:
 @dataclass(frozen=True)
 class Posterior:
     """explanations : likeliest first, with sum 1
-    noises, problems, draws : searched, with the blocks that are not negligible, and the sets drawn by the walk there
+    noises, problems, draws : searched, with the blocks that are not negligible, and sets drawn by the walk there
     whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized, with all rows
     writable : the posterior if nothing is missing but what an arm file can have; None where that is the same
     """

@@ -1,10 +1,7 @@
-"""What measurements are like before any fit: ranges, frames, signs, whether they are enough, whether the arm sags.
+"""What measurements are like before any fit: ranges, frames, signs, whether they are enough.
 
 With few rows the residuals hardly say what the noise is. The accuracy is then that of the sigma that is given, or of
 what repeats scatter by; where neither is known, neither is the accuracy.
-
-The torques of gravity follow from masses and postures; how far a joint gives way to them is one number for each joint,
-which takes up the scale of the masses. So masses that are merely in proportion do, and equal ones of 1 kg nearly.
 """
 
 from __future__ import annotations
@@ -15,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import Arm, EffectSpec, Gravity
+from identification.arm import Arm
 from identification.arrays import Array
 from identification.document import Document, Documented, Sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
@@ -23,21 +20,13 @@ from identification.documents.identification import MISFIT
 from identification.effects import build_all
 from identification.errors import InputError
 from identification.estimation import Identification, doubts, estimate
-from identification.estimation.uncertainty import gained_squares
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
-from identification.inspection.readings import (
-    DRAWN,
-    Reading,
-    Readings,
-    data_warnings,
-    gap_notes,
-    read_differently,
-)
+from identification.inspection.readings import DRAWN, Reading, Readings, data_warnings, gap_notes, read_differently
 from identification.kinematics.chain import BASE
 from identification.kinematics.counting import in_columns
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
-from identification.measurements import POINT, Measurements, distances, rms_distance
+from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
 from identification.running import Status
 from identification.sessions import with_sessions
@@ -89,56 +78,42 @@ class Inspection(Documented):
         return Document("Inspection", [verdict], [*parts, f"Next: {then}"])
 
 
-def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None = None) -> Inspection:
+def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     """Look at measurements of an arm: nothing is changed, nothing is believed.
 
     Effects of which the arm's calibration has values and no deviations, as those of the library that a prior held, are
     left out: without the prior no rows determine them.
 
-    masses : (n,) of the links [kg], of an arm whose file leaves gravity out, None: not known
-
     Raises `InputError` for another number of joints or coordinates than the arm has.
     """
-    calibration, held = arm.calibration, set[str]()
-    if calibration is not None and calibration.covariance is not None:
-        held = {*calibration.effects} - {*calibration.parameter_names}
+    held = set[str]()
+    if arm.calibration is not None and arm.calibration.covariance is not None:
+        held = {*arm.calibration.effects} - {*arm.calibration.parameter_names}
         built = zip(arm.effects, build_all(arm.effects, arm.chain), strict=True)
         free = [spec for spec, effect in built if not held & {p.name for p in effect.parameters}]
         arm = replace(arm, effects=tuple(free))
     readings = read_differently(arm, measurements)
-    units = data_warnings(measurements, arm) if readings.other_units else []
-    fit = None if units else _fit(arm, measurements)
+    units, fit = data_warnings(measurements, arm) if readings.other_units else [], None
+    if not units:
+        try:
+            fit = with_repeats_doubted(estimate(Model(with_sessions(arm, measurements)), measurements), measurements)
+        except InputError:  # too few rows
+            fit = None
     # without a fit nothing says what small differences of the repeats' angles do
     every = np.ones(len(measurements), dtype=bool)
     floor = NoiseFloor() if fit is None else noise_floor(fit.residuals_after, measurements, every, None)
-    asked, commanded = measurements.commanded, None
-    if asked is not None and not units and not np.array_equal(asked, measurements.postures):
-        by_command = _fit(arm, replace(measurements, postures=asked, commanded=None))
-        commanded = None if by_command is None else rms_distance(by_command.residuals_after)
     try:
         drawing = rms_distance(drawing_residuals(arm, measurements))
     except InputError:  # too few rows for least squares
         drawing = readings.written.rms
-    gravity, sags = None, ""
-    if fit is not None and fit.status is not Status.implausible:
-        gravity, sags = sag(arm, measurements, fit, masses)
     joints, ranges, still = _ranges(arm, measurements.postures)
     problems = units or _problems(arm, measurements, readings, drawing, fit)
     problems += doubts.copied_rows(measurements) + ([] if units else doubts.outside_limits(arm, measurements))
     # what the data cannot say
-    notes = other_frame(arm, readings.written) if arm.chain.planar and not units else []
+    notes = []
     if still and not units:
         hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
-        notes = [f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen", *notes]
-    if fit is not None and commanded is not None:  # which angles explain the positions better
-        read = rms_distance(fit.residuals_after)
-        figures = f"a fit to the angles read leaves {read:.3g} mm RMS, to those commanded {commanded:.3g} mm"
-        verdict = "the positions are those of the angles commanded: give these as q1_deg.. instead"
-        if max(read, commanded) <= 1.05 * min(read, commanded):  # no telling
-            verdict = "which of them a fit uses makes no difference"
-        elif read < commanded:
-            verdict = "the positions are those of the angles read, which every fit uses"
-        notes.append(f"{figures}: {verdict}")
+        notes.append(f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen")
     if fit is not None and not problems:  # a fit leaves more than noise, by chi2 or by repeats
         looks = fit.misfit and f"{fit.misfit.partition('. ')[0]}; armcal diagnose looks for what is missing"
         notes += [looks] if looks else [doubt for doubt in fit.doubts if doubt.startswith(MISFIT)]
@@ -149,9 +124,9 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     if held:
         left_out = f"{len(held)} values of effects, which a prior held where they were identified, are left out"
         notes.append(f"{left_out}: for a fit to these rows take the arm file from before")
-    notes += gap_notes(measurements) + ([sags] if sags else [])
+    notes += gap_notes(measurements)
     untested = {} if measurements.temperature is not None else {"temperature": "a column temperature_C"}
-    untested |= {} if arm.gravity is not None or sags else {"gravity": "[gravity] in the arm file"}
+    untested |= {} if arm.gravity is not None else {"gravity": "[gravity] in the arm file"}
     if untested:
         notes.append(f"effects of {' and '.join(untested)} are not tested without {' and '.join(untested.values())}")
     enough, words, few = ({}, [], False) if fit is None else sufficiency(fit, measurements, floor)
@@ -172,10 +147,8 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
         "rms_drawing_mm": drawing,
         "better_reading": readings.to_json(),
         "rms_fitted_mm": fitted,
-        "rms_commanded_mm": commanded,
         **enough,
         "not_identifiable": () if fit is None else fit.not_identifiable,
-        "gravity": gravity,
         "ok": not problems,
         "problems": tuple(problems),
         "notes": tuple(notes),
@@ -195,22 +168,11 @@ def inspect(arm: Arm, measurements: Measurements, masses: Sequence[float] | None
     if readings.counting is not None and set(readings.sentences) & set(problems):
         parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
         parts += [f"    {line}" for line in readings.counting.toml.splitlines()]
-    parts.append(Sheet.facts(facts))
+    parts.append(Sheet.facts(dict(facts)))
     if not units:
         headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
         parts += [Sheet(headings, ranges, "Joints"), *(f"note: {note}" for note in notes)]
-    if gravity is not None and gravity["recommended"]:
-        parts.append("\n".join(["", *gravity["lines"], ""]))
     return Inspection(data, fit, few, parts)
-
-
-def _fit(arm: Arm, measurements: Measurements) -> Identification | None:
-    """The geometry of the arm fitted, None if the rows are too few for it."""
-    try:
-        fit = estimate(Model(with_sessions(arm, measurements)), measurements)
-    except InputError:
-        return None
-    return with_repeats_doubted(fit, measurements)
 
 
 def _problems(
@@ -223,8 +185,7 @@ def _problems(
         zeros = doubts.far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
     sentences = data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
     if not sentences:
-        placed = [] if arm.chain.planar else other_frame(arm, readings.written)
-        sentences = [*doubts.another_frame(arm, measurements), *placed] or zeros
+        sentences = [*doubts.another_frame(arm, measurements), *other_frame(arm, readings.written)] or zeros
     if not sentences and drawing > DRAWN * arm.reach:
         sentences = [f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"]
     if fit is None:
@@ -246,9 +207,7 @@ def _problems(
     if fit.dof <= 0:  # it leaves little whatever the data are
         numbers, unknowns = fit.residuals_after.size, len(fit.names)
         return [f"{doubts.FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-    return [
-        sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith((doubts.FEW, doubts.TOGETHER))
-    ]
+    return [sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith(doubts.FEW)]
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[int]]:
@@ -276,29 +235,20 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
 
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------
 def other_frame(arm: Arm, written: Reading) -> list[str]:
-    """How far the frame of the positions is from where the arm file has it, in a sentence; none for less than a zero
-    may be off by, and where the drawing does not explain the positions from any place. A fit of a planar arm takes it
-    up, one of an arm in space whose `[base]` is wrong does not.
+    """How far the frame of the positions is from where the `[base]` of an arm in space has it, in a sentence; none for
+    less than a zero may be off by, and where the drawing does not explain the positions from any place.
 
     written : the columns as they are
     """
     chain, base = arm.chain, written.base
-    placed = chain.instrument.reads_positions and (chain.planar or BASE in chain.settled)
-    if base is None or not placed or written.rms > DRAWN * arm.reach:
+    if base is None or not chain.instrument.reads_positions or chain.planar or BASE not in chain.settled:
         return []
     relative = chain.base[:3, :3].T @ base[:3, :3]
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))
     shift = float(np.linalg.norm(base[:3, 3] - chain.base[:3, 3]))
     near = shift < 0.02 * arm.reach  # else it stands elsewhere
-    if turn < doubts.FAR_ZERO and (chain.planar or near):
+    if written.rms > DRAWN * arm.reach or (turn < doubts.FAR_ZERO and near):
         return []
-    if chain.planar:
-        words = f"{np.degrees(np.arctan2(relative[1, 0], relative[0, 0])):.1f} deg"
-        return [
-            f"the frame of the positions is turned by {words} against the arm file, or the zero of joint 1 is, which "
-            "looks the same: a fit puts it into the zero of joint 1. Where it is the frame, turn the positions back by "
-            f"{words} or leave that zero out of the controller"
-        ]
     stands = ", ".join(f"{name} = {round(x, 1) + 0.0:g}" for name, x in pose_table(base).items())
     axis = chain.joints[0].origin[:3, :3] @ chain.joints[0].axis
     about = float(axis @ relative @ axis) > np.cos(doubts.FAR_ZERO)
@@ -384,60 +334,3 @@ def _in_words(fit: Identification, held: Set[str], weak: Set[str]) -> tuple[str,
             name = kind if len(sure) == len(parameters) else f"{kind} ({', '.join(sure)})"
         words += [name] if sure else []
     return tuple(words)
-
-
-# -- whether the arm sags ----------------------------------------------------------------------------------------------
-def sag(
-    arm: Arm, measurements: Measurements, fit: Identification, masses: Sequence[float] | None = None
-) -> tuple[dict[str, Any] | None, str]:
-    """What compliance of the joints explains beyond the geometry of an arm without gravity, that along the last axis of
-    the base: key `gravity` of `check`, distances [mm] of each posture from where a fit to all others puts it, without
-    and with compliance; and the recommendation, empty where the arm does not sag beyond doubt, or by little.
-
-    fit : of the geometry to these measurements;  masses : (n,) of the links [kg] where they are known
-
-    None where the arm has gravity, no joint bears a weight, or the measurements determine the one fit or the other not.
-    """
-    if arm.gravity is not None:
-        return None, ""
-    kilograms, down = np.ones(arm.links) if masses is None else np.asarray(masses, dtype=float), np.zeros(arm.dimension)
-    down[-1] = -9.81  # [m/s^2]
-    heavy = replace(arm, gravity=Gravity(down, kilograms, np.full(arm.links, 0.5)))
-    torques = Model(heavy).torques(measurements.postures, measurements.conditions)
-    sizes = np.sqrt(np.mean(torques**2, axis=0))
-    modelled = {effect.joint for effect in arm.effects if effect.name == "joint_compliance"}
-    # an upright first axis has no torque but rounding
-    joints = [j for j in (np.flatnonzero(sizes > 1e-3 * sizes.max()) + 1).tolist() if j not in modelled]
-    soft = heavy.with_effects(*arm.effects, *(EffectSpec("joint_compliance", j) for j in joints))
-    try:
-        sagging = estimate(Model(with_sessions(soft, measurements)), measurements)
-    except InputError:  # too few rows
-        return None, ""
-    left = [doubts.left_out_residuals(one, measurements) for one in (fit, sagging)]
-    before, after = (None if residuals is None else distances(residuals) for residuals in left)
-    if before is None or after is None:
-        return None, ""
-    p_value = gained_squares(before, after, measurements).p_above()
-    figures = {
-        "rms_before_mm": float(np.sqrt(np.mean(before**2))),
-        "rms_after_mm": float(np.sqrt(np.mean(after**2))),
-        "max_before_mm": float(before.max()),
-        "max_after_mm": float(after.max()),
-    }
-    # one-sided, one question of each data set; less than 3 % of the RMS distance is not worth another table
-    recommended = p_value <= 0.01 and figures["rms_after_mm"] <= 0.97 * figures["rms_before_mm"]
-    lines = ["[gravity]", f"acceleration_m_s2 = {down.tolist()}"]
-    lines += [f"link_masses_kg = {[round(mass, 4) for mass in kilograms.tolist()]}"]
-    named = {"masses_kg": kilograms.tolist(), "masses_from": "unit" if masses is None else "urdf"}
-    keys = {"recommended": recommended, **figures, "p_value": p_value, **named, "lines": lines}
-    if not recommended:
-        return keys, ""
-    falls = "{rms_before_mm:.3g} to {rms_after_mm:.3g} mm RMS (largest {max_before_mm:.3g} to {max_after_mm:.3g} mm)"
-    source = "1 kg stands for the mass of each link, and the compliances take up the scale; real masses are better"
-    if masses is not None:
-        source = "the masses are those of the URDF file"
-    return keys, (
-        f"the arm sags: compliant joints under gravity take the error from {falls.format(**figures)} in postures not "
-        f"fitted, p = {p_value:.1g}. Add the lines below to the arm file; {source}. {'xyz'[arm.dimension - 1]} of the "
-        "base is taken to point up"
-    )

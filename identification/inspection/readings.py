@@ -1,6 +1,5 @@
 """Other readings of a measurement file than its columns say: other units, reversed joints, swapped columns, other
-zeros, mirrored axes, positions beside another row, other conventions of orientations, markers and rows that are not
-what they say, in words.
+zeros, mirrored axes; other conventions of orientations, markers and rows that are not what they say, in words.
 
 A wrong unit or sign leaves decimetres where a real arm leaves millimetres, so the drawing is enough to see it: for each
 way to read the columns the base (and in space the measured point) is fitted to the drawing in closed form.
@@ -10,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, ByValue, rows_in_words
+from identification.arrays import Array, rows_in_words
 from identification.errors import require
 from identification.instruments import Placement, Unplaced
 from identification.kinematics.chain import TOOL
@@ -35,58 +34,6 @@ DRAWN = 0.02  # of the reach: what may well be the drawing's errors
 CLEARLY = 3.0  # times better: another unit or reading is suspected
 FAR = 10.0  # times the median distance: 15 standard deviations of normal errors in three coordinates
 ALIKE = 1.2  # times as much is left: no better, and the simpler reading counts
-Place = Callable[[Array, Array], Placement]
-
-
-# -- what the drawing leaves -------------------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
-class SomeRows(ByValue):
-    """Rows of the point and session that is measured most, spread over the file.
-
-    postures : (m, n) [rad, mm];  positions : (3, m, d) [mm] of the same row of the file, the next, and the one before,
-        infinite where there is none
-    """
-
-    postures: Array
-    positions: Array
-
-    @classmethod
-    def of(cls, measurements: Measurements) -> SomeRows:
-        """Of a file."""
-        rows = np.arange(len(measurements))
-        for names in (measurements.marker_numbers, measurements.session):  # between sessions the base may have moved
-            if names is not None:
-                each, counts = np.unique(names[rows], return_counts=True)
-                rows = rows[names[rows] == each[counts.argmax()]]
-        # 200 of them: a wrong sign shows in far fewer
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, 200).astype(int))]
-        between = np.pad(measurements.positions, ((1, 1), (0, 0)), constant_values=np.inf)
-        return cls(measurements.postures[rows], np.stack([between[rows + 1], between[rows + 2], between[rows]]))
-
-    def few(self, arm: Arm) -> bool:
-        """Whether another reading would fit by chance: of a pose, of a point where it is open, and of one number
-        more."""
-        point = 0 if TOOL in arm.chain.settled else arm.dimension
-        # below three equations for each fitted number anything may fit
-        unknowns = arm.dimension + len(arm.chain.turning) + point + 1
-        return len(self.postures) * min(arm.chain.coordinates, self.positions.shape[2]) < 3 * unknowns
-
-
-def anywhere(arm: Arm) -> Arm:
-    """The arm as drawn, where it stands left open, and in space what is measured on it."""
-    chain = arm.chain
-    tip = chain.settled.difference(chain.frame_kinds) & {TOOL}
-    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument.unplaced))
-
-
-def _place(arm: Arm, hopeless: float = np.inf) -> Place:
-    """Where the drawing stands by postures (m, n) and positions (m, d), with the root mean square distance [mm] that it
-    leaves; of lengths roughly, where that is `hopeless`."""
-    chain = arm.chain
-    tool = np.zeros(3) if TOOL in chain.settled else None
-    read = partial(Unplaced, reach=chain.reach, tool=tool, hopeless=hopeless)
-    coordinates = slice(chain.coordinates)
-    return lambda q, x: chain.instrument.place(read(chain.tip_frames(q), x[:, coordinates]))
 
 
 # -- a reading ---------------------------------------------------------------------------------------------------------
@@ -99,8 +46,7 @@ class Reading:
     mirrored : the positions are those of a mirror image: their last axis is read the other way
     sums : (n, n) how often column j has the angle of joint i in it: 1 on the diagonal, and 1 or -1 of joints before j
         where j is counted from farther back than from the link before; empty: no joint is
-    late : rows by which positions stand behind their postures: 0, 1 or -1
-    turned, scaled : what angles and positions are multiplied by, that were written in other units
+    turned, scaled : what turning joints and positions are multiplied by, that were written in other units
     base : (4, 4) [mm] where the drawing then explains the positions best;  rms : distance [mm] that it leaves
     """
 
@@ -109,16 +55,10 @@ class Reading:
     quarters: tuple[float, ...]
     mirrored: bool = False
     sums: tuple[tuple[int, ...], ...] = ()
-    late: int = 0
     turned: float = 1.0
     scaled: float = 1.0
     base: Array | None = field(default=None, compare=False)
     rms: float = field(default=np.inf, compare=False)
-
-    @classmethod
-    def as_written(cls, joints: int) -> Reading:
-        """As the columns say."""
-        return cls(tuple(range(joints)), (1,) * joints, (0,) * joints)
 
     @property
     def matrix(self) -> NDArray[np.int64]:
@@ -129,9 +69,8 @@ class Reading:
     def changes(self) -> int:
         """How many things are read differently."""
         swapped = sum(a != b for a, b in enumerate(self.order)) // 2
-        zeros = sum(k != 0 for k in self.quarters)
-        others = (self.mirrored, self.sums, self.late, self.turned != 1.0, self.scaled != 1.0)
-        return swapped + sum(s < 0 for s in self.signs) + zeros + sum(map(bool, others))
+        zeros, reversed_ = sum(k != 0 for k in self.quarters), sum(sign < 0 for sign in self.signs)
+        return swapped + zeros + reversed_ + self.mirrored + bool(self.sums) + (self.turned != 1) + (self.scaled != 1)
 
     @property
     def moved_zeros(self) -> bool:
@@ -158,22 +97,15 @@ class Reading:
         return replace(self, quarters=(*self.quarters[:joint], k, *self.quarters[joint + 1 :]))
 
     def postures(self, columns: Array) -> Array:
-        """(m, n) what the arm's joints are, of columns (m, n)."""
+        """(m, n) what the arm's joints are, of columns (m, n) in the right units."""
         read = columns[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
         return np.linalg.solve(self.matrix, read.T).T if self.sums else read
-
-    def placed(self, rows: SomeRows, place: Place) -> Placement:
-        """Where the drawing stands by it."""
-        positions = np.array(rows.positions[self.late])
-        positions[:, POINT][:, -1] *= -1.0 if self.mirrored else 1.0
-        kept = np.isfinite(positions[:, 0])
-        return place(self.postures(rows.postures[kept]), positions[kept])
 
     def counting(self, before: Counting | None) -> Counting | None:
         """How the controller counts, where this is what its columns say to an arm whose file says `before`; None where
         that is not all that is different, or a joint is coupled to several."""
         n = len(self.order)
-        if self.order != tuple(range(n)) or self.late or self.other_units:
+        if self.order != tuple(range(n)) or self.other_units:
             return None
         plain = before or Counting((1,) * n, (0,) * n, (0.0,) * n)
         # signs (sums q - zeros) are the joints as read so far, from which follow the columns
@@ -200,9 +132,6 @@ class Reading:
             else:
                 lengths += ", which is the factor of no unit (another arm, or a length that is mistyped)"
             sentences.append(lengths)
-        if self.late:
-            when = "late" if self.late > 0 else "early"
-            sentences.append(f"each position stands one row too {when}, beside another posture")
         swaps = sorted({tuple(sorted((a, b))) for a, b in enumerate(self.order) if a != b})
         sentences += [f"columns of joints {a + 1} and {b + 1} are swapped" for a, b in swaps]
         sentences += [f"joint {j} turns the other way" for j, sign in enumerate(self.signs, start=1) if sign < 0]
@@ -273,61 +202,90 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
     Tried are other units, then zeros of joints at any angle, then one change after another of the readings that leave
-    least: positions a row late, signs, pairs of swapped columns, zeros off by quarter turns, joints that are counted
-    from farther back than the link before, a mirrored frame. With few rows nothing is tried. Where a spatial arm stands
-    and what is measured on it are fitted. Raises `InputError` if the numbers of joints differ.
+    least: signs, pairs of swapped columns, zeros off by quarter turns, joints that are counted from farther back than
+    the link before, a mirrored frame. With few rows nothing is tried. Where a spatial arm stands and what is measured
+    on it are fitted. Raises `InputError` if the numbers of joints differ.
 
     search : False: for units only
     """
     joints = f"found {measurements.links} joints, allowed: {arm.links}, as the arm has"
     require(measurements.links == arm.links, f"measurements: {joints}")
-    readings = _read_differently(anywhere(arm), SomeRows.of(measurements), search)
+    readings = _searched(_anywhere(arm), measurements, search)
     if readings.better is None or not readings.explained:
         return readings
     return replace(readings, counting=readings.better.counting(arm.counting))
 
 
-@lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings
-def _read_differently(arm: Arm, rows: SomeRows, search: bool) -> Readings:
-    def placed(reading: Reading) -> Reading:
-        base, _, rms = reading.placed(rows, _place(arm))
-        return replace(reading, rms=rms, base=base)
+def _anywhere(arm: Arm) -> Arm:
+    """The arm as drawn, where it stands left open, and in space what is measured on it."""
+    chain = arm.chain
+    tip = chain.settled.difference(chain.frame_kinds) & {TOOL}
+    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument.unplaced))
 
-    written = Reading.as_written(arm.links)
-    units = None if rows.few(arm) else _other_units(arm, rows)
-    if units is None and not search:
-        return Readings(written)
-    written = placed(written)
-    if units is not None or rows.few(arm):
-        return replace(units or Readings(written), written=written)
-    place = _place(arm, 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY))  # twice what may be left: no hope
-    tried = {written: written.rms}
+
+def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
+    """Postures (m, n) and positions (m, d) of the point and session that is measured most, spread over the file, those
+    far from all others left out; and whether they are so few that another reading would fit by chance: of a pose, of a
+    point where it is open, and of one number more."""
+    rows = np.arange(len(measurements))
+    for names in (measurements.marker_numbers, measurements.session):  # between sessions the base may have moved
+        if names is not None:
+            each, counts = np.unique(names[rows], return_counts=True)
+            rows = rows[names[rows] == each[counts.argmax()]]
+    # 200 of them: a wrong sign shows in far fewer
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, 200).astype(int))]
+    x = measurements.positions[rows, : arm.chain.coordinates]
+    off = np.linalg.norm(x - np.median(x, axis=0), axis=1)
+    near = off <= FAR * np.quantile(off, 0.75)
+    # below three equations for each fitted number anything may fit
+    unknowns = arm.dimension + len(arm.chain.turning) + (0 if TOOL in arm.chain.settled else arm.dimension) + 1
+    return measurements.postures[rows][near], x[near], x.size < 3 * unknowns
+
+
+@lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings
+def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
+    """`read_differently` of an arm that may stand anywhere."""
+    chain, (q, x, few) = arm.chain, _rows(arm, measurements)
     kinds = arm.joint_types
     turning = [j for j, kind in enumerate(kinds) if kind != PRISMATIC]
+    hopeless = np.inf  # of what is left more than this: no hope, and a search for lengths may end early
 
-    def left(reading: Reading) -> float:
-        return reading.placed(rows, place).rms
+    def placed(reading: Reading) -> Placement:
+        """Where the drawing stands by it."""
+        columns, positions = q.copy(), x * reading.scaled
+        columns[:, turning] *= reading.turned
+        positions[:, -1] *= -1.0 if reading.mirrored else 1.0
+        frames = chain.tip_frames(reading.postures(columns))
+        tool = np.zeros(3) if TOOL in chain.settled else None
+        return chain.instrument.place(Unplaced(frames, positions, chain.reach, tool=tool, hopeless=hopeless))
+
+    written = Reading(tuple(range(arm.links)), (1,) * arm.links, (0,) * arm.links)
+    if few:
+        return Readings(_with_place(written, placed(written)))
+    if (units := _other_units(arm, q, x, written, placed)) is not None or not search:
+        return units or Readings(written)
+    written = _with_place(written, placed(written))
+    hopeless = 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY)  # twice what may be left
+    tried = {written: written.rms}
 
     def moved_zero(best: Reading) -> Iterator[Reading]:
         """The zero of one turning joint where it explains the positions best; near whole quarter turns these."""
         for j in turning:
 
             def left_with(k: float, j: int = j) -> float:
-                return left(best.with_quarters(j, k))
+                return placed(best.with_quarters(j, k)).rms
 
             near, step = min(np.arange(0.0, 4.0, 0.25), key=left_with), 0.25  # one start is near enough to the best
             k = float(minimize_scalar(left_with, bounds=(near - step, near + step), options={"xatol": 1e-3}).x)
             yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # whole within 2 deg
 
     def mirrored(best: Reading) -> list[Reading]:  # lengths are the same in a mirrored frame
-        return [replace(best, mirrored=not best.mirrored)] if arm.chain.instrument.reads_positions else []
+        return [replace(best, mirrored=not best.mirrored)] if chain.instrument.reads_positions else []
 
     def changed(best: Reading) -> Iterator[Reading]:
-        """One more thing read differently: positions a row late or early, a mirrored frame, a sign, a zero off by
-        quarter turns, two columns of like joints swapped, and one joint, or all from one on, counted from a link
-        farther back than the one before, or from the base: of joints that turn about parallel axes one after the
-        other."""
-        yield from (replace(best, late=late) for late in (1, -1))
+        """One more thing read differently: a mirrored frame, a sign, a zero off by quarter turns, two columns of like
+        joints swapped, and one joint, or all from one on, counted from a link farther back than the one before, or from
+        the base: of joints that turn about parallel axes one after the other."""
         yield from mirrored(best)
         yield from (best.flipped([j]) for j in range(arm.links))
         yield from (best.with_quarters(j, k) for j in turning for k in (1, 2, 3))
@@ -366,19 +324,80 @@ def _read_differently(arm: Arm, rows: SomeRows, search: bool) -> Readings:
         if change is changed:  # effort
             starts += [reading for reading in ranked if not reading.moved_zeros][:5]
         for start in dict.fromkeys(starts):
-            tried |= {reading: left(reading) for reading in change(start) if reading not in tried}
+            tried |= {reading: placed(reading).rms for reading in change(start) if reading not in tried}
     best = simplest()
     if CLEARLY * tried[best] >= written.rms:
         return Readings(written)
     explained = tried[best] < DRAWN * arm.reach
     if explained and not best.moved_zeros:  # the search ends early: others may be as simple
         further = changed if best.changes == 1 else changed_twice
-        tried |= {reading: left(reading) for reading in further(written) if reading not in tried}
+        tried |= {reading: placed(reading).rms for reading in further(written) if reading not in tried}
         best = simplest()
     as_simple = (r for r in tried if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and tried[r] <= ALIKE * tried[best]), key=tried.__getitem__)
-    best, *others = map(placed, (best, *alike[:2]))  # two are named beside the simplest
+    hopeless = np.inf
+    best, *others = (_with_place(r, placed(r)) for r in (best, *alike[:2]))  # two are named beside the simplest
     return Readings(written, best, tuple(others), explained)
+
+
+def _with_place(reading: Reading, place: Placement) -> Reading:
+    return replace(reading, base=place.base, rms=place.rms)
+
+
+def _other_units(
+    arm: Arm, q: Array, x: Array, written: Reading, placed: Callable[[Reading], Placement]
+) -> Readings | None:
+    """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
+    which is measured, where that fits the arm clearly better for how far apart the positions then are. Angles are
+    suspected only where all are below 7 deg, or one is above 7 rad."""
+    turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
+    largest = float(np.abs(q[:, turning]).max(initial=0.0))
+    angles = [1.0]
+    if 0.0 < largest < np.radians(7.0):
+        angles.append(180.0 / np.pi)
+    elif largest > 7.0:  # [rad], more than a turn
+        angles.append(np.pi / 180.0)
+    tips = {
+        turned: arm.chain.tip_frames(q * np.where(turning, turned, 1.0))[:, : arm.dimension, 3] for turned in angles
+    }
+    drawn = {turned: max(_spread(points), np.finfo(float).tiny) for turned, points in tips.items()}
+    spread = 0.0 if arm.chain.instrument.contact else _spread(x)  # of contacts nothing is read
+    readings = []
+
+    def left(reading: Reading) -> float:
+        """As a share of how far apart the positions are."""
+        return placed(reading).rms / drawn[reading.turned]
+
+    for other in (replace(written, turned=turned) for turned in angles):
+        readings.append(other)
+        # no drawing is wrong by half or twice the size; what repeats of one posture scatter by has no ratio to it
+        if spread and not 0.5 < (ratio := drawn[other.turned] / spread) < 2.0:
+
+            def left_at(k: float, other: Reading = other) -> float:
+                return left(replace(other, scaled=float(np.exp(k))))
+
+            two = np.log(2.0)  # a point far from the tip adds to the spread of positions
+            near = min(np.log(ratio) + two * np.arange(-3, 4), key=left_at)
+            k = minimize_scalar(left_at, bounds=(near - two, near + two), options={"xatol": 1e-4}).x
+            readings += [replace(other, scaled=float(np.exp(k)))] if abs(k) > two else []
+    if len(readings) == 1 or max(drawn.values()) < 1e-3 * arm.reach:
+        return None
+    share = {reading: left(reading) for reading in readings}
+    better = min(share, key=share.__getitem__)
+    if CLEARLY * share[better] >= share[written]:
+        return None
+    explained = share[better] * drawn[better.turned] <= DRAWN * arm.reach
+    certain = explained and share[written] > 10.0 * share[better]
+    return Readings(
+        _with_place(written, placed(written)), _with_place(better, placed(better)), explained=explained, certain=certain
+    )
+
+
+def _spread(points: Array) -> float:
+    """Median distance of points (m, d) from their median, of distances (m, 1) that of the points they are of, if these
+    lie on all sides: of normal ones 1.54 and 0.67 standard deviations of a coordinate."""
+    off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    return float(np.median(off) * (1.54 / 0.67 if points.shape[1] == 1 else 1.0))
 
 
 def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
@@ -397,81 +416,6 @@ def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
     return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
 
-# -- units -------------------------------------------------------------------------------------------------------------
-def _without_far_rows(arm: Arm, q: Array, x: Array) -> tuple[float, NDArray[np.bool_]]:
-    """What the drawing leaves of postures (m, n) and positions (m, d), RMS [mm], without rows far from all others, and
-    which these are not: least squares of the nearest three quarters, by concentration steps (P. J. Rousseeuw, K. Van
-    Driessen, "Computing LTS regression for large data sets", 2006)."""
-    place, instrument, near = _place(arm), arm.chain.instrument, np.ones(len(q), dtype=bool)
-    if instrument.parameters:  # no placement says what these are
-        return place(q, x).rms, near
-    frames = arm.chain.tip_frames(q)
-    for _ in range(10):  # effort: mostly 3
-        base, tool, _ = place(q[near], x[near])
-        points = (frames[:, :3, :3] @ tool + frames[:, :3, 3]) @ base[:3, :3].T + base[:3, 3]
-        points = points[:, : len(instrument.axes)]
-        read = instrument.readings(points, np.zeros(0))
-        far = np.linalg.norm(x - read[:, : x.shape[1]], axis=1)
-        before, near = near, far <= np.quantile(far, 0.75)
-        if np.array_equal(before, near):
-            break
-    near = far <= FAR * np.median(far)
-    return place(q[near], x[near]).rms, near
-
-
-def _other_units(arm: Arm, rows: SomeRows) -> Readings | None:
-    """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
-    where that fits the arm clearly better for how far apart the positions then are. Rows far from all others do not
-    count. Angles are suspected only where all are below 7 deg, or one is above 7 rad; how many times the lengths of one
-    file are those of the other is measured."""
-    turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
-    largest = float(np.abs(rows.postures[:, turning]).max(initial=0.0))
-    angles = [1.0]
-    if 0.0 < largest < np.radians(7.0):
-        angles.append(180.0 / np.pi)
-    elif largest > 7.0:  # [rad], more than a turn
-        angles.append(np.pi / 180.0)
-    postures = {turned: rows.postures * np.where(turning, turned, 1.0) for turned in angles}
-    drawn = {turned: _spread(arm.chain.tip_frames(q)[:, : arm.dimension, 3]) for turned, q in postures.items()}
-    positions = rows.positions[0][:, : arm.chain.coordinates]
-    spread = 0.0 if arm.chain.instrument.contact else _spread(positions[:, POINT])  # of contacts nothing is read
-    # no drawing is wrong by half or twice the size; what repeats of one posture scatter by has no ratio to it
-    alike = not spread or drawn[1.0] < 2.0 * spread < 4.0 * drawn[1.0]
-    if max(drawn.values()) < 1e-3 * arm.reach or (len(angles) == 1 and alike):
-        return None
-    left = dict[tuple[float, float], tuple[float, NDArray[np.bool_]]]()  # factors -> share of the size, rows near
-    for turned, q in postures.items():
-        size = max(drawn[turned], np.finfo(float).tiny)
-        # what positions may have to be multiplied by; a point far from the tip adds to their spread
-        factors: Any = size / spread * 2.0 ** np.arange(-3, 4) if spread and drawn[turned] else []
-        for scaled in (1.0, *map(float, factors)):
-            rms, near = _without_far_rows(arm, q, positions * scaled)
-            left[turned, scaled] = rms / size, near
-    turned, scaled = min(left, key=lambda factors: left[factors][0])
-    (as_written, _), (share, near) = left[1.0, 1.0], left[turned, scaled]
-    if scaled != 1.0:
-        q, x, place = postures[turned][near], positions[near], _place(arm)
-        bounds = np.log([scaled / 2.0, scaled * 2.0])
-        best = minimize_scalar(lambda k: place(q, x * np.exp(k)).rms, bounds=bounds, options={"xatol": 1e-4})
-        scaled, share = float(np.exp(best.x)), float(best.fun) / drawn[turned]
-    if 0.5 <= scaled <= 2.0:
-        scaled, share = 1.0, left[turned, 1.0][0]
-    if CLEARLY * share >= as_written:
-        return None
-    rms = share * drawn[turned]
-    written = Reading.as_written(arm.links)
-    better = replace(written, turned=turned, scaled=scaled, rms=rms)
-    explained = rms <= DRAWN * arm.reach
-    return Readings(written, better, explained=explained, certain=explained and as_written > 10.0 * share)
-
-
-def _spread(points: Array) -> float:
-    """Median distance of points (m, d) from their median, of distances (m, 1) that of the points they are of, if these
-    lie on all sides: of normal ones 1.54 and 0.67 standard deviations of a coordinate."""
-    off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    return float(np.median(off) * (1.54 / 0.67 if points.shape[1] == 1 else 1.0))
-
-
 # -- orientations, markers, rows far from all others -------------------------------------------------------------------
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """Sentences about units that the numbers contradict, other conventions of orientations, swapped markers and rows
@@ -483,7 +427,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if arm.reach > 20000.0:  # [mm]
         how = "lengths that were written in millimetres there come out 1000 times too large"
         units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")
-    if units or not arm.chain.frame_kinds or SomeRows.of(measurements).few(anywhere(arm)):
+    if units or not arm.chain.frame_kinds or _rows(_anywhere(arm), measurements)[2]:
         return units
     # as it is drawn; with one measured point where it has several and the rows name none
     bare = replace(arm, chain=one_unnamed(arm.chain, measurements), effects=(), calibration=None)

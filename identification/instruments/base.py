@@ -97,10 +97,8 @@ class Instrument:
         """d, numbers of a reading; 1 of a contact: the length that it stands for."""
         return max(len(self.coordinates), 1)
 
-    @property
-    def contact(self) -> bool:
-        """Whether it reads nothing but the joints: the reading of what is touched is zero."""
-        return not self.coordinates
+    # whether it reads nothing but the joints: the reading of what is touched is zero
+    contact = property(lambda self: not self.coordinates)
 
     # -- what it does not show, and what is to be found besides the arm --------------------------------------------
     @property
@@ -155,11 +153,6 @@ class Instrument:
     def targets(self) -> Mapping[str, Array]:
         """Name -> (3,) about where these are; empty: not known."""
         return {}
-
-    # -- postures that touch, for plans --------------------------------------------------------------------------------
-    def clear(self, points: Array, values: Array, near: float) -> NDArray[np.bool_]:
-        """(m,) True where points (m, k, 3) in its frame are outside of what is touched, but for `near` [mm]."""
-        return np.asarray(np.all(self.readings(points, values)[..., 0] > -near, axis=1))
 
     # -- files -----------------------------------------------------------------------------------------------------
     @classmethod

@@ -16,7 +16,6 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.errors import InputError
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import Conditions, Measurements
@@ -37,8 +36,6 @@ def minimal(model: Model, least: float = DISTINCT, rows: Measurements | None = N
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     arm, parameters = model.arm, model.parameters
-    if not arm.chain.frame_kinds:
-        raise InputError("minimal: a planar arm, allowed: a spatial one; the parameters of a planar arm are minimal")
     first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
     order = [k for kind in first for k in parameters.indices(kind)]
     sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
@@ -52,36 +49,34 @@ def minimal(model: Model, least: float = DISTINCT, rows: Measurements | None = N
     return _fixing(model, (parameters[k].name for k in order if k not in kept))
 
 
-def _fixing(model: Model, names: Iterable[str]) -> Model:
-    """The model with these parameters as drawn, too."""
-    chain = replace(model.arm.chain, fixed=model.arm.chain.fixed | frozenset(names))
-    return replace(model, arm=replace(model.arm, chain=chain))
-
-
 def practical(arm: Arm, measurements: Measurements) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
-    measurements hardly determine as drawn. A planar arm, and a spatial one whose set was chosen, stays as it is."""
-    return minimal_of(Model(arm), measurements, PRACTICAL).arm if arm.chain.redundant else arm
-
-
-def minimal_of(model: Model, measurements: Measurements, least: float = DISTINCT) -> Model:
-    """`minimal` where the closed form finds base and measured points; of contacts what the surface that is touched most
-    often shows, at the postures measured."""
-    placed, instrument = placed_model(model, measurements), model.arm.chain.instrument
+    measurements hardly determine as drawn; of contacts what the surface that is touched most often shows, at the
+    postures measured. A planar arm, and a spatial one whose set was chosen, stays as it is."""
+    if not arm.chain.redundant:
+        return arm
+    model, instrument = Model(arm), arm.chain.instrument
+    placed = placed_model(model, measurements)
     if not instrument.contact:
-        return minimal(placed, least)
+        return minimal(placed, PRACTICAL).arm
     if not instrument.own_targets:
         longest = measurements.rows(max(measurements.session_rows, key=len))
-        shown = minimal(placed_model(model, longest), least, longest)
-        return _fixing(placed, shown.arm.chain.fixed - placed.arm.chain.fixed)
-    shown = minimal(placed, least, measurements)
+        shown = minimal(placed_model(model, longest), PRACTICAL, longest)
+        return _fixing(placed, shown.arm.chain.fixed - placed.arm.chain.fixed).arm
+    shown = minimal(placed, PRACTICAL, measurements)
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
     # next to nothing: the longest step that is a parameter stays as drawn
     steps: dict[str, float] = {}
     for j, joint in enumerate(shown.arm.chain.joints if instrument.size_is_open[0] else (), start=1):
         along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
         steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in shown.names}
-    return _fixing(shown, [max(steps, key=steps.__getitem__)] if steps else ())
+    return _fixing(shown, [max(steps, key=steps.__getitem__)] if steps else ()).arm
+
+
+def _fixing(model: Model, names: Iterable[str]) -> Model:
+    """The model with these parameters as drawn, too."""
+    chain = replace(model.arm.chain, fixed=model.arm.chain.fixed | frozenset(names))
+    return replace(model, arm=replace(model.arm, chain=chain))
 
 
 def independent(columns: Array, least: float = DISTINCT) -> list[int]:

@@ -18,8 +18,6 @@ from identification.document import (
     as_text,
     estimate_text,
     html,
-    html_lines,
-    html_table,
     in_a_sentence,
     in_symbols,
     number,
@@ -41,7 +39,7 @@ DOCUMENT = Document(
     ["The verdict.", "", f"Then {NASTY}."],
     [
         f"A paragraph {NASTY}, chi2 1 +- 2.",
-        Sheet.facts([("length [mm]", "260 [mm]"), ("left out", None), ("nothing", "")]),
+        Sheet.facts({"length [mm]": "260 [mm]", "left out": None, "nothing": ""}),
         Section("Open", [Sheet(["effect", "value [mm]"], [["ripple[k=4]", "1.5"], [NASTY, "-22.75"]]), "After it."]),
         Section("Closed", ["Hidden at first.", Sheet(["a"], [["b"]], "In a fold")], folded=True),
         Section("Seen", [Pictures(figures)]),
@@ -123,12 +121,12 @@ def test_long_tables_are_cut_and_say_so() -> None:
 def test_cells_come_out_as_they_went_in_and_long_ones_may_be_broken() -> None:
     headings, row = ("a<b", "x & y", "z"), ["</td><script>", "", 'q "7"' * 9]
     parser = Texts()
-    parser.feed(html_table(headings, [row, ["", "x" * 24, "x" * 25]]))
+    parser.feed(html(Sheet(headings, [row, ["", "x" * 24, "x" * 25]])))
     assert parser.texts == [*headings, row[0], row[2], "x" * 24, "x" * 25]
-    assert html_table(["h"], [["x" * 25]]).count('class="text"') == 2  # with its heading
-    assert 'class="text"' not in html_table(["h"], [["x" * 24]])
-    assert html_lines(["1 < 2", "two"], strong=True) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
-    facts = html(Sheet.facts([("a<b", "1 & 2 +- sigma")]))
+    assert html(Sheet(["h"], [["x" * 25]])).count('class="text"') == 2  # with its heading
+    assert 'class="text"' not in html(Sheet(["h"], [["x" * 24]]))
+    assert html(Document(verdict=["1 < 2", "two"])) == "<p><b>1 &lt; 2</b></p>\n<p><b>two</b></p>\n"
+    facts = html(Sheet.facts({"a<b": "1 & 2 +- sigma"}))
     assert (facts.count("<tr>"), ">a&lt;b</th>" in facts, ">1 &amp; 2 ± σ</td>" in facts) == (1, True, True)
 
 

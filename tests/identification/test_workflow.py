@@ -41,7 +41,7 @@ def test_a_calibration_goes_round_in_python(folder: Path) -> None:
     np.testing.assert_allclose(answer.result.length_errors, [1.0, -2.0], atol=1e-9)
     calibration = load_arm(out).calibration
     np.testing.assert_allclose([calibration.values[f"length_error:{j}"] for j in (1, 2)], [1.0, -2.0], atol=1e-9)
-    (document,) = answer.shown
+    document = answer.document
     assert isinstance(document, Document)
     assert f"calibrated arm written to {out}" in document.parts
     assert validate_files(out, folder / "data.csv").data["rms_mm"] < 1e-6

@@ -10,7 +10,6 @@ import polars as pl
 import pytest
 
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
-from tests.small_arm import MASSES, OTHERS, as_csv, measured, random_postures, small_arm, urdf
 
 ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.2\nb_deg = 0.1\n'
 IDENTIFY = "identify arm.toml data.csv"
@@ -69,26 +68,6 @@ def test_a_controller_that_counts_otherwise(folder: Folder, columns: dict[str, p
     assert folder.said("check arm.toml data.csv")["ok"]
     values, usual = ([row["value"] for row in run["parameters"]] for run in (folder.said(IDENTIFY), plain))
     assert values == pytest.approx(usual, abs=1e-6)
-
-
-def test_an_arm_that_sags_is_told_what_to_add(folder: Folder) -> None:
-    """The lines printed, appended to the arm file, are what `diagnose` needs; with masses in the URDF file those."""
-    rng = np.random.default_rng(11)
-    data = measured(small_arm(rng, *OTHERS), random_postures(60, rng), rng)
-    folder.write("arm.urdf", urdf())
-    folder.write("data.csv", as_csv(data))
-    head = 'name = "small"\nkind = "spatial"\nurdf = "arm.urdf"\nbase_link = "base_link"\ntip_link = "tip"\n'
-    folder.write("arm.toml", head)
-    done = folder.armcal("check arm.toml data.csv")
-    found = folder.said("check arm.toml data.csv")["gravity"]
-    assert (found["recommended"], found["masses_from"], found["masses_kg"]) == (True, "urdf", MASSES.tolist())
-    assert found["rms_after_mm"] < 0.6 * found["rms_before_mm"]
-    assert "\n" + "\n".join(found["lines"]) + "\n" in re.sub(r" +\n", "\n", done.out)
-    assert "z of the base is taken to point up" in done.flat
-    folder.write("arm.toml", head + "\n".join(found["lines"]) + "\n")
-    again = folder.said("check arm.toml data.csv")
-    assert again["gravity"] is None
-    assert not any("gravity" in note for note in again["notes"])
 
 
 # -- identify ----------------------------------------------------------------------------------------------------------

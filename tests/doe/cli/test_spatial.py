@@ -226,7 +226,7 @@ def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Fo
     assert spatial.armcal(weights).flat.count(COLLISIONS) == 1
     with pytest.warns(UserWarning, match="beside the last axis is assumed"):
         problem = DesignProblem.of(Model(load_arm(spatial.path / "arm.toml")))
-    assert with_collisions(Answer({}, []), problem).shown == [COLLISIONS]  # what all call
+    assert with_collisions(Answer({}), problem).document.parts == [COLLISIONS]  # what all call
     spatial.said("report arm.toml plan.csv --out page.html")
     assert COLLISIONS in spatial.read("page.html")
     spatial.write("planar.toml", PLANAR)

@@ -32,7 +32,7 @@ from doe.cli.verb import (
     stopped_by,
 )
 from doe.studies.monte_carlo import StudyFile
-from identification.document import Answer
+from identification.document import Answer, Document
 from identification.errors import InputError
 from identification.running import Progress
 from identification.workflow import Names
@@ -85,7 +85,7 @@ def test_a_signature_and_its_docstring_declare_a_command() -> None:
         got.update(arm=arm, data=data, runs=runs, color=color, only=only, check=check, size=size, in_all=in_all)
         progress(1.0, 2.0, "")
         got["seed"] = seed
-        return Answer({"here": arm}, ["transmission_ripple:1[k=20] and [red]"])
+        return Answer({"here": arm}, Document(parts=["transmission_ripple:1[k=20] and [red]"]))
 
     line = "a.toml b.csv c.csv --runs 3,4 --width 5 --only x --only y,z --no-check --seed 7"
     painting = command(paint, "armcal paint wall.toml")

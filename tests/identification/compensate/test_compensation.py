@@ -27,12 +27,10 @@ from tests.identification.kinematics.test_spatial import tip_by_exponentials
 # of three targets the first is reached, the second 0.25 mm off, and the third's command misses a constraint by 3 mm
 FOUND = Compensation(
     np.array([[100.0, 0.0], [900.0, 0.0], [50.0, 50.0]]),
-    np.zeros((3, 2)),
     np.array([[np.pi / 6.0, 40.0], [0.0, 80.0], [-np.pi / 2.0, 20.0]]),
     np.array([1e-9, 0.25, 1e-9]),
     joint_types=("revolute", "prismatic"),
-    constraints=(("table",),) * 3,
-    violations=np.array([[0.0], [0.0], [3.0]]),
+    barred=("", "", "constraint 1 (table) is missed by 3 mm"),
 )
 
 
@@ -49,7 +47,7 @@ def test_figures() -> None:
     np.testing.assert_allclose(figures["commands_deg"][0], [30.0, 40.0])  # the slide in millimetres
     assert figures["commands_deg"][1:] == [None, None]
     assert [row["reachable"] for row in figures["commands"]] == [True, False, False]
-    for found, reached in ((FOUND, [0]), (replace(FOUND, violations=None), [0, 2])):
+    for found, reached in ((FOUND, [0]), (replace(FOUND, barred=()), [0, 2])):
         np.testing.assert_array_equal(found.safe_commands[reached], found.commands[reached])
         assert np.isnan(np.delete(found.safe_commands, reached, axis=0)).all()
 
@@ -60,7 +58,7 @@ def test_rows_without_a_command_have_none() -> None:
     rows = FOUND.to_json()["commands"]
     assert [row["command"] for row in rows] == FOUND.to_json()["commands_deg"]
     assert [row["error_mm"] for row in rows] == [1e-9, 0.25, None]
-    np.testing.assert_array_equal(FOUND.left, [1e-9, 0.25, np.nan])
+    np.testing.assert_array_equal(FOUND.misses["error_mm"], [1e-9, 0.25, np.nan])
     assert FOUND.warnings == []  # one of three
     (said,) = replace(FOUND, errors=np.array([1e-9, 0.25, 600.0])).warnings
     assert said.startswith("2 of 3 targets are out of reach: are they in mm, and in the frame of the measurements")
@@ -70,8 +68,8 @@ def test_rows_without_a_command_have_none() -> None:
 def test_a_pose_is_reached_if_its_angle_is_too() -> None:
     posed = replace(FOUND, angles=np.radians([0.0, 2.0, 0.0]))
     assert [row["error_deg"] for row in posed.to_json()["commands"]] == [0.0, pytest.approx(2.0), None]
-    np.testing.assert_array_equal(posed.left_angles, [0.0, np.radians(2.0), np.nan])
-    posed = replace(FOUND, angles=np.radians([0.0, 0.0, 2.0]), constraints=(), violations=None)
+    np.testing.assert_allclose(posed.misses["error_deg"], [0.0, 2.0, np.nan])
+    posed = replace(FOUND, angles=np.radians([0.0, 0.0, 2.0]), barred=())
     assert posed.reached.tolist() == [True, False, False]
     assert posed.messages[2].endswith("the nearest posture misses it by 1e-09 mm and 2 deg")
     assert posed.to_json()["max_error_deg"] == 0.0

@@ -186,13 +186,7 @@ EUROPE = {"a": [1.5, 0.0], "b": [-22.5, 4.0], "c": ["x,y", "z"]}
             )
         ),
         # between commas texts may have commas and points
-        (
-            b'x_mm,y_mm,c\n"1,5","-22,5","a.1, b"\n0,"4",z\n',
-            {"x_mm": [1.5, 0.0], "y_mm": [-22.5, 4.0], "c": ["a.1, b", "z"]},
-        ),
-        (b'x_mm,c\n1.5,"1,5"\n', {"x_mm": [1.5], "c": ["1,5"]}),
-        # no thousands are written like that
-        *((f'x_mm,y_mm\n"1,500","{sure}"\n'.encode(), {"x_mm": [1.5]}) for sure in ("0,500", "1234,500")),
+        (b'x_mm,c\n1.5,"1,5"\n0,"a.1, b"\n', {"x_mm": [1.5, 0.0], "c": ["1,5", "a.1, b"]}),
     ],
 )
 def test_forms_of_a_csv_file(tmp_path: Path, content: bytes, expected: dict[str, list]) -> None:
@@ -212,7 +206,6 @@ def test_forms_of_a_csv_file(tmp_path: Path, content: bytes, expected: dict[str,
         ("a,b\n1;2\n3;4\n", ["found 1 cells, allowed: 2 separated by commas"]),
         ("a;b\n1,2\n3,4\n", ["found 1 cells, allowed: 2 separated by semicolons"]),
         ("a\tb\tc\n1;2;3\n", ["found 1 cells, allowed: 3 separated by tabs"]),
-        ('x_mm,y_mm\n"1,500","-22,125"\n', ["found '1,500', a decimal comma or one of thousands", "or semicolons"]),
         ("a,b\n\n,\n", ["no rows"]),
         ("a,b\n1,2\n3\n4,5\n", ["row 2 (line 3)", "found 1 cells", "allowed: 2"]),
         ("a,b\n1,2\n\n3,4,5\n", ["row 2 (line 4)", "found 3 cells", "allowed: 2"]),
@@ -224,7 +217,7 @@ def test_forms_of_a_csv_file(tmp_path: Path, content: bytes, expected: dict[str,
         ('# by hand\na,b\n1,"2\n3,4\n', ["row 1 (from line 3)", "unexpected end"]),
         ("# fit: splines\na,b\n1,2\n", ["line 1: fit 'splines'", "allowed: library-prior, or library-prior --missing"]),
         ("# fit:\na,b\n1,2\n", ["line 1: fit ''", "allowed: library-prior"]),
-        ("# a,b\n", ["empty CSV", "allowed: the names of the columns"]),
+        ("# a,b\n", ["no header", "allowed: the names of the columns"]),
         ("PK\x03\x04\x14", ["found a spreadsheet", "save it as CSV"]),
         ("a,,b\n1,2,3\n", ["column 2 has no name", "allowed"]),
         (b"a,b\n1,\xff\n", ["UTF-8", "line 2"]),
@@ -272,7 +265,7 @@ def test_cells_that_are_not_finite_numbers(tmp_path: Path, cell: str) -> None:
 def test_columns_that_are_not_there_or_have_another_decimal_mark(tmp_path: Path) -> None:
     read = table(tmp_path, 'x_mm,y_mm,z_mn\n1.5,2,0\n3,"4,25",0\n')
     refused(read.floats, "z_mm", names=("data.csv", "'z_mm' is missing", "did you mean to rename 'z_mn'?", "x_mm"))
-    assert read.floats("y_mm").tolist() == [2.0, 4.25]
+    refused(read.floats, "y_mm", names=("row 2 (line 3), column y_mm", "found '4,25'"))
     read = table(tmp_path, "a;b\n1;2\n3;4,5,6\n")
     refused(read.floats, "b", names=("row 2 (line 3), column b", "found '4,5,6'"))
 

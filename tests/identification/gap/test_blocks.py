@@ -80,7 +80,7 @@ class Series(Effect):
 
     def joint_angles(self, chain, values):
         q = chain.q[self.joint_index]
-        return self.at_joint(values[0] * sum(ca.cos(k * q) for k in range(1, self.chosen["terms"] + 1)), chain)
+        return values[0] * sum(ca.cos(k * q) for k in range(1, self.chosen["terms"] + 1))
 
 
 class Lag(Effect):
@@ -93,7 +93,7 @@ class Lag(Effect):
 
     def joint_angles(self, chain, values):
         j = self.joint_index
-        return self.at_joint(values[0] * (chain.previous[j] - chain.q[j]), chain)
+        return values[0] * (chain.previous[j] - chain.q[j])
 '''
 pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
 NAMES = {"lag": "Lag", "breathing": "Breathing", "link_jump": "LinkJump", "settling": "Settling", "series": "Series"}

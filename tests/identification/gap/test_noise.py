@@ -120,7 +120,7 @@ def test_an_identification_compares_its_residuals_with_repeats(sigma: float | No
     )
     assert found.warnings[0].startswith(f"misfit: the residuals {expected}{repeats:.3g} mm)")
     np.testing.assert_array_equal(found.covariance, plain.covariance)
-    assert "if the model is right; but repeats say that it is not" in str(dict(fit_facts(found))["expected error"])
+    assert "if the model is right; but repeats say that it is not" in str(fit_facts(found)["expected error"])
 
 
 RNG = np.random.default_rng(4)

@@ -42,38 +42,6 @@ def test_good_data_have_no_problem() -> None:
     assert any("no posture is repeated" in note for note in found.notes)
 
 
-def least_squares_rms(q: np.ndarray, positions: np.ndarray) -> float:
-    """What lengths and zeros leave [mm]: (l_j + e_j) exp(i d_j) are the coefficients of exp(i theta_j)."""
-    columns, z = np.exp(1j * np.cumsum(q, axis=1)), positions @ np.array([1.0, 1.0j])
-    return float(np.sqrt(np.mean(np.abs(z - columns @ np.linalg.lstsq(columns, z, rcond=None)[0]) ** 2)))
-
-
-@pytest.mark.parametrize(("noise", "which"), [(1e-3, "read"), (1e-3, "commanded"), (1e-6, "alike")])
-def test_commanded_beside_read_angles(noise: float, which: str) -> None:
-    """Which of the two the positions belong to is fitted, not believed: the other columns are 1e-3 rad off, 0.5 mm at
-    the tip of 1 m, or no more than encoders round."""
-    true = data()
-    off = true.postures + noise * np.random.default_rng(8).standard_normal(true.postures.shape)
-    read, commanded = (off, true.postures) if which == "commanded" else (true.postures, off)
-    given = replace(true, postures=read, commanded=commanded)
-    found = inspect(ARM, given)
-    left = [least_squares_rms(q, given.positions) for q in (read, commanded)]
-    shown = found.to_json()
-    assert [shown["rms_fitted_mm"], shown["rms_commanded_mm"]] == pytest.approx(left, rel=1e-4)
-    (note,) = (note for note in found.notes if "commanded" in note)
-    figures = f"a fit to the angles read leaves {left[0]:.3g} mm RMS, to those commanded {left[1]:.3g} mm"
-    ends = {
-        "read": "the positions are those of the angles read, which every fit uses",
-        "commanded": "the positions are those of the angles commanded: give these as q1_deg.. instead",
-        "alike": "which of them a fit uses makes no difference",
-    }
-    assert note == f"{figures}: {ends[which]}"
-    assert found.problems == ()
-    alone = inspect(ARM, true)
-    assert alone.to_json()["rms_commanded_mm"] is None
-    assert not any("commanded" in note for note in alone.notes)
-
-
 @pytest.mark.parametrize("unit", [np.radians(1.0), 1.0])
 def test_repeats_scatter_in_millimetres_or_are_not_said(unit: float) -> None:
     """Noise of 0.05 mm per coordinate is 0.07 mm at a point; what is in other units, or too few rows, say nothing."""
@@ -84,13 +52,6 @@ def test_repeats_scatter_in_millimetres_or_are_not_said(unit: float) -> None:
     assert found["repeats_mm"] == (pytest.approx(0.05 * np.sqrt(2.0), rel=0.25) if unit == 1.0 else None)
     few = inspect(ARM, rows.rows(np.repeat([0, 1], 5))).to_json()
     assert few["close_repeats_mm"] is None
-
-
-@pytest.mark.parametrize(("step", "when"), [(1, "late"), (-1, "early")])
-def test_positions_beside_another_posture(step: int, when: str) -> None:
-    good = data()
-    (sentence,) = inspect(ARM, replace(good, positions=np.roll(good.positions, step, axis=0))).problems
-    assert sentence.startswith(f"it looks as if each position stands one row too {when}, beside another posture")
 
 
 def test_each_fault_has_its_sentence() -> None:

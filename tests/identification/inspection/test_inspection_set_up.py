@@ -15,33 +15,9 @@ from identification.kinematics.frames import rotation_about
 from identification.measurements import Measurements
 from tests.identification.exponentials import Exponentials, drawing
 
-LENGTHS = np.array([500.0, 400.0, 200.0])
-PLANAR = Arm(LENGTHS)
-
-
-def in_the_plane(turn: float, place: complex = 0.0) -> Measurements:
-    """Positions of an arm a little off its drawing, in a frame that is turned [deg], with complex numbers."""
-    generator = np.random.default_rng(1)
-    q = generator.uniform(-2.4, 2.4, (40, 3))
-    z = (
-        np.exp(1j * np.cumsum(q + np.array([0.0, 0.004, -0.003]), axis=1)) @ (LENGTHS + np.array([0.5, -0.4, 0.3]))
-        + place
-    )
-    z = z * np.exp(1j * np.radians(turn)) + 0.05 * (generator.standard_normal(40) + 1j * generator.standard_normal(40))
-    return Measurements(q, np.column_stack([z.real, z.imag]))
-
 
 def frame_note(arm: Arm, data: Measurements) -> list[str]:
     return other_frame(arm, read_differently(arm, data).written)
-
-
-@pytest.mark.parametrize("place", [0.0, 300.0 + 50.0j])
-@pytest.mark.parametrize("turn", [40.0, -90.0])
-def test_a_turned_frame_in_the_plane(turn: float, place: complex) -> None:
-    (said,) = frame_note(PLANAR, in_the_plane(turn, place))
-    assert float(said.split("turned by ")[1].split()[0]) == pytest.approx(
-        turn, abs=0.3
-    )  # zeros of 0.004 rad turn it, too
 
 
 def test_a_base_that_stands_elsewhere() -> None:

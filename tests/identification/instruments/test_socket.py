@@ -20,8 +20,7 @@ from identification.estimation import Identification, estimate
 from identification.information import spectrum
 from identification.instruments import Socket
 from identification.measurements import Measurements
-from identification.model import Model
-from identification.model.minimal import minimal_of
+from identification.model import Model, minimal
 from identification.model.placed import of_positions
 from identification.sessions import with_sessions
 from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing
@@ -111,9 +110,10 @@ def test_without_a_distance_the_size_is_open() -> None:
     assert np.std(errors / lengths) * lengths.mean() < 2.0 * NOISE
 
 
-def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:
+def test_no_motion_of_arm_and_cups_together_is_a_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
     """Six joints have 27 parameters with one measured point; of the six that place the arm none is left, and the cups
     have three each. A distance ties one; without one the size is that of the drawing."""
+    monkeypatch.setattr(minimal, "PRACTICAL", minimal.DISTINCT)
     for known, count in (([("A", "B")], 21 + 11), (list(combinations("ABC", 2)), 21 + 9), ([], 21 + 12 - 1)):
         generator = np.random.default_rng(3)
         truth = Exponentials(generator)
@@ -121,7 +121,7 @@ def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:
         instrument = Socket(distances=tuple((a, b, apart(CUPS, a, b)) for a, b in known))
         arm = Arm(replace(drawing(), instrument=instrument), sigma=NOISE)
         assert not [name for name in Model(arm).names if name.startswith("base")]
-        kept = minimal_of(Model(arm), data)
+        kept = Model(minimal.practical(arm, data))
         assert len(kept.names) == count
         fit = estimate(kept, data)
         assert fit.rms_after < (1e-9 if known else 1.0)  # of an arm of the drawn size

@@ -180,14 +180,6 @@ def test_a_shift_along_the_axes_of_the_base_turns_by_them() -> None:
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 
 
-def test_orientations_sum_the_offsets() -> None:
-    """dtheta_j = dq_1 + ... + dq_j; where an offset is known, the others only."""
-    parameters = chain_parameters([300.0, 200.0])
-    np.testing.assert_array_equal(parameters.to_orientations, [[0, 0, 1, 0], [0, 0, 1, 1]])
-    without = ParameterSet(p for p in parameters if p.name not in ("length_error:2", "joint_offset:1"))
-    np.testing.assert_array_equal(without.to_orientations, [[0, 1]])
-
-
 def test_offsets_are_scaled_by_the_best_known_lengths() -> None:
     """Also where an error turns a link around; the drawing's length where nothing of the link is left."""
     best = {"length_error:1": 5.0, "length_error:2": -200.0, "length_error:3": -120.0}
