@@ -8,13 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.errors import InputError
-from identification.estimation import estimate
+from identification import Arm, Calibration, DHRow, EffectSpec, InputError, Measurements, Model, chain_of, estimate
 from identification.estimation.problem import Prior
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.reuse import earlier, only, with_base_doubt, with_held
 
 LENGTHS, SIGMA = np.array([260.0, 180.0, 120.0]), 0.1
