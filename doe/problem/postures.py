@@ -47,17 +47,12 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
             feasible = np.concatenate([feasible, part[problem.feasible(part)]])
             if len(feasible) >= count:
                 return feasible[:count]
-    width = problem.upper - problem.lower
     if not len(feasible):
         feasible = _led_inside(problem, np.concatenate(seen))
     near = feasible[generator.integers(len(feasible), size=count)]
-    steps, waiting = generator.standard_normal(near.shape) * width * 0.2, np.arange(count)
-    for k in range(12):  # each moved as far as it stays feasible
-        trial = problem.clip(near[waiting] + steps[waiting] * 0.5**k)
-        fits = problem.feasible(trial)
-        near[waiting[fits]] = trial[fits]
-        waiting = waiting[~fits]
-    return np.concatenate([feasible, near])[:count]
+    steps = generator.standard_normal(near.shape) * 0.2 * (problem.upper - problem.lower)
+    moved = put_inside(problem, problem.clip(near + steps))
+    return np.concatenate([feasible, np.where(problem.feasible(moved)[:, None], moved, near)])[:count]
 
 
 def put_inside(problem: DesignProblem, postures: Array) -> Array:
