@@ -77,7 +77,7 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
         raise InputError(
             f"effects: {spec.name} is of {others} arms, {nearest(spec.name, of_dimension(chain.dimension))}"
         )
-    if not (cls.scatter or any(hasattr(cls, place) for place in widths(chain))):
+    if not (cls.scatter or cls.of_commands or any(hasattr(cls, place) for place in widths(chain))):
         raise InputError(f"effects: {spec.name} adds nothing, allowed: a method named {' or '.join(widths(chain))}")
     allowed = f"allowed: {cls.first_joint} to {len(chain)}"
     if joint is None and cls.per_joint == "required":
