@@ -11,17 +11,15 @@ import numpy as np
 import polars as pl
 import pytest
 
+from doe import DesignProblem
 from doe.cli.plans import with_collisions
 from doe.problem.clearance import COLLISIONS
-from doe.problem.problem import DesignProblem
-from identification import Model, estimate, load_arm, load_measurements
+from identification import PRISMATIC, Model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer
 from identification.files.urdf import read_urdf
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.corrected import corrected
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, rotation_about
-from identification.kinematics.parameters import PRISMATIC
-from identification.measurements import rms_distance
 from tests.doe.cli.conftest import ARM as PLANAR
 from tests.doe.cli.conftest import Folder, table
 

@@ -10,13 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification import Measurements, Model, Status, estimate
 from identification.arm import Arm, EffectSpec, Machining
-from identification.estimation import estimate
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 from tests.identification.estimation.cases import arm, data, plan, scipy_fit
 
 ROWS = [
@@ -84,7 +81,7 @@ MODELS = {
 
 
 def same(model: Model, measurements: Measurements, weights: np.ndarray | None = None) -> None:
-    found = estimate(model, measurements, "gauss_newton", None if weights is None else weights**-0.5)
+    found = estimate(model, measurements, None if weights is None else weights**-0.5)
     other = scipy_fit(model, measurements, weights)
     assert found.status is Status.converged
     # both are stationary to 1e-9 of the residuals; scipy's bounded search stops at about 1e-6 mm from a bound

@@ -14,15 +14,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
+from identification import InputError, Model, readonly
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
-from identification.arrays import readonly
-from identification.errors import InputError
 from identification.files.arm import arm_from_tables, load_arm, with_calibration, with_effects
 from identification.files.urdf import read_urdf
 from identification.instruments import Distance, Instrument, PlanarDistance, Plane, Sphere
 from identification.kinematics.chain import BASE, TOOL, DHRow
 from identification.kinematics.frames import pose
-from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.identification.kinematics.test_spatial import printed
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.errors import InputError
+from identification import InputError
 from identification.files import io as files
 from identification.files.csv import Table, read_table
 

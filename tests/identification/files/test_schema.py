@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from identification.errors import InputError
+from identification import InputError
 from identification.files.arm import arm_from_tables, load_arm
 from identification.files.schema import ArmFile
 from tests.identification.files.test_arm import (

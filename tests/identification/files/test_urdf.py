@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arrays import Array
-from identification.errors import InputError
+from identification import Array, InputError
 from identification.files.urdf import read_urdf, with_origins
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 
@@ -89,11 +88,7 @@ def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:
         ('<child link="hand"/>', '<child link="wrist"/>', r"link 'wrist' hangs on two joints, allowed: one"),
         ('name="roll"', 'name="lift"', r"joint 'lift' is there 2 times, allowed: once"),
         ('<parent link="wrist"/>', "", r"joint 'roll' has no parent link, allowed: one"),
-        (
-            '<parent link="wrist"/>',
-            '<parent link="tool0"/>',
-            r"link 'tool0' is not below 'world', allowed: a tip",
-        ),
+        ('<parent link="wrist"/>', '<parent link="tool0"/>', r"link 'tool0' is not below 'world', allowed: a tip"),
         ('name="tool0"', 'name="tool"', r"there is no link 'tool0', did you mean 'tool'"),
     ],
 )
