@@ -592,18 +592,17 @@ def report_files(
 ) -> Answer:
     """One page of a campaign's files.
 
-    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate), and what design,
-    score, identify, diagnose or validate said with --json. The page has the verdict (first the error on rows that no
-    fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped through and
-    edited; it is one file that needs no network.
+    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate). The page has the
+    verdict (first the error on rows that no fit has seen), what to do next, corrected values, errors with their sign,
+    and plans that can be stepped through and edited; it is one file that needs no network.
 
     out : Write the page.
     """
-    from doe.report.design import design_verdict, plan_section
+    from doe.report.design import plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict, package_dirs=package_dir)
+    campaign = Campaign.of(files, show_plan=plan_section, package_dirs=package_dir)
     text = page(campaign.document(), files)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}

@@ -68,9 +68,8 @@ def design_verdict(data: Data) -> str:
     sentence += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
     if error["bound"] is None or data["efficiency"] is None or data.get("outside_limits"):
         return f"{sentence}."  # no bound applies to a plan outside the limits
-    bound = data.get("bound") or {"source": "continuous"}  # which older files do not have
-    kind = "" if bound.get("rigorous", False) else " (a numerical bound)"
-    sentence += f"; no plan from {postures_in_words(bound)} is below {in_a_sentence(error['bound'])} mm{kind}"
+    kind = "" if data["bound"]["rigorous"] else " (a numerical bound)"
+    sentence += f"; no plan from {postures_in_words(data['bound'])} is below {in_a_sentence(error['bound'])} mm{kind}"
     # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
     hope = "Do not expect it near 1: the" if data["efficiency"] < 0.9 else "The"
     judge = f"{hope} bound allows fractions of a run. Judge by the mm."
