@@ -48,11 +48,7 @@ TOUCHES = 1e-6  # [mm] how near is on the surface
 class ArmModel(Model):
     """The model of an arm, all of its measured points read at every posture: d is that of one times their number."""
 
-    @property
-    def dimension(self) -> int:
-        """d, coordinates per posture, point by point."""
-        return self.arm.chain.coordinates * self.points_read
-
+    dimension = property(lambda self: self.arm.chain.coordinates * self.points_read)  # d per posture, point by point
     lower, upper = property(attrgetter("arm.lower")), property(attrgetter("arm.upper"))  # (n,) limits [rad, mm]
 
     def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
@@ -75,10 +71,8 @@ class ArmModel(Model):
     space = property(attrgetter("arm.dimension"))  # 2 in the plane, 3 in space
     cell = property(attrgetter("arm.cell"))  # bodies of the arm and around it; None: nothing is known of any
 
-    @property
-    def joint_axes(self) -> Array:
-        """(n, 3) directions of the joints, each in its own frame."""
-        return np.array([joint.axis for joint in self.arm.chain.joints])
+    # (n, 3) directions of the joints, each in its own frame
+    joint_axes = property(lambda self: np.array([joint.axis for joint in self.arm.chain.joints]))
 
     @cached_property
     def joint_frames(self) -> Callable[[Array], Array]:
@@ -106,10 +100,8 @@ class ArmModel(Model):
         model = replace(self, arm=replace(self.arm, chain=with_points(self.arm.chain, contacts=True)))
         return design_model(minimal(model)) if model.sigma is None and model.prior else model
 
-    @property
-    def tied(self) -> bool:
-        """Whether the instrument allows some postures only, as a probe that touches a surface."""
-        return self.arm.chain.instrument.contact
+    # whether the instrument allows some postures only, as a probe that touches a surface
+    tied = property(attrgetter("arm.chain.instrument.contact"))
 
     def tied_postures(
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
@@ -163,10 +155,7 @@ class ArmModel(Model):
         return np.asarray(np.all(chain.instrument.readings(points, own)[..., 0] > -2.0 * TOUCHES, axis=1))
 
     # -- what accuracy is about ------------------------------------------------------------------------------------
-    @property
-    def points_read(self) -> int:
-        """Number of measured points."""
-        return len(self.arm.chain.tools)
+    points_read = property(lambda self: len(self.arm.chain.tools))  # number of measured points
 
     def _of_each_point(self, model: Model, postures: Array, conditions: Conditions) -> Array:
         """(m, d, p) derivative of the coordinates of all measured points, at the parameters' best known values."""
@@ -250,10 +239,8 @@ class ArmModel(Model):
         return detectability(without_prior(self.arm), postures)
 
     # -- what theory knows -----------------------------------------------------------------------------------------
-    @property
-    def planar(self) -> bool:
-        """Whether it is a chain of links in a plane, of which Table I of the paper holds."""
-        return self.arm.chain.positions_in_plane
+    # whether it is a chain of links in a plane, of which Table I of the paper holds
+    planar = property(attrgetter("arm.chain.positions_in_plane"))
 
     @property
     def theorem_joints(self) -> tuple[int, ...] | None:

@@ -30,7 +30,6 @@ GRADIENT_TOLERANCE = 1e-9  # stationary: no column of the Jacobian has a cosine 
 ITERATIONS = 200
 PATIENCE = 16  # steps, more than most searches take: one that goes on is in a curved valley
 SMALL_FALL = 1e-8  # of a sum of squares, relative
-VANISHED = 1e-4  # of the length that a column had at the start: its parameter has no effect to speak of
 Index = NDArray[np.intp]
 Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
@@ -116,73 +115,15 @@ class Solution:
 
 
 def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
-    """Stationary points of K problems from starts (K, p), which are moved inside the bounds first.
-
-    Where a search ends with columns of the Jacobian that have vanished (a factor that is zero, on its bound say, leaves
-    the other without effect), the point is stationary and may yet be no minimum: the search goes on from where those
-    parameters make another one descend, see `_revived`. Not where steps are to be the shortest.
-    """
+    """Stationary points of K problems from starts (K, p), which are moved inside the bounds first."""
     count, p = starts.shape
     points = Points.of(problem, np.arange(count), np.clip(starts, problem.lower, problem.upper))
-    finite = np.isfinite(points.squares)
-    failed = np.full(count, Status.solver_failed, dtype=object)
-    x, squares = points.parameters.copy(), np.where(finite, np.inf, points.squares)
-    solution = Solution(x, squares, failed, np.zeros((count, p), dtype=bool), np.zeros(count, int))
-    small, points = VANISHED * _lengths(points.jacobians), points.at(finite)
-    while len(points.problems):
-        before = solution.rss.copy()
-        points = _search(problem, points, solution)
-        if problem.metric is not None:
-            break
-        points = points.at(solution.rss[points.problems] < before[points.problems])
-        void = (_lengths(points.jacobians) <= small[points.problems]) & (problem.lower < problem.upper)
-        moves = {
-            k: move
-            for k in np.flatnonzero(void.any(axis=1)).tolist()
-            if (move := _revived(problem, points, k, void[k])).any()
-        }
-        stuck = np.array([*moves], dtype=int)
-        if not moves:
-            break
-        x = np.clip(points.parameters[stuck] + np.array([*moves.values()]), problem.lower, problem.upper)
-        points = Points.of(problem, points.problems[stuck], x)
-    return solution
-
-
-def _revived(problem: LeastSquares, points: Points, k: int, void: NDArray[np.bool_]) -> Array:
-    """(p,) how to move the parameters of search k that have no effect where it ended, (p,) `void`, to
-    where the gradient of one parameter is the largest that leads inside the bounds; zero where none is.
-
-    Second derivatives by differences of the gradient; the gradient is exactly linear in the factors of a product.
-    """
-    x, gradient = points.parameters[k], points.jacobians[k].T @ points.residuals[k]
-    room, size, bends = (problem.upper - x, x - problem.lower), 1.0 / problem.scales, np.zeros((len(x), len(x)))
-    above, below = (np.minimum(each, np.maximum(np.abs(x), size)) for each in room)
-    for j in np.flatnonzero(void):
-        step = above[j] if above[j] >= below[j] else -below[j]
-        tried = x + step * (np.arange(len(x)) == j)
-        residual, jacobian = (rows[0] for rows in problem.linearize(tried[None], points.problems[k : k + 1]))
-        change, rounding = jacobian.T @ residual - gradient, np.linalg.norm(jacobian, axis=0) * np.linalg.norm(residual)
-        in_mm = np.abs(change) * size
-        change[(in_mm <= VANISHED * in_mm.max()) | (np.abs(change) <= GRADIENT_TOLERANCE * rounding)] = 0.0
-        bends[:, j] = change / step
-    best, move = 0.0, np.zeros(len(x))
-    for sign, inside in zip((1.0, -1.0), room, strict=True):
-        along = np.where(
-            bends == 0.0, 0.0, np.where(sign * bends > 0.0, above, -below)
-        )  # for each parameter's gradient
-        slopes = np.where(inside > 0.0, sign * (gradient + np.sum(bends * along, axis=1)) * size, 0.0)
-        if slopes[i := int(np.argmax(slopes))] > best:
-            best, move = slopes[i], along[i]
-            if void[i] and bends[i, i] == 0.0:  # it, too: at a ratio far from 1 both would return to zero
-                move[i] = above[i] if sign > 0.0 else -below[i]
-    return move
-
-
-def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points:
-    """Where searches from these points end, recorded in the solution where that is lower."""
-    ends = []
+    failed, none_active = np.full(count, Status.solver_failed, dtype=object), np.zeros((count, p), dtype=bool)
+    solution = Solution(points.parameters.copy(), points.squares.copy(), failed, none_active, np.zeros(count, int))
+    points = points.at(np.isfinite(points.squares))
     for iteration in range(problem.iterations + 1):
+        if len(points.problems) == 0:
+            break
         last = iteration == problem.iterations
         # a flat curved valley (nearly undetermined combination, few rows) is left slowly, but by the whole step now and
         # then. What is missing at last is far below its standard deviation, where the next step explains less than 1e-4
@@ -196,18 +137,13 @@ def _search(problem: LeastSquares, points: Points, solution: Solution) -> Points
             status = (
                 (Status.almost_solved, Status.iteration_limit) if last else (Status.converged, Status.almost_solved)
             )
-            ends.append(end)
-            solution.iterations[end.problems] += iteration
-            lower = end.squares < (1.0 - SMALL_FALL) * solution.rss[end.problems]
-            rows = end.problems[lower]
-            solution.parameters[rows], solution.rss[rows] = end.parameters[lower], end.squares[lower]
-            solution.active[rows] = active[ended][lower]
-            solution.status[rows] = outcomes(good[ended], *status)[lower]
+            solution.parameters[end.problems], solution.rss[end.problems] = end.parameters, end.squares
+            solution.active[end.problems], solution.iterations[end.problems] = active[ended], iteration
+            solution.status[end.problems] = outcomes(good[ended], *status)
         points = points.at(~ended)
-        if len(points.problems) == 0:
-            break
-        points = _moved(problem, points, steps[~ended], stiffness[~ended], watched=iteration >= PATIENCE)
-    return Points._make(np.concatenate(arrays) for arrays in zip(*ends, strict=True)) if ends else points
+        if len(points.problems):
+            points = _moved(problem, points, steps[~ended], stiffness[~ended], watched=iteration >= PATIENCE)
+    return solution
 
 
 def outcomes(condition: NDArray[np.bool_], status: Status, other: Status) -> NDArray[np.object_]:

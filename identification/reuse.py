@@ -1,30 +1,27 @@
 """Reusing a calibration: only some of its parameters are estimated again, or all of them with it as the prior.
 
-Where the set-up is another than the fit assumes, a freer fit says so: the base stands elsewhere, or a measured point is
-mounted elsewhere than in the session before.
+Where the base stands elsewhere than the fit assumes, a freer fit says so.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import fdtrc
 
 from identification.arm import Arm, Calibration
-from identification.documents.identification import REMOUNTED
 from identification.errors import InputError, nearest
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import FALL, OTHER_FRAME, worth_freeing
-from identification.estimation.uncertainty import LEVEL
-from identification.information import product_inverse
+from identification.estimation.problem import Problem
+from identification.estimation.uncertainty import freedom_of
+from identification.information import product_inverse, spectrum
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
-from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
 from identification.measurements import ROW_DIGESTS, Measurements, digests_in, digests_text, rows_shared
@@ -88,23 +85,34 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     return replace(model, held=held)
 
 
-def with_held(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
-    """A calibration with what parameters had before that it does not estimate: their covariance, as independent of its
-    own, the angles that they were found on, and the data that they come from (`held_from` of the provenance).
+def with_held(fit: Identification, before: Calibration | None, measurements: Measurements) -> Identification:
+    """A fit of `only` some parameters with those that it holds at the values of an earlier calibration among its own:
+    they stay as they are, with the covariance of that calibration, and what they may be off by moves those estimated
+    (S. F. Schmidt, "Application of state-space methods to navigation problems", 1966: considered parameters).
 
-    kinds : types of the joints
+    measurements : the rows of the fit
     """
-    rest = set(calibration.values) - set(calibration.parameter_names)
-    if before is None or not (names := set(before.parameter_names) & rest):
-        return calibration
-    calibration = with_data_of(calibration, before, kinds)
-    if before.covariance is None or calibration.covariance is None:
-        return calibration
-    held = before.about(names)
-    covariance = block_diag(calibration.covariance, held.covariance)
-    return replace(
-        calibration, parameter_names=(*calibration.parameter_names, *held.parameter_names), covariance=covariance
-    )
+    names = [] if before is None else [name for name in fit.model.held or () if name in before.parameter_names]
+    if before is None or before.covariance is None or not names or not np.all(np.isfinite(fit.covariance)):
+        return fit
+    held, model = before.about(names), fit.model
+    whole = replace(model, held={name: value for name, value in (model.held or {}).items() if name not in names})
+    x, known = whole.parameters.vector(fit.values), freedom_of(before)
+    estimated, others = (np.array([whole.names.index(n) for n in each]) for each in (model.names, held.parameter_names))
+    problem = Problem.of(whole, measurements)
+    jacobian = problem.jacobian(x)
+    noise = (fit.scatter or 0.0) / (problem.sigma or 1.0)
+    prior = None if fit.prior is None else fit.prior.rows(model.parameters, noise)
+    root = spectrum(jacobian[:, estimated], model.scales, prior=prior).root
+    moves = np.eye(len(x))[:, [*estimated, *others]]  # by errors of those estimated, and of those held
+    moves[estimated, len(estimated) :] = -root @ (root.T @ (jacobian[:, estimated].T @ jacobian[:, others]))
+    covariance = moves @ block_diag(fit.covariance, held.covariance) @ moves.T
+    identifiable, freedom = np.ones(len(x), dtype=bool), np.empty(len(x))
+    identifiable[estimated], freedom[estimated] = fit.identifiable, fit.uncertainty.freedom
+    freedom[others] = [known[before.parameter_names.index(name)] for name in held.parameter_names]
+    considered = replace(fit.uncertainty, covariance=covariance, freedom=freedom)
+    figures = {"parameters": x, "covariance": covariance, "identifiable": identifiable, "uncertainty": considered}
+    return replace(fit, model=whole, held=frozenset(names), **figures)
 
 
 def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
@@ -196,67 +204,10 @@ def with_base_doubt(
         free_fit = estimate(model, measurements) if "base" not in words else held_fit
     except InputError:  # the base is given, or too few rows
         return held_fit
-    if (fall := _fall(held_fit, free_fit, FALL**2)) is None:
+    left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held_fit, free_fit))
+    if not worth_freeing(left, left_free, len(free_fit.names) - len(held_fit.names), free_fit.dof, FALL**2):
         return held_fit
+    fall = f"the RMS falls from {held_fit.rms_after:.4g} to {free_fit.rms_after:.4g} mm"
     reason = f"the arm does not stand where the arm file says: {fall} where the base is estimated, too"
     others = (doubt for doubt in held_fit.doubts if not doubt.startswith(OTHER_FRAME))
     return replace(held_fit, doubts=(f"{reason}; add it: --only base,{','.join(words)}", *others))
-
-
-def _fall(held: Identification, free: Identification, factor: float) -> str | None:
-    """How the RMS falls, where a fit with further parameters is worth it (`doubts.worth_freeing`)."""
-    left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held, free))
-    if not worth_freeing(left, left_free, len(free.names) - len(held.names), free.dof, factor):
-        return None
-    return f"the RMS falls from {held.rms_after:.4g} to {free.rms_after:.4g} mm"
-
-
-def with_mounting_doubt(
-    together: Identification, measurements: Measurements, fit: Callable[[Measurements], Identification]
-) -> Identification:
-    """A fit to several sessions, with a doubt where measured points that the sessions share are mounted elsewhere in
-    some of them: squares fall significantly, and by a factor above 1.25, where each session has points of its own.
-
-    fit : the same for other measurements
-    """
-    if together.arm is None or not together.arm.chain.frame_kinds or len(measurements.sessions) < 2:
-        return together
-    # points have names of their own in every session after the first that sees them; without a column marker it is the
-    # first of the arm's points that is measured
-    first, marker = next(iter(together.arm.chain.tools)), measurements.marker
-    names = np.full(len(measurements), first) if marker is None else np.asarray(marker)
-    renamed, old, seen = names.astype(object), dict[str, str](), set[str]()
-    for session, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
-        for name in (here := sorted({*names[rows].tolist()} & seen)):
-            old[f"{name} of {session}"] = name
-            renamed[rows[names[rows] == name]] = f"{name} of {session}"
-        seen |= {*names[rows].tolist()} - {*here}
-    try:
-        apart = fit(replace(measurements, marker=renamed.astype(str), marker_names=())) if old else together
-    except InputError:  # the points are given, or too few rows
-        return together
-    # less than a tenth of the RMS error is not worth another set of parameters
-    if (fall := _fall(together, apart, 1.25)) is None:
-        return together
-    # how far each point that is moved significantly is from where the session before has it [mm], along the directions
-    # in which it is: the heights of a SCARA's reflectors, say, are hardly known
-    places = standing_in(apart.model.arm.chain, apart.model.parameters.mapping(apart.parameters)).tools
-    index, moved = {name: k for k, name in enumerate(apart.names)}, list[str]()
-    for new, name in old.items():
-        axes_of = [f"{TOOL}[{each}].{axis}" for each in (new, name) for axis in "xyz"]
-        if not {*axes_of} <= {*index}:  # of a minimal set of parameters
-            continue
-        columns, difference = [index[each] for each in axes_of], np.kron([[1.0, -1.0]], np.eye(3))
-        variances, axes = np.linalg.eigh(difference @ apart.covariance[np.ix_(columns, columns)] @ difference.T)
-        along = axes.T @ (places[new] - places[name])
-        told = fdtrc(1, apart.dof, along**2 / np.maximum(variances, np.finfo(float).tiny)) <= LEVEL / (3 * len(old))
-        if told.any():
-            # with deviations that add hardly anything to how far it is moved
-            told |= variances < 0.1**2 * np.sum(along[told] ** 2)
-            size = f"{'' if told.all() else 'at least '}{np.linalg.norm(along[told]):.3g} mm away"
-            moved.append(f"{new.replace(' of ', ' in session ', 1)}: {size}")
-    if not moved:
-        return together
-    doubt = f"{REMOUNTED} ({'; '.join(moved)}): {fall}"
-    own = "where each has a name of its own; name them otherwise there, in the column marker"
-    return replace(together, doubts=(f"{doubt} {own}", *together.doubts))

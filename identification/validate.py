@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array, readonly
@@ -100,16 +99,22 @@ class Validation(Documented):
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
     def to_json(self) -> dict[str, Any]:
-        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks` are the rows by session, time,
-        workspace, and range of the identification."""
+        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks` are the rows by session, and by
+        range of the identification."""
 
         def millimetres(figures: Figures, of: str = "") -> dict[str, float]:
             return {f"{name}{of}_mm": value for name, value in figures._asdict().items()}
 
+        sessions = zip(self.measurements.sessions, self.measurements.session_rows, strict=False)
+        groups = [("session", name, rows) for name, rows in sessions]
+        out = outside(self.arm, self.measurements.postures)
+        beyond = np.zeros(len(self.residuals), dtype=bool) if out is None else np.any(out, axis=1)
+        if 0 < np.count_nonzero(beyond) < len(beyond):
+            groups += [("range", "inside", np.flatnonzero(~beyond)), ("range", "outside", np.flatnonzero(beyond))]
         blocks = [
             {"kind": kind, "name": name, "rows": len(rows), **millimetres(figures_of(self.residuals[rows]))}
             | {"rms_nominal_mm": rms_distance(self.nominal_residuals[rows])}
-            for kind, name, rows in row_groups(self.arm, self.measurements)
+            for kind, name, rows in groups
         ]
         return {
             "rows": len(self.residuals),
@@ -372,32 +377,3 @@ def extrapolation(arm: Arm, postures: Array) -> str | None:
     if any(curve.geometry for curve in beyond):
         return f"{clause}; without its error curves, by the geometry that was fitted alone"
     return f"{clause}; its error curves are zero there, and the geometry of armcal identify alone may be better"
-
-
-def row_groups(arm: Arm, measurements: Measurements) -> Iterator[tuple[str, str, NDArray[np.int64]]]:
-    """Kind, name and row numbers of every block; none of them is empty."""
-    m = len(measurements)
-    for name, rows in zip(measurements.sessions, measurements.session_rows, strict=False):
-        yield "session", name, rows
-    if m < 12:  # three for each part
-        return
-    if not measurements.sessions:
-        for k, rows in enumerate(np.array_split(measurements.sequence, 4), start=1):
-            yield "time", f"quarter {k}", rows
-    # of lengths and contacts the places computed, in the frame of the base
-    seen = arm.chain.instrument.places
-    places = (measurements.positions if seen else Model(arm).points(measurements.postures)[:, -1])[:, :2]
-    x, y = np.median(places, axis=0)
-    right, above = (places > [x, y]).T
-    for name, inside in (
-        (f"x > {x:.0f}, y > {y:.0f}", right & above),
-        (f"x < {x:.0f}, y > {y:.0f}", ~right & above),
-        (f"x < {x:.0f}, y < {y:.0f}", ~right & ~above),
-        (f"x > {x:.0f}, y < {y:.0f}", right & ~above),
-    ):
-        if inside.any():
-            yield "workspace", name, np.flatnonzero(inside)
-    out = outside(arm, measurements.postures)
-    if out is not None and 0 < int(out.any(axis=1).sum()) < m:
-        yield "range", "inside", np.flatnonzero(~out.any(axis=1))
-        yield "range", "outside", np.flatnonzero(out.any(axis=1))

@@ -47,21 +47,15 @@ def vectorize(function: ca.Function) -> Evaluate:
     The result takes, per input, an array whose LAST axis runs over the components and whose leading axes broadcast
     against those of the other inputs; it returns, per output, an array of the broadcast shape + (rows, columns).
     """
-    compiled = _compiled(function.serialize())
-    sparsities = [function.sparsity_out(i) for i in range(function.n_out())]
-    places = [tuple(zip(*s.get_triplet(), strict=True)) for s in sparsities]
+    run, shapes = _compiled(function.serialize()), [function.size_out(i) for i in range(function.n_out())]
 
     def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:
         inputs = [np.asarray(a, dtype=float) for a in arguments]
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in inputs))
         # components first: each is written in contiguous runs; structural zeros are zero
-        full = [np.zeros((*sparsity.shape, *batch)) for sparsity in sparsities]
+        full = [np.zeros((*shape, *batch)) for shape in shapes]
         for part in _parts(batch):
-            outputs = compiled([*map(_components, inputs, repeat(part))])
-            for array, values, place in zip(full, outputs, places, strict=True):
-                for value, (row, column) in zip(values, place, strict=True):
-                    where: tuple[int | slice, ...] = (row, column, *part)
-                    array[where] = value
+            run([*map(_components, inputs, repeat(part))], [array[:, :, *part] for array in full])
         return tuple(array.transpose(*range(2, array.ndim), 0, 1) for array in full)
 
     return evaluate
@@ -87,16 +81,17 @@ def _components(array: np.ndarray, part: tuple[slice, ...]) -> list[np.ndarray]:
 
 
 @lru_cache(maxsize=128)
-def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[np.ndarray]]]:
-    """The function as numpy source; equal functions are set up again and again, as parts of different models."""
-    function = ca.Function.deserialize(serialized)
-    lines = ["def run(x):", f"    y = [[0.0] * k for k in {[*map(function.nnz_out, range(function.n_out()))]}]"]
+def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]], list[np.ndarray]], None]:
+    """The function as numpy source, of components x of its inputs, which writes its outputs into y; equal functions are
+    set up again and again, as parts of different models."""
+    function, lines = ca.Function.deserialize(serialized), ["def run(x, y):"]
+    places = [[*zip(*function.sparsity_out(i).get_triplet(), strict=True)] for i in range(function.n_out())]
     for k in range(function.n_instructions()):
         operation, operands = function.instruction_id(k), function.instruction_input(k)
         target, *place = function.instruction_output(k)
         words = [*map("w{}".format, operands)]
         if operation == ca.OP_OUTPUT:
-            line = f"y[{target}][{place[0]}] = {words[0]}"
+            line = "y[{}][{}, {}] = {}".format(target, *places[target][place[0]], words[0])
         elif operation == ca.OP_CONST:
             line = f"w{target} = {function.instruction_constant(k)!r}"
         elif operation == ca.OP_INPUT:
@@ -111,5 +106,5 @@ def _compiled(serialized: str) -> Callable[[list[list[np.ndarray]]], list[list[n
             raise NotImplementedError(f"{reason}; add it to identification/vectorized.py")
         lines.append(f"    {line}")
     scope: dict[str, object] = {"np": np}
-    exec(compile("\n".join([*lines, "    return y"]), f"<instructions of {function.name()}>", "exec"), scope)
+    exec(compile("\n".join([*lines, "    return"]), f"<instructions of {function.name()}>", "exec"), scope)
     return scope["run"]  # type: ignore[return-value]

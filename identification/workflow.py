@@ -384,9 +384,10 @@ def identify_files(
     if chosen:
         keys["only"] = chosen
         fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), chosen, rows)
+        fitted = reuse.with_held(fitted, loaded.calibration, rows)
         exact = "taken as exact: what they are off by is in no interval and no expected error"
-        lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {exact}.")
-    fitted = reuse.with_mounting_doubt(fitted, rows, fit)
+        how = "and what they are off by there is in intervals and expected error" if fitted.held else exact
+        lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {how}.")
     doubts, hidden = [*fitted.warnings], frozenset[str]()  # parameters of the library's effects
     if (effects := library(rows)) is not None:
         keys["prior"], hidden = effects.to_json(), frozenset(effects.prior.deviations)
@@ -414,9 +415,9 @@ def identify_files(
         refusal = "the fit is implausible; --force writes it all the same"
     files = Files()
     if out is not None and not refusal:
-        kinds, before = loaded.joint_types, loaded.calibration if chosen else None
-        calibration = reuse.with_held(fitted.calibration().about(set(fitted.names) - hidden), before, kinds)
-        calibration = without_sessions(reuse.with_data_of(calibration, None if old is None else old.calibration, kinds))
+        calibration = without_sessions(fitted.calibration().about(set(fitted.names) - hidden))
+        for before in (loaded.calibration if fitted.held else None, None if old is None else old.calibration):
+            calibration = reuse.with_data_of(calibration, before, loaded.joint_types)
         specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
         files |= arm_files(arm, specs, calibration, out, "calibrated arm")
     if urdf is not None and fitted.geometry is not None and not refusal:

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
-REMOUNTED = "reflectors are mounted elsewhere than in the session before"  # the beginning of that sentence
 MOST_HELD = 24  # parameters of effects that are listed without intervals; --library-prior has hundreds of them
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
@@ -247,9 +246,6 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
     written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
     """
     calibrated = str(written or "calibrated.toml")
-    if any(warning.startswith(REMOUNTED) for warning in data["warnings"]):
-        why = "Give these reflectors another name in those sessions, in the column marker, and fit again:"
-        return [Action(why, identify_command(arm, rows, out=calibrated))]
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(arm, rows, calibrated)
     if "prior" not in data:

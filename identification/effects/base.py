@@ -156,6 +156,9 @@ class Effect:
     tabulated: ClassVar[bool] = False  # a table of values (`EffectSpec.curve`) without parameters
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)  # of the arms that can have it: 2 in the plane, 3 in space
     disturb: ClassVar[Callable[..., Array]]
+    reach = property(attrgetter("chain.reach"))  # of the stretched arm [mm]
+    # over which its joint acts [mm]: in the plane of the link behind it
+    link_length = property(lambda self: float(self.chain.levers[self.joint_index]))
     curve: ErrorCurve | None = None
     fixed: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
 
@@ -194,16 +197,6 @@ class Effect:
         """Unique name from name, joint and settings: `transmission_ripple:2[k=6]`."""
         settings = ";".join(f"{name}={value:g}" for name, value in self.chosen.items())
         return self.place + (f"[{settings}]" if settings else "")
-
-    @property
-    def link_length(self) -> float:
-        """Length over which this effect's joint acts [mm]: in the plane of the link behind it."""
-        return float(self.chain.levers[self.joint_index])
-
-    @property
-    def reach(self) -> float:
-        """Length of the stretched arm [mm]."""
-        return self.chain.reach
 
     @property
     def joint_index(self) -> int:

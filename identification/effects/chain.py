@@ -12,13 +12,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
+from operator import attrgetter
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, Gravity
-from identification.arrays import Array, slices
+from identification.arrays import slices
 from identification.conditions import REMEMBERED
 from identification.effects.base import Effect
 from identification.errors import InputError
@@ -59,20 +60,10 @@ class Chain:
         turned, shifted = ca.SX.zeros(len(arm.chain.turning)), ca.SX.zeros(arm.dimension)
         return cls(arm.chain, arm.gravity, q, turned, shifted, **at)
 
-    @property
-    def previous(self) -> ca.SX:
-        """(n,) the posture before [rad]; in the first row the posture itself."""
-        return self.q if self.past is None else self.past[:, -1]
-
-    @property
-    def links(self) -> int:
-        """n, the number of links."""
-        return len(self.geometry)
-
-    @property
-    def lengths(self) -> Array:
-        """(n,) nominal link lengths [mm]."""
-        return self.geometry.lengths
+    # (n,) the posture before [rad]; in the first row the posture itself
+    previous = property(lambda self: self.q if self.past is None else self.past[:, -1])
+    links = property(lambda self: len(self.geometry))  # n, the number of links
+    lengths = property(attrgetter("geometry.lengths"))  # (n,) of the links, nominal [mm]
 
     @cached_property
     def frames(self) -> list[Frame]:

@@ -448,14 +448,8 @@ def _far_off(self: Effect, errors: Array, scene: Scene, values: Sequence[float])
     count = round(share * len(errors))
     rows = draw.choice(len(errors), count, replace=False)
     width = min(self.chain.dimension, errors.shape[1])  # a length is one number
-    if width == 2:
-        angle = draw.uniform(0.0, 2.0 * np.pi, count)
-        directions = np.column_stack([np.cos(angle), np.sin(angle)])
-    else:
-        drawn = draw.standard_normal((count, width))
-        directions = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
-    changed = errors.copy()
-    changed[rows, :width] += size * scene.sigma * directions
+    drawn, changed = draw.standard_normal((count, width)), errors.copy()
+    changed[rows, :width] += size * scene.sigma * drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
     return changed
 
 

@@ -1,17 +1,9 @@
-"""What is doubtful about a fit, in sentences, and how far its tip may be from where it is computed.
-
-Base and measured point cannot be told apart where the flange turned too little:
-
-    y_i = B (p_i + R_i t) + b
-
-A shift of the point t along v and the shift of the base that follows it move measured points by B (R_i - mean R) v and
-no more. Its mean square is v^T (I - (mean R)^T mean R) v: zero along every v where the flange keeps one orientation,
-and along the axis where it turns about one only, however many rows there are.
-"""
+"""What is doubtful about a fit, in sentences, and how far its tip may be from where it is computed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,16 +12,15 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
-from identification.estimation.problem import Contradiction
-from identification.estimation.uncertainty import LEVEL, decomposed_groups
-from identification.information import ALONE, RANK_TOLERANCE, product_inverse
+from identification.estimation.problem import Contradiction, Problem
+from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
+from identification.information import ALONE, RANK_TOLERANCE, spectrum
 from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import (
     BASE,
     ROTATION_ERROR,
     TOOL,
     TRANSLATION_ERROR,
-    KinematicChain,
     PlanarClosedForm,
 )
 from identification.kinematics.counting import in_columns, turned_into
@@ -60,7 +51,6 @@ OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from th
 SPARE = 4  # degrees of freedom
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 FEW = "too few measurements"  # the beginning of that sentence
-TOGETHER = "base and tool cannot be told apart"  # the beginning of that sentence
 
 
 def doubts(
@@ -327,7 +317,7 @@ def hardly_determined(fit: Identification) -> list[str]:
     """What is doubtful about a fit that leaves the tip uncertain, beyond the noise of one measurement: by over half of
     what the arm was off before, at postures like those measured; or by more than all of it, over the joint limits."""
     if fit.expected_tip_measured is None or fit.expected_tip is None:
-        return base_and_tool(fit, None)
+        return []
     tips = np.square([fit.expected_tip_measured, fit.expected_tip])
     # without the posture's own error, which no further rows help against
     inside, anywhere = np.sqrt((tips - own_error(fit) ** 2).clip(min=0.0)).tolist()
@@ -339,62 +329,18 @@ def hardly_determined(fit: Identification) -> list[str]:
     few, far_off = inside > max(0.5 * before, noise), anywhere > max(before, noise)
     if not (few or far_off):
         return []
-    everywhere = working_postures(arm.lower, arm.upper)
-    if cause := base_and_tool(fit, lambda c: expected_tip(fit.model, fit.parameters, c, everywhere)):
-        return cause
     # what more postures do not help against: readings that an arm twice as large would give as well
     readings, remedy_of_size = arm.chain.instrument.size_is_open
     open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
+    both = {BASE, TOOL} <= {p.kind for p in fit.model.parameters}  # fitted: they are told apart by turns alone
+    turns = ", which turn the flange about all its axes to tell base and tool apart" if both else ""
     if few:
         doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
-        return [f"{FEW}: {doubt}{was}. Measure more postures{open_size}"]
+        return [f"{FEW}: {doubt}{was}. Measure more postures{turns}{open_size}"]
     doubt = f"the tip may be {anywhere:.3g} mm (RMS over the joint limits) from where it is computed{was}"
-    remedy = f"Keep near these postures, or measure others{open_size}"
-    return [f"away from the postures measured {doubt}. {remedy}"]
-
-
-# -- base and tool -----------------------------------------------------------------------------------------------------
-def flange_turns(chain: KinematicChain, measurements: Measurements) -> Array:
-    """(3,) root mean square motion of a point 1 mm from the flange's center that its base follows [mm], by the axes
-    along which it is, the least first. Each session has a base of its own."""
-    turns, square = chain.tip_frames(measurements.postures)[:, :3, :3], np.zeros((3, 3))
-    for rows in measurements.session_rows:
-        apart = turns[rows] - turns[rows].mean(axis=0)
-        square += np.einsum("mji,mjk->ik", apart, apart)
-    return np.asarray(np.sqrt(np.linalg.eigvalsh(square / len(turns)).clip(min=0.0)))
-
-
-def base_and_tool(fit: Identification, tip: Callable[[Array], float] | None) -> list[str]:
-    """The sentence that base and measured point cannot be told apart, where that is what leaves a fit uncertain.
-
-    tip : expected error of the tip [mm] with a covariance (p, p); None: something is not identifiable at all
-    """
-    hardly = np.sin(np.radians(5.0))  # turned by less: as little as joints that hardly move
-    if (turns := fit.flange_turns) is None or turns[0] > hardly:
-        return []
-    arm = fit.model.arm
-    tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
-    if not tools or (tip is None and all(fit.identifiable[tools])):
-        return []
-    if tip is not None:
-        across = fit.covariance[:, tools]
-        with_tools = fit.covariance - across @ product_inverse(fit.covariance[np.ix_(tools, tools)]) @ across.T
-        if 2.0 * tip(with_tools) > tip(fit.covariance):  # with the tool given not half as uncertain: another reason
-            return []
-    anywhere = working_postures(arm.lower, arm.upper)
-    if (
-        flange_turns(arm.chain, Measurements(anywhere, np.zeros((len(anywhere), 3))))[0] <= hardly
-    ):  # all its axes are parallel
-        return []
-    how = "by 45 deg and more, or give [tool]"
-    if turns[1] <= hardly:  # mean squares of small turns a about x, y, z: y^2 + z^2, x^2 + z^2, x^2 + y^2
-        angle = np.degrees(np.sqrt(np.sum(turns**2) / 2.0))
-        kept = f"the flange kept one orientation, turned by {round(float(angle), 4):.2g} deg (RMS)"
-        return [f"{TOGETHER}: {kept}. Measure postures that turn it about two axes {how}"]
-    kept = f"the flange turned about one axis only, about others by {np.degrees(turns[0]):.2g} deg (RMS)"
-    return [f"{TOGETHER}: {kept}. Measure postures that turn it about another axis, too, {how}"]
+    return [f"away from the postures measured {doubt}. Keep near these postures, or measure others{turns}{open_size}"]
 
 
 # -- postures left out -------------------------------------------------------------------------------------------------
@@ -413,25 +359,19 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     """
     if fit.not_identifiable or len(measurements) != len(fit.residuals_after):
         return None
-    kept, weights = measurements.originals == np.arange(len(measurements)), np.ones(len(measurements))
-    if (sigma := measurements.sigma) is not None:
-        weights = np.sqrt(np.mean(sigma**2)) / sigma
-    _, jacobian = fit.model.linearize(measurements.postures, fit.parameters, measurements.conditions)
-    weights = weights[kept]
-    rows = weights[:, None, None] * jacobian[kept]
-    m, d, p = rows.shape
-    prior = np.zeros((0, p)) if fit.prior is None else fit.prior.rows(fit.model.parameters, fit.scatter or 0.0)
-    whole = np.concatenate([rows.reshape(-1, p), prior])
-    whole /= np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny)
-    basis = np.linalg.qr(whole)[0][: m * d].reshape(m, d, -1)
-    residuals = weights[:, None] * fit.residuals_after[kept]
-    postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
-    leverages, vectors, scores = decomposed_groups(basis, residuals, postures)
+    problem = Problem.of(fit.model, measurements, prior=fit.prior)
+    problem = replace(problem, noise=(fit.scatter or 0.0) / (problem.sigma or 1.0))
+    rows = WhiteRows.of(problem, measurements, fit.parameters, 0.0)
+    free = np.array([name not in fit.held for name in fit.names])
+    whole = rows.jacobian[..., free], fit.model.scales[free], RANK_TOLERANCE, problem.prior_rows[:, free]
+    columns = rows.jacobian[..., free] @ spectrum(*whole).root
+    leverages, vectors, scores = decomposed_groups(columns, rows.residual, rows.postures)
     if leverages.max() > 1.0 - ALONE:
         return None
     pull = ((scores / (1.0 - leverages))[:, None, :] @ vectors)[:, 0]
-    without = residuals + np.einsum("mdr,mr->md", basis, pull[postures])
-    return np.asarray((without / weights[:, None])[np.cumsum(kept)[measurements.originals] - 1])
+    without = rows.residual + np.einsum("mdr,mr->md", columns, pull[rows.postures])
+    kept = problem.weights > 0.0
+    return np.asarray((without / problem.root_weights[kept])[np.cumsum(kept)[measurements.originals] - 1])
 
 
 def left_out_rms(fit: Identification, measurements: Measurements) -> float | None:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.estimation.doubts import UNUSUAL, doubts, far_rows, flange_turns
+from identification.estimation.doubts import UNUSUAL, doubts, far_rows
 from identification.estimation.problem import (
     METHODS,
     Prior,
@@ -231,9 +231,7 @@ def _identification(
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
-    arm, status = getattr(model, "arm", None), solution.status[0]
-    stands = arm is None or {BASE, TOOL} & arm.chain.settled  # base or measured points are given
-    status = Status.not_identifiable if undetermined else status
+    status = Status.not_identifiable if undetermined else solution.status[0]
     return Identification(
         model=model,
         parameters=x,
@@ -253,7 +251,6 @@ def _identification(
         uncertainty=made,
         scatter=scatter,
         doubts=(*sentences, *far_rows(after, outlier, structure)),
-        flange_turns=None if arm is None or stands else flange_turns(arm.chain, data),
         postures=data.postures[first],
         inside=rows.inside(decomposed.root),
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),

@@ -74,8 +74,8 @@ class Identification(Documented):
     outlier_rows : numbers from 1 of single rows that the model does not explain, which are in the fit all the same
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
+    held : names of parameters that were not estimated, with the covariance of an earlier calibration
     contradictions : parameters whose prior, an earlier calibration, the measurements contradict
-    flange_turns : (3,) see `doubts.flange_turns`, of a fit of both base and measured points; None: of others
     """
 
     model: Model
@@ -100,8 +100,8 @@ class Identification(Documented):
     unexplained_rows: tuple[int, ...] = ()
     prior: Prior | None = None
     machining_factor: float | None = None
+    held: frozenset[str] = frozenset()
     contradictions: tuple[Contradiction, ...] = ()
-    flange_turns: Array | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -232,9 +232,7 @@ class Identification(Documented):
         freedom = freedom_kept(self.names, self.uncertainty.freedom)
         provenance = MappingProxyType({**self.provenance, **figures, **freedom})
         calibration = Calibration(self.values, self.names, cov, provenance)
-        if (geometry := self.geometry) is None:
-            return calibration
-        return replace(calibration, base=geometry.base, tools=geometry.tools, tool_axes=geometry.tool_axes)
+        return calibration if self.geometry is None else replace(calibration, **self.geometry.places)
 
     def calibrated_arm(self) -> Arm:
         """The arm with this calibration in it."""
@@ -283,13 +281,14 @@ class Identification(Documented):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """One entry of `parameters` for each parameter, in file units."""
+        """One entry of `parameters` for each parameter estimated, in file units."""
         values = np.where(self.identifiable, self.parameters, np.nan)
         rows = zip(self.model.parameters, values, self.std, *self.intervals.T, strict=True)
         return [
             {"name": p.name, "unit": p.file_unit}
             | {k: float(v * p.to_file) if np.isfinite(v) else None for k, v in zip(shown.COLUMNS, figures, strict=True)}
             for p, *figures in rows
+            if p.name not in self.held
         ]
 
     def document(self) -> Document:

@@ -13,13 +13,13 @@ groups), with the larger variance of the two groupings, and never less than that
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, stdtrit
+from scipy.special import chdtrc, chdtri, fdtrc, ndtri, pdtrc, stdtr, stdtrit
 
 from identification.arm import Calibration
 from identification.arrays import Array
@@ -103,8 +103,12 @@ class WhiteRows:
 
         root : (p, rank), as of `of_postures`
         """
-        leverages = decomposed_groups(self.jacobian @ root, self.residual, self.postures)[0]
-        share = 1.0 - float(np.sum(leverages**2) / leverages.sum()) if leverages.any() else 1.0
+        columns, squares = self.jacobian @ root, 0.0
+        for _, rows in rows_of_groups(self.postures):  # sum l^2 = |Q_g Q_g^T|^2 = |Q_g^T Q_g|^2
+            block = columns[rows].reshape(len(rows), -1, columns.shape[2])
+            block = block if block.shape[1] <= block.shape[2] else np.swapaxes(block, 1, 2)
+            squares += float(np.sum(np.square(block @ np.swapaxes(block, 1, 2))))
+        share = 1.0 - squares / float(np.sum(np.square(columns))) if columns.any() else 1.0
         return max(share, np.finfo(float).eps)  # of no equation more than unknowns it is rounding
 
 
@@ -287,16 +291,24 @@ def sandwich(
     return corrected @ corrected.T + variance * held, freedom
 
 
+def rows_of_groups(groups: Groups) -> Iterator[tuple[Groups, Groups]]:
+    """Numbers (k,) of groups as large as each other, and their rows (k, size);  groups : (m,) number of each row's"""
+    order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
+    starts = np.cumsum(counts) - counts
+    for size in np.unique(counts):
+        of_size = np.flatnonzero(counts == size)
+        yield of_size, order[starts[of_size, None] + np.arange(size)]
+
+
 def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> tuple[Array, Array, Array]:
     """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, k, r) V^T and (G, k) V^T Q_g^T r_g, zero where a
-    group has fewer than k directions;  groups as large as each other at a time."""
+    group has fewer than k directions."""
     d, r = columns.shape[1:]
-    order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
-    starts, shape = np.cumsum(counts) - counts, (len(counts), min(r, d * int(counts.max())))
+    counts = np.bincount(groups)
+    shape = len(counts), min(r, d * int(counts.max()))
     values, vectors, scores = np.zeros(shape), np.zeros((*shape, r)), np.zeros(shape)
-    for size in np.unique(counts):
-        of_size, k = np.flatnonzero(counts == size), min(r, d * int(size))
-        rows = order[starts[of_size, None] + np.arange(size)]
+    for of_size, rows in rows_of_groups(groups):
+        k = min(r, d * rows.shape[1])
         left, singular, right = np.linalg.svd(columns[rows].reshape(len(of_size), -1, r), full_matrices=False)
         values[of_size, :k], vectors[of_size, :k] = singular**2, right
         projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)
@@ -420,19 +432,13 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
         for groups in groupings_of:
             sizes, wrong_in_group, x = np.bincount(groups), np.bincount(groups, wrong), 2
             while x <= wrong_in_group.max():
-                few = np.arange(x)[:, None]
-                chances = log_choose(wrong.sum(), few) + log_choose(len(wrong) - wrong.sum(), sizes - few)
-                fewer = np.sum(np.exp(chances - log_choose(len(wrong), sizes)), axis=0)
-                expected = float(np.sum(np.maximum(1.0 - fewer, 0.0)))
+                from scipy.stats import hypergeom  # deferred: only rows that come together pay for the import
+
+                expected = float(np.sum(hypergeom.sf(x - 1, len(wrong), int(wrong.sum()), sizes)))
                 crowds.append((pdtrc(np.sum(wrong_in_group >= x) - 1, expected), (wrong_in_group >= x)[groups]))
                 x = 2 * x - 1
         alike += [rows[to_rows] for p, rows in crowds if p <= 0.5e-3 / len(crowds)]
     return np.any(alike, axis=0) & outlier
-
-
-def log_choose(many: ArrayLike, few: ArrayLike) -> Array:
-    """Log of the number of ways to choose a few of many, -inf where there is none."""
-    return np.asarray(gammaln(np.add(many, 1.0)) - gammaln(np.add(few, 1.0)) - gammaln(np.subtract(many, few) + 1.0))
 
 
 # -- means of rows that are not independent ----------------------------------------------------------------------------

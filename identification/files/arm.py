@@ -31,7 +31,7 @@ from identification.files.schema import CURVE, EffectTable, PoseTable, validated
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text, with_origins
 from identification.instruments import KINDS
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
-from identification.kinematics.corrected import before_errors
+from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import (
@@ -391,7 +391,9 @@ def _calibration(
     axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
     names = tuple(p.name for p in order)
     calibration = Calibration(in_api, names, covariance, MappingProxyType(dict(provenance)), base, tools, axes)
-    return calibration, before_errors(chain, in_api, base, tools, axes)
+    drawn = standing_in(chain if base is None else replace(chain, base=base), in_api, back=True)
+    chain = chain if base is None else replace(chain, base=drawn.base)
+    return calibration, replace(chain, tools=drawn.tools, tool_axes=drawn.tool_axes) if tools else chain
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------

@@ -399,9 +399,7 @@ class Diagnosis(Documented):
         chain = self.arm.chain
         kept = {} if self.arm.calibration is None else self.arm.calibration.values
         values = {name: kept.get(name, 0.0) for name in sorted(chain.fixed)} | dict(named.values)
-        geometry = CorrectedGeometry(chain, values)
-        tools, axes = MappingProxyType(geometry.tools), MappingProxyType(geometry.tool_axes)
-        return replace(named, values=values, base=geometry.base, tools=tools, tool_axes=axes)
+        return replace(named, values=values, **CorrectedGeometry(chain, values).places)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""

@@ -207,9 +207,7 @@ def _problems(
     if fit.dof <= 0:  # it leaves little whatever the data are
         numbers, unknowns = fit.residuals_after.size, len(fit.names)
         return [f"{doubts.FEW}: {numbers} numbers for {unknowns} unknowns. Measure more postures"]
-    return [
-        sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith((doubts.FEW, doubts.TOGETHER))
-    ]
+    return [sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith(doubts.FEW)]
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[int]]:

@@ -97,10 +97,8 @@ class Instrument:
         """d, numbers of a reading; 1 of a contact: the length that it stands for."""
         return max(len(self.coordinates), 1)
 
-    @property
-    def contact(self) -> bool:
-        """Whether it reads nothing but the joints: the reading of what is touched is zero."""
-        return not self.coordinates
+    # whether it reads nothing but the joints: the reading of what is touched is zero
+    contact = property(lambda self: not self.coordinates)
 
     # -- what it does not show, and what is to be found besides the arm --------------------------------------------
     @property

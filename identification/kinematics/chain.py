@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -124,10 +125,8 @@ class KinematicChain(ByValue):
     def __len__(self) -> int:
         return len(self.joints)
 
-    @property
-    def positions_in_plane(self) -> bool:
-        """Whether it is a planar arm of which positions are measured, as the closed form and the theorem have it."""
-        return not self.frame_kinds and self.instrument.reads_positions
+    # whether it is a planar arm of which positions are measured, as the closed form and the theorem have it
+    positions_in_plane = property(lambda self: self.planar and self.instrument.reads_positions)
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
@@ -135,20 +134,13 @@ class KinematicChain(ByValue):
             reason = f"kind {self.instrument.kind}: where it is touched follows from the arm"
             raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
-    @property
-    def dimension(self) -> int:
-        """d, coordinates of a position: 3 in space, 2 in the plane."""
-        return len(self.axes)
+    dimension = property(lambda self: len(self.axes))  # d, coordinates of a position: 3 in space, 2 in the plane
+    joint_types = property(lambda self: tuple(joint.type for joint in self.joints))  # (n) `revolute` or `prismatic`
 
-    @property
-    def redundant(self) -> bool:
-        """Whether it has more free errors than measurements can show, so that a fit needs a prior of them."""
-        return bool(self.frame_kinds) and not self.fixed
-
-    @property
-    def held(self) -> frozenset[str]:
-        """Names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows."""
-        return self.fixed
+    # whether it has more free errors than measurements can show, so that a fit needs a prior of them
+    redundant = property(lambda self: not self.planar and not self.fixed)
+    # names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows
+    held = property(lambda self: self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset()))
 
     @property
     def coordinates(self) -> int:
@@ -180,11 +172,6 @@ class KinematicChain(ByValue):
         """(n,) distances [mm] over which each joint acts, in order of magnitude: from joint to tip as parts could add
         up, not below a tenth of the reach; in the plane the length of its link (paper)."""
         return np.maximum(np.cumsum(self.lengths[::-1])[::-1], self.reach / 10.0)
-
-    @property
-    def joint_types(self) -> tuple[str, ...]:
-        """(n) `revolute` or `prismatic`."""
-        return tuple(joint.type for joint in self.joints)
 
     # -- parameters ----------------------------------------------------------------------------------------------------
     @cached_property
@@ -318,9 +305,11 @@ class KinematicChain(ByValue):
         return point, self.angle_scale * rotation_vector(ca.mtimes(frame.axes, ca.reshape(reference, 3, 3)))
 
     def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
-        """n + 2 points (3,) [mm] of base, joints and the first measured point, in the frame of the base."""
+        """n + 2 points (d,) [mm] of base, joints and the first measured point, in the frame of the base; n + 1 of a
+        planar arm, whose joint 1 is the base."""
         *frames, _, measured = self._in_base(q, values)
-        return [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
+        points = [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
+        return [point[: self.dimension] for point in points[self.planar :]]
 
     def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
@@ -331,7 +320,7 @@ class KinematicChain(ByValue):
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
         """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
-        return np.delete(self.frames_at(values)(postures)[..., :3, 3], -2, axis=-2)
+        return np.delete(self.frames_at(values)(postures)[..., self.planar :, : self.dimension, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
@@ -377,17 +366,8 @@ class PlanarChain(KinematicChain):
     projection = None
     planar = True
 
-    @property
-    def held(self) -> frozenset[str]:
-        return self.fixed | self.instrument.hidden(self.base)
-
-    @property
-    def levers(self) -> Array:
-        return self.lengths
-
-    @property
-    def every_parameter(self) -> ParameterSet:
-        return self.parameters()
+    levers = property(attrgetter("lengths"))
+    every_parameter = property(lambda self: self.parameters())
 
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """Length errors, joint offsets and those of the instrument.
@@ -408,13 +388,6 @@ class PlanarChain(KinematicChain):
 
     def _base_axes(self, values: Values) -> Any:
         return Frame.world().turned(2, values.get(f"{JOINT_OFFSET}:1", 0.0)).axes
-
-    def symbolic_points(self, q: ca.SX, values: Values) -> list[ca.SX]:
-        """n + 1 points (2,), since joint 1 is the base."""
-        return [point[:2] for point in super().symbolic_points(q, values)[1:]]
-
-    def points(self, postures: Array, values: Numbers) -> Array:
-        return super().points(postures, values)[..., 1:, :2]
 
 
 def planar_chain(lengths: ArrayLike) -> KinematicChain:

@@ -22,7 +22,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.kinematics.chain import BASE, NOTHING, STANDARD, TOOL, DHRow, Joint, KinematicChain, Numbers
+from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, Joint, KinematicChain, Numbers
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import (
     X,
@@ -53,36 +53,20 @@ def corrected(chain: KinematicChain, values: Numbers) -> KinematicChain:
     return replace(standing_in(chain, values), joints=tuple(joints))
 
 
-def standing_in(chain: KinematicChain, values: Numbers) -> KinematicChain:
-    """The chain with base and measured points or frames where its errors bring them; its joints as they are."""
-    shift, turn = displacement(values, error_names(BASE))
-    base = pose(chain.base[:3, 3] + shift, chain.base[:3, :3] @ turn)
-    off = {name: displacement(values, error_names(f"tool[{name}]")) for name in chain.tools}
-    tools = {name: np.asarray(place) + off[name][0] for name, place in chain.tools.items()}
-    axes = dict(chain.tool_axes)
-    if chain.angle_scale is not None:
-        axes = {name: chain.tool_axes.get(name, np.eye(3)) @ turn for name, (_, turn) in off.items()}
+def standing_in(chain: KinematicChain, values: Numbers, back: bool = False) -> KinematicChain:
+    """The chain with base and measured points or frames where their errors bring them, or `back` from there; its joints
+    as they are."""
+
+    def moved(frame: str, place: Array, turn: Array) -> tuple[Array, Array]:
+        shift, rotation = displacement(values, error_names(frame))
+        return (place - shift, turn @ rotation.T) if back else (place + shift, turn @ rotation)
+
+    base = pose(*moved(BASE, chain.base[:3, 3], chain.base[:3, :3]))
+    axes = {name: chain.tool_axes.get(name, np.eye(3)) for name in chain.tools}
+    frames = {name: moved(f"tool[{name}]", np.asarray(place), axes[name]) for name, place in chain.tools.items()}
+    tools = {name: place for name, (place, _) in frames.items()}
+    axes = dict(chain.tool_axes) if chain.angle_scale is None else {name: turn for name, (_, turn) in frames.items()}
     return replace(chain, base=base, tools=tools, tool_axes=axes)
-
-
-def before_errors(
-    chain: KinematicChain,
-    values: Numbers,
-    base: Array | None,
-    tools: Mapping[str, Array],
-    axes: Mapping[str, Array] = NOTHING,
-) -> KinematicChain:
-    """The chain of which the errors make these: the reverse of `standing_in`.
-
-    base : (4, 4) or None: as it is;  tools, axes : those of these names, the others as they are
-    """
-    if base is not None:
-        shift, turn = displacement(values, error_names(BASE))
-        chain = replace(chain, base=pose(base[:3, 3] - shift, base[:3, :3] @ turn.T))
-    off = {name: displacement(values, error_names(f"tool[{name}]")) for name in {*tools, *axes}}
-    if tools:
-        chain = replace(chain, tools={name: place - off[name][0] for name, place in tools.items()})
-    return replace(chain, tool_axes={n: turned @ off[n][1].T for n, turned in axes.items()}) if axes else chain
 
 
 @dataclass(frozen=True)
@@ -102,20 +86,11 @@ class CorrectedGeometry:
         return corrected(self.chain, self.values)
 
     @property
-    def base(self) -> Array | None:
-        """(4, 4) pose of the base for the instrument [mm], None where it is known."""
-        return None if BASE in self.chain.settled else self.real.base
-
-    @property
-    def tools(self) -> dict[str, Array]:
-        """Name -> (3,) place of each measured point in the frame of the tip [mm], empty where they are known."""
-        return {} if TOOL in self.chain.settled else dict(self.real.tools)
-
-    @property
-    def tool_axes(self) -> dict[str, Array]:
-        """Name -> (3, 3) axes of each measured frame in the frame of the tip, empty where only points are measured or
-        they are known."""
-        return dict(self.real.tool_axes) if self.chain.angle_scale is not None and self.tools else {}
+    def places(self) -> dict[str, Any]:
+        """`base`, `tools` and `tool_axes` of a `Calibration`: those that were to be found."""
+        tools = {} if TOOL in self.chain.settled else dict(self.real.tools)
+        axes = dict(self.real.tool_axes) if self.chain.angle_scale is not None and tools else {}
+        return {"base": None if BASE in self.chain.settled else self.real.base, "tools": tools, "tool_axes": axes}
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys")."""
@@ -136,8 +111,9 @@ class CorrectedGeometry:
             turn = roll_pitch_yaw(origin[:3, :3], near=roll_pitch_yaw(joint.origin[:3, :3]))
             angles = zip(("roll_deg", "pitch_deg", "yaw_deg"), np.degrees(turn).tolist(), strict=True)
             rows.append({"joint": j, "name": joint.name, **point_table(origin[:3, 3]), **dict(angles)})
-        base = None if self.base is None else pose_table(self.base)
-        return {"base": base, "tools": tool_tables(self.tools, self.tool_axes), "geometry": rows}
+        base, tools, axes = self.places.values()
+        base = None if base is None else pose_table(base)
+        return {"base": base, "tools": tool_tables(tools, axes), "geometry": rows}
 
     def origin(self, j: int) -> Array:
         """(4, 4) pose of the frame of a joint, counted from 1, in that of the joint before, its offset apart [mm]."""

@@ -66,10 +66,11 @@ class Parameter:
     typical: float | None = None
     start: float | None = None  # where fits begin and an effect that may be missing is derived, None: see `neutral`
 
-    @property
-    def of_effect(self) -> bool:
-        """Whether it is of an effect, not of the geometry."""
-        return self.kind == EFFECT
+    of_effect = property(lambda self: self.kind == EFFECT)  # not of the geometry
+    short = property(lambda self: self.name.rpartition(".")[2])  # `a` of `encoder_eccentricity:2.a`
+    file_unit = property(lambda self: FILE_UNITS[self.unit][0])  # in files, tables and JSON
+    to_file = property(lambda self: FILE_UNITS[self.unit][1])  # factor from the API unit to that
+    toml_key = property(lambda self: self.short + FILE_UNITS[self.unit][2])  # in an arm file: `a_deg`
 
     @property
     def neutral(self) -> float:
@@ -80,29 +81,9 @@ class Parameter:
         return 2.0 * near if np.isinf(far) else float(np.sign(near) * np.sqrt(near * far))
 
     @property
-    def short(self) -> str:
-        """The name inside its effect: `a` of `encoder_eccentricity:2.a`."""
-        return self.name.rpartition(".")[2]
-
-    @property
-    def file_unit(self) -> str:
-        """Unit in files, tables and JSON."""
-        return FILE_UNITS[self.unit][0]
-
-    @property
-    def to_file(self) -> float:
-        """Factor from the API unit to `file_unit`."""
-        return FILE_UNITS[self.unit][1]
-
-    @property
     def file_name(self) -> str:
         """`name` as files have it: `base_offset.x0_mm`."""
         return self.name.removesuffix(self.short) + self.toml_key if self.of_effect else self.name
-
-    @property
-    def toml_key(self) -> str:
-        """Key in an arm file: `a_deg`."""
-        return self.short + FILE_UNITS[self.unit][2]
 
 
 def _column(field: str) -> cached_property[Array]:
@@ -170,8 +151,7 @@ def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
 
 def by_joint(values: Mapping[str, float], kind: str) -> Array:
     """(n,) the values of a kind, `kind:1` to `kind:n`, of a mapping from names."""
-    count = sum(name.startswith(f"{kind}:") for name in values)
-    return readonly([values[f"{kind}:{j}"] for j in range(1, count + 1) if f"{kind}:{j}" in values])
+    return readonly([values[name] for j in range(1, MAX_LINKS + 1) if (name := f"{kind}:{j}") in values])
 
 
 def of_effects(values: Mapping[str, float]) -> dict[str, float]:

@@ -104,20 +104,11 @@ class Model:
         kinds = (TRANSLATION_ERROR, ROTATION_ERROR, JOINT_OFFSET)
         return {p.name: sizes[p.unit] for p in self.parameters if p.kind in kinds}
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(p) names of the estimated parameters."""
-        return self.parameters.names
+    names = property(attrgetter("parameters.names"))  # (p) of the estimated parameters
+    # (p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one
+    scales = property(attrgetter("parameters.scales"))
 
-    @property
-    def scales(self) -> Array:
-        """(p,) length per unit of each parameter [mm/unit]; column k of the Jacobian divided by it is about one."""
-        return self.parameters.scales
-
-    @property
-    def dimension(self) -> int:
-        """d, measured coordinates per posture: 2, 3, 6 of a pose, or 1 of a length."""
-        return self.arm.chain.coordinates
+    dimension = property(attrgetter("arm.chain.coordinates"))  # d per posture: 2, 3, 6 of a pose, or 1 of a length
 
     @property
     def dimensions(self) -> tuple[int, ...]:

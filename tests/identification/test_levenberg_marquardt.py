@@ -218,48 +218,6 @@ def test_a_wrong_derivative_ends_unconverged() -> None:
     assert np.all(found.rss <= begun * (1.0 + 1e-12))
 
 
-def bilinear(count: int, factors: tuple[int, int], seed: int) -> tuple[Linearize, np.ndarray]:
-    """y_k = sum_ij X_kij a_i b_j + noise, a in the first columns of x and b in the others; and starts in 0 .. 1."""
-    generator = np.random.default_rng(seed)
-    split, rows = factors[0], factors[0] * factors[1] + 3
-    design = generator.standard_normal((count, rows, *factors))
-    truth = generator.uniform(-1.0, 1.0, (count, sum(factors)))
-    measured = np.einsum("krij,ki,kj->kr", design, truth[:, :split], truth[:, split:])
-    measured += 0.3 * generator.standard_normal((count, rows))
-
-    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        of_a = np.einsum("krij,kj->kri", design[index], x[:, split:])
-        of_b = np.einsum("krij,ki->krj", design[index], x[:, :split])
-        computed = np.einsum("kri,ki->kr", of_a, x[:, :split])
-        return measured[index] - computed, np.concatenate([of_a, of_b], axis=2)
-
-    return linearize, generator.uniform(0.0, 1.0, (count, sum(factors)))
-
-
-@pytest.mark.parametrize(("factors", "upper", "seed"), [((1, 2), 1.0, 5), ((1, 4), 0.2, 7), ((2, 2), 0.2, 9)])
-def test_no_corner_without_gradient_counts_as_converged(factors: tuple[int, int], upper: float, seed: int) -> None:
-    """Products within bounds: a factor that a step takes to its bound 0 leaves the others without a gradient. What
-    converged satisfies Karush-Kuhn-Tucker, and scipy, from slightly inside of it, finds nothing lower."""
-    count, p, generator = 80, sum(factors), np.random.default_rng(seed)
-    low, high = np.zeros(p), np.full(p, upper)
-    linearize, starts = bilinear(count, factors, seed)
-    found = levenberg_marquardt(problem(linearize, p, count, lower=low, upper=high), upper * starts)
-    converged = found.status == Status.converged
-    assert np.mean(converged) > 0.95
-    x = found.parameters
-    residual, jacobian = linearize(x, np.arange(count))
-    np.testing.assert_allclose(found.rss, np.sum(residual**2, axis=1), rtol=1e-12)
-    gradient = np.einsum("knp,kn->kp", jacobian, residual)
-    inside = np.where(x <= low, gradient > 0.0, np.where(x >= high, gradient < 0.0, True))
-    size = np.linalg.norm(jacobian, axis=1) * np.linalg.norm(residual, axis=1)[:, None]
-    inside &= converged[:, None]
-    assert np.all(np.abs(gradient)[inside] <= 2.0 * GRADIENT_TOLERANCE * size[inside])
-    near = np.clip(x + 1e-3 * generator.uniform(-1.0, 1.0, x.shape), 2e-6, upper - 2e-6)
-    ends = np.array([scipy_end(linearize, near[k], k, low, high) for k in range(count)])
-    lower_by = found.rss - np.sum(linearize(ends, np.arange(count))[0] ** 2, axis=1)
-    np.testing.assert_array_less(lower_by, 1e-9 * found.rss)
-
-
 @pytest.mark.parametrize("rows", [150, 4099])
 def test_a_tall_problem_is_its_triangle(rows: int) -> None:
     """Sums of products stay, and with them the solution, here by the normal equations."""

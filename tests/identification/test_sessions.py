@@ -149,7 +149,7 @@ def test_sessions_of_a_spatial_arm() -> None:
     for number in (2, 3):
         shift = [values[f"session_base.{axis}{number}"] for axis in "xyz"]
         turn = Rotation.from_euler("XYZ", [values[f"session_base.w{axis}{number}"] for axis in "xyz"])
-        first = pose(found.geometry.base[:3, 3], found.geometry.base[:3, :3])
+        first = found.geometry.real.base
         later = pose(first[:3, 3] + shift, first[:3, :3] @ turn.as_matrix())
         true = [pose(place, Rotation.from_rotvec(v).as_matrix()) for place, v in zip(PLACES, STANDS, strict=True)]
         # where the base's frame is along and about joint 1's axis is a choice, the same in each session

@@ -111,3 +111,9 @@ def test_swapped_columns_are_said_where_the_fit_hides_them() -> None:
     assert hidden.rms_after < FAR * model.reach  # too little to be implausible by that
     assert hidden.status is Status.implausible
     assert any("columns of joints 4 and 5 are swapped" in said and "armcal check" in said for said in hidden.doubts)
+
+
+def test_more_postures_are_to_turn_the_flange() -> None:
+    """It turned by a twentieth of a degree, whatever the number of rows: base and measured point move together."""
+    found = estimate(Model(Arm(CHAIN)), six_axes(60, 1e-3))
+    assert any("measure others, which turn the flange about all its axes" in said for said in found.warnings)

@@ -53,6 +53,22 @@ def test_only_is_least_squares_without_the_other_columns() -> None:
     np.testing.assert_allclose(two.parameters, np.linalg.lstsq(design, beyond, rcond=None)[0], rtol=0, atol=1e-9)
 
 
+def test_what_is_held_may_be_off() -> None:
+    """Length 1 held with a deviation of 0.3 mm moves the others by what its column is of theirs, as new data would."""
+    data, _ = session(1, 20, (0.0, 0.0))
+    before = Calibration({**FIXED.values, "length_error:1": 0.4}, ("length_error:1",), np.array([[0.09]]))
+    found = estimate(only(replace(ARM, calibration=before), ["length_error:2", "length_error:3"]), data, sigma="given")
+    whole, design = with_held(found, before, data), columns(data.postures)
+    moved = -np.linalg.pinv(design[:, 1:]) @ design[:, 0]
+    spread = np.r_[1.0, moved]
+    expected = 0.09 * np.outer(spread, spread)
+    expected[1:, 1:] += SIGMA**2 * np.linalg.inv(design[:, 1:].T @ design[:, 1:])
+    assert whole.names == ("length_error:1", "length_error:2", "length_error:3")
+    np.testing.assert_allclose(whole.covariance, expected, rtol=1e-6)
+    np.testing.assert_array_equal(whole.parameters, [0.4, *found.parameters])
+    assert with_held(found, FIXED, data) is found
+
+
 def test_an_earlier_calibration_as_prior_is_the_fit_of_both() -> None:
     """Lengths are shared, each session has a base of its own: numpy's fit of all rows at once."""
     (first, one), (second, other) = session(2, 12, (0.5, -0.2)), session(3, 4, (-3.0, 2.0))
@@ -103,10 +119,13 @@ def test_one_motor_of_a_spatial_arm() -> None:
     assert found.names == ("joint_offset:3",)
     assert found.parameters[0] - old["joint_offset:3"] == pytest.approx(0.005, abs=1e-5)
     assert found.rms_after < 0.01
-    kept = found.calibration()
+    whole = with_held(found, calibrated.calibration, after)
+    kept = whole.calibration()
     np.testing.assert_allclose(kept.base, calibrated.calibration.base, atol=1e-9)  # type: ignore[union-attr, arg-type]
-    whole = with_held(kept, calibrated.calibration, arm.joint_types)
-    assert set(whole.parameter_names) == set(calibrated.calibration.parameter_names)  # type: ignore[union-attr]
+    assert set(kept.parameter_names) == set(calibrated.calibration.parameter_names)  # type: ignore[union-attr]
+    assert [row["name"] for row in whole.to_json()["parameters"]] == ["joint_offset:3"]
+    assert whole.expected_tip > found.expected_tip  # type: ignore[operator]
+    assert whole.expected_tip == pytest.approx(estimate(Model(arm), before).expected_tip, rel=0.05)
 
 
 def test_the_tracker_moved() -> None:
