@@ -235,9 +235,9 @@ def correct(arm: str) -> Action:
     return Action("Correct the robot's commands with it:", f"armcal compensate {arm} targets.csv --out commands.csv")
 
 
-def identify_command(arm: str, rows: str, fit: str = "", out: str = "calibrated.toml") -> str:
+def identify_command(arm: str, rows: str, fit: str = "") -> str:
     """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises"""
-    return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out {out}"
+    return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out calibrated.toml"
 
 
 def identification_actions(data: Data, arm: str, rows: str, written: Path | None, *, diagnosed: bool) -> list[Action]:
