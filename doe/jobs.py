@@ -22,7 +22,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields, is_dataclass
@@ -99,18 +99,6 @@ def with_columns(frame: pl.DataFrame, types: Mapping[str, Any]) -> pl.DataFrame:
     return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
 
 
-def make_folder(folder: Path) -> bool:
-    """Make a folder in an existing one; whether it was not there. Raises `InputError` if it cannot be made."""
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        return False
-    except OSError as error:
-        reason = f"cannot be made ({error.strerror})"
-        raise InputError(f"{folder}: {reason}, allowed: a folder in an existing one") from None
-    return True
-
-
 class RowTable:
     """Rows by the text of their key, in memory and in the journal.
 
@@ -126,7 +114,12 @@ class RowTable:
         self.path = None if path is None else Path(path).absolute()
         if self.path is None:
             return
-        self._made = make_folder(self.path.parent)
+        self._made = not self.path.parent.exists()
+        try:
+            self.path.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            reason = f"cannot be made ({error.strerror})"
+            raise InputError(f"{self.path.parent}: {reason}, allowed: a folder in an existing one") from None
         check_writable(self.path, force=True)
         self.journal = self.path.with_name(self.path.name + ".journal")  # finished rows, while work goes on
         for file in (self.path, self.journal):
@@ -166,7 +159,8 @@ class RowTable:
             return
         with self._open:
             if any(row.get("status") != "failed" for rows in self.rows.values() for row in rows):
-                write_together({self.path: parquet(self.frame(self.rows))}, force=True)
+                every = frame_of([row for rows in self.rows.values() for row in rows])
+                write_together({self.path: parquet(every)}, force=True)
             self.journal.unlink(missing_ok=True)
         if self._made:
             with suppress(OSError):  # there are files in it
@@ -185,10 +179,6 @@ class RowTable:
         except OSError as error:
             reason = f"cannot be written ({error.strerror}); finished rows are kept, go on with --resume"
             raise JobError(f"{self.journal}: {reason}") from None
-
-    def frame(self, texts: Iterable[str]) -> pl.DataFrame:
-        """The rows of these keys, in their order; without a row, a frame without columns."""
-        return frame_of([row for text in texts for row in self.rows[text]])
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
@@ -270,7 +260,7 @@ def run_tasks(
                 running.clear()
     finally:  # in the order of the keys, whichever finished first
         table.rows = {text: table.rows[text] for text in (asked | table.rows) if text in table.rows}
-    return table.frame(asked)
+    return frame_of([row for text in asked for row in table.rows[text]])
 
 
 def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -49,37 +48,6 @@ VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Any], 
 
 
 # -- what a row is measured under --------------------------------------------------------------------------------------
-class Past:
-    """(m, n, 12) what each joint remembers (`past_from_order`), worked out when an effect asks for it: of thousands of
-    rows it takes as long as a fit. An array to numpy; indexed by rows.
-
-    whole : that of all rows, or a function without arguments that gives it;  index : of the rows, any numpy index
-    """
-
-    def __init__(self, whole: Past | Callable[[], Array], index: Any = slice(None)) -> None:
-        self._whole, self._index = whole, index
-
-    def __getitem__(self, index: Any) -> Past:
-        return Past(self, index)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
-        return np.array(self._values, dtype=dtype, copy=copy)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or np.array_equal(self._values, np.asarray(other))
-
-    def __hash__(self) -> int:
-        return hash(Past)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return np.asarray, (self._values,)  # to another process as numbers
-
-    @cached_property
-    def _values(self) -> Array:
-        whole = self._whole
-        return whole._values[self._index] if isinstance(whole, Past) else whole()[self._index]
-
-
 @dataclass(frozen=True, eq=False)
 class Conditions(ByValue):
     """What a posture is measured under, one row per posture. None: the neutral value.
@@ -99,7 +67,7 @@ class Conditions(ByValue):
     time: Array | None = None
     directions: Array | None = None
     session: Array | None = None
-    past: Array | Past | None = None
+    past: Array | None = None
     marker: Array | None = None
     orientation: Array | None = None
 

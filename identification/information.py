@@ -29,7 +29,6 @@ RANK_TOLERANCE = 1e-9  # of the largest singular value
 PRODUCT_TOLERANCE = 1e-12  # of the largest eigenvalue: a rounding of 1e-15 of that leaves three digits
 VISIBLE = 1e-6  # of the largest
 ALONE = 1e-8  # of 1: rows with less than this left beside their leverage determine a combination by themselves
-CLEAR = 1e-8  # smallest eigenvalue of a normal matrix of unit columns that needs no closer look
 TOUCHED = 1e-3  # a parameter with less than this in every null direction is estimable
 
 
@@ -84,24 +83,11 @@ def product_inverse(product: Array) -> Array:
     return np.asarray(inverse / lengths / lengths[:, None])
 
 
-def column_space(jacobian: Array, scales: Array) -> Array:
-    """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened."""
-    return column_space_of(jacobian, scales)[0]
-
-
-def column_space_of(jacobian: Array, scales: Array) -> tuple[Array, Array]:
-    """`column_space`, and (p, rank) of what combinations of the columns it consists."""
+def column_space(jacobian: Array, scales: Array) -> tuple[Array, Array]:
+    """(N, rank) orthonormal basis of the columns of a Jacobian (N, p) that may be whitened, and (p, rank) of what
+    combinations of them it consists."""
     lengths, zero = column_lengths(np.linalg.norm(jacobian, axis=0), scales)
-    unit = np.where(zero, 0.0, jacobian / lengths)
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    if values.min(initial=1.0) > CLEAR:
-        # columns that are orthonormal but for what a normal matrix loses, half the digits; a Newton step (A. Bjorck, C.
-        # Bowie, 1971) makes up for it. Products of matrices alone, in half the time of an SVD
-        turn = vectors / np.sqrt(values)
-        basis = unit @ turn
-        step = 1.5 * np.eye(len(turn)) - 0.5 * basis.T @ basis
-        return basis @ step, turn @ step / lengths[:, None]
-    left, singular, right = np.linalg.svd(unit, full_matrices=False)
+    left, singular, right = np.linalg.svd(np.where(zero, 0.0, jacobian / lengths), full_matrices=False)
     seen = significant(singular)
     return left[:, seen], right[seen].T / singular[seen] / lengths[:, None]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from hashlib import blake2b
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -24,7 +24,6 @@ from identification.conditions import (
     REMEMBERED,
     VALUES,
     Conditions,
-    Past,
     directions_from_order,
     past_from_order,
     session_time,
@@ -107,7 +106,7 @@ class Measurements(ByValue):
     session_names: tuple[str, ...] = ()
     marker: NDArray[np.str_] | None = None
     marker_names: tuple[str, ...] = ()
-    past: Array | Past | None = None
+    past: Array | None = None
     orientations: Array | None = None
     commanded: Array | None = None
     gaps: Array | None = None
@@ -295,11 +294,11 @@ class Measurements(ByValue):
         return np.where(directions == 0.0, np.nan, directions)
 
     @cached_property
-    def _past(self) -> Array | Past:
+    def _past(self) -> Array:
         """(m, n, 12) see `past_from_order`."""
         if self.past is not None:
             return self.past
-        return Past(partial(self._by_order, past_from_order, (*self.postures.shape, REMEMBERED)))
+        return self._by_order(past_from_order, (*self.postures.shape, REMEMBERED))
 
     def _by_order(self, function: Callable[..., Array], shape: tuple[int, ...]) -> Array:
         """What follows from the order, in each session."""

@@ -65,15 +65,13 @@ class CandidateSet:
                 return np.full(len(self.postures), np.inf)
         return np.concatenate(values)
 
-    def offers(self, g: Array, level: float) -> tuple[Array, float]:
-        """Postures to add (j, n), the best of each of many parts of the set, which keeps them apart; the largest g."""
+    def price(self, gradient: Array, level: float, _: Array) -> tuple[Array, float]:
+        """A pass over all of it: postures to add (j, n), the best of each of many parts of the set, which keeps them
+        apart, and the largest g."""
+        g = self.sensitivities(gradient)
         size = max(16, -(-len(g) // 256))
         rows = np.array([start + int(np.argmax(g[start : start + size])) for start in range(0, len(g), size)])
         return _best(self.postures[rows], g[rows], level, 3 * self.problem.parameters, 0.1)
-
-    def price(self, gradient: Array, level: float, _: Array) -> tuple[Array, float]:
-        """A pass over all of it."""
-        return self.offers(self.sensitivities(gradient), level)
 
 
 @dataclass(frozen=True)
@@ -148,45 +146,44 @@ class ContinuousSet:
         return postures[order], values[order]
 
     def climb(self, postures: Array, gradient: Array, stop: Stop = never) -> Array:
-        """Every posture moved uphill to a local maximum, within limits and constraints."""
-        q = self.problem.clip(postures)
-        if not self.problem.constraints:
-            return self._ascend(q, gradient, np.zeros(len(q)), stop)
-        scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
-        # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls,
-        # where the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
-        heights = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)])
-        kind = np.arange(len(q)) % len(heights)
-        for barriers in scale * heights.T:
-            q = self._ascend(q, gradient, barriers[kind], stop)
-            # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
-            apart = distinct(np.column_stack([self.problem.comparable(q), kind]), 1e-6)
-            q, kind = q[apart], kind[apart]
-        return q
-
-    def _ascend(self, q: Array, gradient: Array, barrier: Array, stop: Stop) -> Array:
-        """The climb of tr(G F(q)) + barrier * sum of log margins: (m,) barriers, all 0 without constraints."""
+        """Every posture moved uphill to a local maximum within limits and constraints, of tr(G F(q)) + barrier * sum of
+        log margins."""
+        problem, walls, q = self.problem, self._walls, self.problem.clip(postures)
+        kind, barrier = np.arange(len(q)) % 2, np.zeros(len(q))
 
         def height(postures: Array, rows: NDArray[np.intp]) -> Array:
             values = self.sensitivities(postures, gradient)
-            if not barrier.any():
+            if not problem.constraints:
                 return values
-            margins = self._walls.values(postures)
-            inside = np.all(margins > 0.0, axis=1) & self.problem.feasible(postures)
+            margins = walls.values(postures)
+            inside = np.all(margins > 0.0, axis=1) & problem.feasible(postures)
             logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
             return np.where(inside, values + barrier[rows] * logarithms, -np.inf)
 
         def slopes(postures: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
             slope, hessian = self.slopes(postures, gradient)
-            if not barrier.any():
+            if not problem.constraints:
                 return slope, hessian
-            margins, first = self._walls.first(postures)
+            margins, first = walls.first(postures)
             relative, each = first / margins[:, None], barrier[rows, None]
-            bend = self._walls.bend(postures, 1.0 / margins) - relative @ np.swapaxes(relative, 1, 2)
+            bend = walls.bend(postures, 1.0 / margins) - relative @ np.swapaxes(relative, 1, 2)
             return slope + each * relative.sum(axis=2), hessian + each[..., None] * bend
 
-        limits = self.problem.lower, self.problem.upper
-        return newton_ascent(q, height, slopes, limits, self.problem.joint_units, 1e-3 * barrier, stop)
+        # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls,
+        # where the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
+        scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
+        heights = (
+            scale * np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)]) if problem.constraints else np.zeros((2, 1))
+        )
+        for pair in heights.T:
+            barrier = pair[kind]
+            limits = problem.lower, problem.upper
+            q = newton_ascent(q, height, slopes, limits, problem.joint_units, 1e-3 * barrier, stop)
+            if problem.constraints:
+                # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
+                apart = distinct(np.column_stack([problem.comparable(q), kind]), 1e-6)
+                q, kind = q[apart], kind[apart]
+        return q
 
 
 def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:
@@ -277,10 +274,9 @@ def continuous_design(
         return price(gradient, level, near, generator)
 
     stages: list[Stage] = [(climb_from_anywhere, tolerance)]
-    if not many:  # from the landmarks on to all postures at a gap of 1e-4
-        landmarks = CandidateSet(problem, everything.starts, prior)
-        start = well_spread(landmarks.postures, 6 * problem.parameters)
-        stages = [(landmarks.price, 1e-4), (price, tolerance), *stages]
+    if not many:
+        start = well_spread(everything.starts, 6 * problem.parameters)
+        stages = [(price, tolerance), *stages]
     elif also is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
         anywhere = random_postures(problem, 3 * problem.parameters, np.random.default_rng(0))
         start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)

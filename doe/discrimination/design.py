@@ -18,8 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import combinations, groupby
+from itertools import combinations
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -77,7 +76,6 @@ class EffectLibrary:
         return cls(*offered(design_model(arm), "rival_effects", "discriminating")())
 
 
-@dataclass(frozen=True)
 class MisidentificationBound:
     """The bound on the mean probability of a wrong name, of a plan's information matrix. -log of it is maximised.
 
@@ -89,36 +87,53 @@ class MisidentificationBound:
     reference : (p + K, p + K) information per run of random postures
     """
 
-    base: int
-    bases: Sequence[Array]
-    weights: Array
-    reference: Array
+    def __init__(self, base: int, bases: Sequence[Array], weights: Array, reference: Array) -> None:
+        self.base, self.reference = base, reference
+        schur, whole = self._off_base(reference)[0], np.diag(reference)[base:]
+        directions, owners, shares = list[Array](), list[int](), list[float]()
+        for number, basis in enumerate(bases):
+            axes = np.eye(basis.shape[1])  # unit vectors, and along the sum and the difference of every two
+            mixes = [*axes, *((a + sign * b) / np.sqrt(2.0) for a, b in combinations(axes, 2) for sign in (1.0, -1.0))]
+            lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes))
+            # numerical: no plan is judged by a direction that hardly leaves the base model
+            shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > 1e-9 * float(v**2 @ whole)]
+            directions += shown
+            owners += [number] * len(shown)
+            shares += [float(weights[number]) / len(shown) for _ in shown]
+        # (D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters; (D,) their probabilities
+        self.directions, self.shares = np.array(directions), np.array(shares) / np.sum(shares)
+        self.rivals = list[Rivals]()  # none that the base model explains on any plan
+        for size in sorted({bases[number].shape[1] for number in owners}):
+            chosen = [number for number in dict.fromkeys(owners) if bases[number].shape[1] == size]
+            columns = np.stack([bases[number] for number in chosen], axis=1)
+            lengths = np.einsum("kgs,kl,lgs->g", columns, schur, columns)
+            # numerical: the ridge keeps the inverse of a rival that a plan hides
+            ridge = 1e-12 * np.maximum(lengths, 1e-300)
+            self.rivals.append((columns, np.array(owners)[:, None] != chosen, ridge))
 
     def wrong(self, information: Array) -> Array:
         """(...) bound on the mean probability of a wrong name; infinite where the base model's part is singular."""
         p = self.base
         usable = np.isfinite(log_determinants(information[..., :p, :p]))
         schur = self._off_base(np.where(usable[..., None, None], information, self.reference))[0]
-        directions, _, probabilities = self._drawn
-        seen = directions @ schur
-        lengths = np.sum(seen * directions, axis=-1)
-        total = np.sum(probabilities * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
-        for rivals in self._rivals:
+        seen = self.directions @ schur
+        lengths = np.sum(seen * self.directions, axis=-1)
+        total = np.sum(self.shares * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
+        for rivals in self.rivals:
             explained = np.sum(np.multiply(*_fit(rivals, schur, seen)), axis=-1)
             d = np.sqrt(np.maximum(lengths[..., None] - explained, 0.0))
-            total = total + np.sum(probabilities[:, None] * rivals[1] * ndtr(-0.5 * d), axis=(-2, -1))
+            total = total + np.sum(self.shares[:, None] * rivals[1] * ndtr(-0.5 * d), axis=(-2, -1))
         return np.where(usable, total, np.inf)
 
     def gradient(self, information: Array) -> Array:
         """(p + K, p + K) derivative of -log of `wrong`: each pair adds its residual's u u^T (envelope theorem)."""
         schur, base = self._off_base(information)
-        directions, _, shares = self._drawn
-        rows, probabilities = [directions], [shares]
-        for rivals in self._rivals:
-            fitted = _fit(rivals, schur, directions @ schur)[1]
-            beside = directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, rivals[0])
+        rows, probabilities = [self.directions], [self.shares]
+        for rivals in self.rivals:
+            fitted = _fit(rivals, schur, self.directions @ schur)[1]
+            beside = self.directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, rivals[0])
             rows.append(beside.reshape(-1, beside.shape[-1]))
-            probabilities.append((shares[:, None] * rivals[1]).ravel())
+            probabilities.append((self.shares[:, None] * rivals[1]).ravel())
         u = np.vstack(rows)
         # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
         d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), 0.05)
@@ -132,42 +147,6 @@ class MisidentificationBound:
         cross = information[..., :p, p:]
         base = -np.linalg.solve(information[..., :p, :p], cross)
         return np.asarray(information[..., p:, p:] + np.swapaxes(cross, -1, -2) @ base), np.asarray(base)
-
-    @cached_property
-    def _drawn(self) -> tuple[Array, NDArray[np.intp], Array]:
-        """(D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters; (D,) the effect that each is
-        of, and (D,) its probability.
-        """
-        schur, whole = self._off_base(self.reference)[0], np.diag(self.reference)[self.base :]
-        rows, owners, probabilities = [], [], []
-        for number, basis in enumerate(self.bases):
-            axes = np.eye(basis.shape[1])  # unit vectors, and along the sum and the difference of every two
-            mixes = [*axes, *((a + sign * b) / np.sqrt(2.0) for a, b in combinations(axes, 2) for sign in (1.0, -1.0))]
-            lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes))
-            # numerical: no plan is judged by a direction that hardly leaves the base model
-            shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > 1e-9 * float(v**2 @ whole)]
-            rows += shown
-            owners += [number] * len(shown)
-            probabilities += [float(self.weights[number]) / len(shown) for _ in shown]
-        weights = np.array(probabilities)
-        return np.array(rows), np.array(owners, dtype=np.intp), weights / weights.sum()
-
-    @cached_property
-    def _rivals(self) -> tuple[Rivals, ...]:
-        """Those with as many parameters together; none that the base model explains on any plan."""
-        schur, owners = self._off_base(self.reference)[0], self._drawn[1]
-
-        def size(number: int) -> int:
-            return self.bases[number].shape[1]
-
-        groups = []
-        for _, numbers in groupby(sorted(np.unique(owners).tolist(), key=size), key=size):
-            chosen = list(numbers)
-            columns = np.stack([self.bases[number] for number in chosen], axis=1)
-            lengths = np.einsum("kgs,kl,lgs->g", columns, schur, columns)
-            # numerical: the ridge keeps the inverse of a rival that a plan hides
-            groups.append((columns, owners[:, None] != chosen, 1e-12 * np.maximum(lengths, 1e-300)))
-        return tuple(groups)
 
 
 def _fit(rivals: Rivals, schur: Array, seen: Array) -> tuple[Array, Array]:
@@ -263,28 +242,15 @@ def discrimination_design(
     generator, state = np.random.default_rng(seed), Swaps(problem, library)
     chosen, status = np.array(best.plan.postures), best.status
     if status is not Status.interrupted:
-        allowed, status = problem.parameters * float(-np.log1p(-loss)), Status.local_optimum
+        allowed = problem.parameters * float(-np.log1p(-loss))
         try:
             begin = state.begin(chosen, best.value - 0.75 * allowed, generator)
             for postures in state.improved(begin, best.value - allowed, generator, budget, progress):
                 chosen = postures
-            status = Status.time_limit if budget.ended() else status
+            status = Status.time_limit if budget.ended() else Status.local_optimum
         except KeyboardInterrupt:
             status = Status.interrupted
-    # the order of many that shows backlash and drift best beside the model's parameters: by log det of what the data
-    # tell of the order's effects, beyond what the others explain; effort: it has a second in any case
-    ordering = replace(budget, deadline=budget.deadline and max(budget.deadline, perf_counter() + 1.0))
-    shuffles = [generator.permutation(runs) for _ in range(200)]  # effort
-    scores, base, jacobian_of = list[float](), library.base, library.jacobian_by_order
-    for order in shuffles:
-        if jacobian_of is None or (scores and ordering.ended()):
-            break
-        jacobian = jacobian_of(chosen[order])
-        information = information_matrix(jacobian)
-        cross = information[:base, base:]
-        explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
-        scores.append(float(log_determinants(information[base:, base:] - explained)))
-    plan = replace(best.plan, postures=chosen[shuffles[int(np.argmax(scores or [0.0]))]])
+    plan = replace(best.plan, postures=in_order(chosen, library, generator, budget))
     design = replace(best, plan=plan, solver="discriminating", status=status, seconds=perf_counter() - began)
     sees = [  # what the postures and those measured already could show
         None if library.preflight is None or len(every) > MOST_SEEN else library.preflight(every)
@@ -296,6 +262,23 @@ def discrimination_design(
     at_random = float(np.median([state.wrong(dice.permutation(cloud)[:runs]) for _ in range(many)]))
     bounds = state.wrong(chosen), state.wrong(best.plan.postures), at_random
     return DiscriminationDesign(design, best, sees[0], sees[1], *(min(1.0, bound) for bound in bounds))
+
+
+def in_order(postures: Array, library: EffectLibrary, generator: Generator, budget: Budget) -> Array:
+    """(m, n) the order of many that shows backlash and drift best beside the model's parameters: by log det of what the
+    data tell of the order's effects, beyond what the others explain; effort: it has a second in any case."""
+    deadline = budget.deadline and max(budget.deadline, perf_counter() + 1.0)
+    shuffles = [generator.permutation(len(postures)) for _ in range(200)]  # effort
+    scores, base, jacobian_of = list[float](), library.base, library.jacobian_by_order
+    for order in shuffles:
+        if jacobian_of is None or (scores and deadline is not None and perf_counter() >= deadline):
+            break
+        jacobian = jacobian_of(postures[order])
+        information = information_matrix(jacobian)
+        cross = information[:base, base:]
+        explained = cross.T @ spectrum(jacobian[..., :base], np.ones(base)).covariance @ cross
+        scores.append(float(log_determinants(information[base:, base:] - explained)))
+    return postures[shuffles[int(np.argmax(scores or [0.0]))]]
 
 
 # -- swaps -------------------------------------------------------------------------------------------------------------

@@ -14,10 +14,8 @@ without second derivatives (E) its smooth stand-in is climbed.
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -54,25 +52,42 @@ class Ipopt:
         climb = Climber(problem, runs, budget)
         while True:
             yield Offer(climb(random_postures(problem, runs, generator)), 1, independent=True)
-            climb.pass_on_interrupt()
+            if climb.interrupted:
+                raise KeyboardInterrupt
 
 
 class Climber:
     """IPOPT set up once for a problem; each call improves one plan (m, n) as far as it goes, or until time is up.
 
     Variables and derivatives are ordered run by run, joint by joint of the searched ones: (m a), (m a, m a).
+    interrupted : whether Ctrl-C came during a call, which then returns what there is
     """
 
     def __init__(self, problem: DesignProblem, runs: int, budget: Budget) -> None:
-        self.problem, self.runs, self.budget, self.ascent = problem, runs, budget, PlanAscent(problem)
+        self.problem, self.runs, self.ascent, self.interrupted = problem, runs, PlanAscent(problem), False
         self.joints, self.walls = self.ascent.joints, self.ascent.walls
-        self.base = np.tile((problem.lower + problem.upper) / 2.0, (runs, 1))
-        self.lower, self.upper = (np.tile(limit[self.joints], runs) for limit in (problem.lower, problem.upper))
-        # an interior point method ends this near to a limit that is active; it is put on it
-        self.near_limit = np.tile(1e-5 * problem.joint_units[self.joints], runs)
-        self.interrupted = False
-        self.rise = lru_cache(1)(lambda x: self.ascent.rise(self.postures(np.frombuffer(x))))  # IPOPT asks one by one
+        # IPOPT asks one by one
+        self.rise = lru_cache(1)(lambda x: self.ascent.rise(self.postures(np.frombuffer(x))))
         self.margins = lru_cache(1)(lambda x: self.walls.values(self.postures(np.frombuffer(x))).ravel())
+        each = self.walls.values(problem.lower[None]).shape[1] if problem.constraints else 0
+        size, rows = runs * len(self.joints), runs * each
+        x, scalar, g = (ca.Sparsity.dense(length, 1) for length in (size, 1, rows))
+        point, multipliers = {"x": x, "p": ca.Sparsity(0, 0)}, {"lam_f": scalar, "lam_g": g}
+        hessian = {"triu_hess_gamma_x_x": ca.Sparsity.upper(size)}
+        lengths = {"f": 1, "x": size, "lam_x": size, "g": rows, "lam_g": rows}
+        names = [ca.nlpsol_out(k) for k in range(ca.nlpsol_n_out())]
+        state = {name: ca.Sparsity.dense(lengths.get(name, 0), min(lengths.get(name, 0), 1)) for name in names}
+        self._callbacks: dict[str, ca.Callback] = {  # CasADi does not keep them alive
+            "nlp": NumpyFunction(point, {"f": scalar, "g": g}, self._values),
+            "grad_f": NumpyFunction(point, {"f": scalar, "grad_f_x": x}, self._gradient),
+            "hess_lag": NumpyFunction(point | multipliers, hessian, self._hessian),
+            "iteration_callback": NumpyFunction(
+                state, {"ret": scalar}, lambda *_: [np.array([float(self.interrupted or budget.ended())])]
+            ),
+        }
+        if rows:  # a run's constraints depend on its own joints only
+            jacobian = ca.diagcat(*[ca.Sparsity.dense(each, len(self.joints))] * runs)
+            self._callbacks["jac_g"] = NumpyFunction(point, {"g": g, "jac_g_x": jacobian}, self._jacobian)
         options: dict[str, Any] = {
             "print_time": False,
             "ipopt.print_level": 0,
@@ -86,9 +101,36 @@ class Climber:
             "ipopt.acceptable_iter": 4,
             "ipopt.bound_relax_factor": 0.0,  # otherwise bounds are exceeded by 1e-8 and the optimum is "beaten"
         }
-        self._callbacks = self._build()  # CasADi does not keep them alive
-        given = {name: function for name, function in self._callbacks.items() if name != "nlp"}
-        self.ipopt = ca.nlpsol("ipopt", "ipopt", self._callbacks["nlp"], options | given)
+        options |= {name: function for name, function in self._callbacks.items() if name != "nlp"}
+        self.ipopt = ca.nlpsol("ipopt", "ipopt", self._callbacks["nlp"], options)
+
+    def __call__(self, postures: Array) -> Array:
+        """(m, n) a plan at least as good as the one given."""
+        start = self.problem.clip(postures)[:, self.joints].ravel()
+        if not start.size:  # a single link: every posture is as good as any other
+            return self.postures(start)
+        lower, upper = (np.tile(limit[self.joints], self.runs) for limit in (self.problem.lower, self.problem.upper))
+        with ThreadPoolExecutor(1) as thread:  # within CasADi, which swallows exceptions, Ctrl-C would be lost
+            # constraints are kept by more [mm], since IPOPT keeps them to about 1e-8 only
+            search = thread.submit(self.ipopt, x0=start, lbx=lower, ubx=upper, lbg=1e-4, ubg=np.inf)
+            while not search.done():
+                try:
+                    wait([search], 0.1)
+                except KeyboardInterrupt:  # IPOPT ends after its step
+                    self.interrupted = True
+        inside = np.clip(np.asarray(search.result()["x"]).ravel(), lower, upper)
+        # an interior point method ends this near to a limit that is active; it is put on it
+        near = np.tile(1e-5 * self.problem.joint_units[self.joints], self.runs)
+        snapped = np.where(inside - lower < near, lower, np.where(upper - inside < near, upper, inside))
+        plans = [self.postures(point) for point in (snapped, inside, start)]
+        allowed = [plan for plan in plans if self.problem.feasible(plan).all()] or plans[-1:]
+        return max(allowed, key=self.problem.objective)
+
+    def postures(self, point: Array) -> Array:
+        """(m, n) postures of the (m a,) variables; joints that play no part stay in the middle."""
+        plan = np.tile((self.problem.lower + self.problem.upper) / 2.0, (self.runs, 1))
+        plan[:, self.joints] = point.reshape(self.runs, -1)
+        return plan
 
     def hessian(self, postures: Array) -> Array:
         """(m a, m a) of f. Raises numpy's `LinAlgError` where the information matrix is singular."""
@@ -106,81 +148,8 @@ class Climber:
         hessian[np.arange(m), :, np.arange(m), :] += (2.0 / total) * bend
         return hessian.reshape(m * a, m * a)
 
-    def __call__(self, postures: Array) -> Array:
-        """(m, n) a plan at least as good as the one given."""
-        start = self.problem.clip(postures)[:, self.joints].ravel()
-        if not start.size:  # a single link: every posture is as good as any other
-            return self.postures(start)
-        with self._interrupts_noted():
-            # constraints are kept by more [mm], since IPOPT keeps them to about 1e-8 only
-            ended = self.ipopt(x0=start, lbx=self.lower, ubx=self.upper, lbg=1e-4, ubg=np.inf)
-        inside = np.clip(np.asarray(ended["x"]).ravel(), self.lower, self.upper)
-        snapped = np.where(inside - self.lower < self.near_limit, self.lower, inside)
-        snapped = np.where(self.upper - inside < self.near_limit, self.upper, snapped)
-        plans = [self.postures(x) for x in (snapped, inside, start)]
-        allowed = [plan for plan in plans if self.problem.feasible(plan).all()] or plans[-1:]
-        return max(allowed, key=self.problem.objective)
-
-    def pass_on_interrupt(self) -> None:
-        """Raises the `KeyboardInterrupt` that came while IPOPT ran, now that its plan so far has been offered."""
-        if self.interrupted:
-            self.interrupted = False
-            raise KeyboardInterrupt
-
-    def postures(self, point: Array) -> Array:
-        """(m, n) postures of the (m a,) variables."""
-        plan = self.base.copy()
-        plan[:, self.joints] = point.reshape(len(plan), -1)
-        return plan
-
-    @contextmanager
-    def _interrupts_noted(self) -> Iterator[None]:
-        """Ctrl-C, and SIGTERM where it raises, set `interrupted` instead: CasADi would swallow the exception."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-
-        def note(*_: object) -> None:
-            self.interrupted = True
-
-        before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-        # CasADi listens to SIGINT itself, also where a shell started the program in the background and it is ignored
-        raising = {
-            number: handler for number, handler in before.items() if number == signal.SIGINT or callable(handler)
-        }
-        try:
-            for number in raising:
-                signal.signal(number, note)
-            yield
-        finally:
-            for number, handler in raising.items():
-                signal.signal(number, handler or signal.SIG_DFL)
-
-    def _build(self) -> dict[str, ca.Callback]:
-        """Functions for `casadi.nlpsol`: f and g, grad f, jac g, the Hessian of the Lagrangian, and the stop."""
-        each = self.walls.values(self.problem.lower[None]).shape[1] if self.problem.constraints else 0
-        size, rows = self.runs * len(self.joints), self.runs * each
-        x, scalar, g = ca.Sparsity.dense(size, 1), ca.Sparsity.dense(1, 1), ca.Sparsity.dense(rows, 1)
-        point, multipliers = {"x": x, "p": ca.Sparsity(0, 0)}, {"lam_f": scalar, "lam_g": g}
-        upper = {"triu_hess_gamma_x_x": ca.Sparsity.upper(size)}
-        made: dict[str, ca.Callback] = {
-            "nlp": NumpyFunction("nlp", point, {"f": scalar, "g": g}, self._values),
-            "grad_f": NumpyFunction("grad_f", point, {"f": scalar, "grad_f_x": x}, self._gradient),
-            "hess_lag": NumpyFunction("hessian", point | multipliers, upper, self._hessian),
-        }
-        if rows:  # a run's constraints depend on its own joints only
-            jacobian = ca.diagcat(*[ca.Sparsity.dense(each, len(self.joints))] * self.runs)
-            made["jac_g"] = NumpyFunction("jac_g", point, {"g": g, "jac_g_x": jacobian}, self._jacobian)
-        counts = {"f": 1, "x": size, "lam_x": size, "g": rows, "lam_g": rows}
-        names = [ca.nlpsol_out(k) for k in range(ca.nlpsol_n_out())]
-        state = {name: ca.Sparsity.dense(counts.get(name, 0), min(counts.get(name, 0), 1)) for name in names}
-        made["iteration_callback"] = NumpyFunction(
-            "stop", state, {"ret": scalar}, lambda *_: [np.array([float(self.interrupted or self.budget.ended())])]
-        )
-        return made
-
+    # -- what CasADi asks for: of -f, which it minimises, and of g
     def _values(self, x: Array, *_: Array) -> list[Array]:
-        """-f and g."""
         walls = self.margins(x.tobytes()) if self.problem.constraints else np.empty(0)
         return [np.array([-self.rise(x.tobytes())[0]]), walls]
 
@@ -189,7 +158,7 @@ class Climber:
         return [np.array([-value]), -slopes.ravel()]
 
     def _jacobian(self, x: Array, *_: Array) -> list[Array]:
-        """g and its derivatives in the order of CasADi's columns: run, joint, constraint."""
+        """In the order of CasADi's columns: run, joint, constraint."""
         values, first = self.walls.first(self.postures(x))
         return [values.ravel(), first.ravel()]
 
@@ -204,18 +173,18 @@ class Climber:
 
 
 class NumpyFunction(ca.Callback):
-    """A numpy function as a CasADi function. Failures become NaN, which IPOPT answers by a shorter step."""
+    """A numpy function as a CasADi function of named inputs and outputs. Failures become NaN, which IPOPT answers by a
+    shorter step."""
 
     def __init__(
         self,
-        name: str,
         inputs: dict[str, ca.Sparsity],
         outputs: dict[str, ca.Sparsity],
         function: Callable[..., list[Array]],
     ) -> None:
         ca.Callback.__init__(self)
         self.inputs, self.outputs, self.function = list(inputs.items()), list(outputs.items()), function
-        self.construct(name, {})
+        self.construct("numpy", {})
 
     def get_n_in(self) -> int:
         return len(self.inputs)

@@ -9,8 +9,7 @@ its projection on its neighbor, is orthogonal to all columns so far. Going from 
 - *narrow* joint: always at one of its limits, exp(i q_j) = exp(i middle) (cos h + i s sin h), 2 h the range, with the
   signs s a character of order two such that s times the neighbor is orthogonal.
 
-A phase of a wide joint changes no |H_jk| and leaves H_jk = 0 across that joint. So a plan is of one group of m
-elements, or of smaller ones of one size, each with its own phases: the mean of their matrices H is optimal again.
+A phase of a wide joint changes no |H_jk|, so it is free; joints that play no part tell postures apart.
 With no limits the plan of one group is theta_j = 2 pi i f_j / m with distinct random frequencies f_j and random phases:
 any columns of the DFT matrix (doe/README.md, "Information matrix"), in shuffled order, since the plan f_j = j hides
 missing effects. With all ranges below pi it is the two-level factorial,
@@ -21,14 +20,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice, takewhile
 
 import numpy as np
 from numpy.random import Generator
 
 from doe.bounds.planar_theorem import applies, chain_joints
-from doe.plan.spacing import distance_to_keep, spread_free_joints, too_near
-from doe.problem.problem import DesignProblem, Stop, never
+from doe.plan.spacing import spread_free_joints, too_near
+from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer
 from identification import Array, JobError
 
@@ -49,7 +47,7 @@ class Analytic:
     def offers(self, problem: DesignProblem, runs: int, generator: Generator, budget: Budget) -> Iterator[Offer]:
         """One plan per start. Raises `JobError` where there is none."""
         number = 0
-        for plan in optimal_plans(problem, runs, generator, stop=budget.ended):
+        for plan in optimal_plans(problem, runs, generator):
             number += 1
             yield Offer(plan, 1)
         if not number:
@@ -59,69 +57,41 @@ class Analytic:
             )
 
 
-def optimal_plans(
-    problem: DesignProblem, runs: int, generator: Generator, tries: int = 60, stop: Stop = never
-) -> Iterator[Array]:
-    """Random plans (m, n) that attain the closed-form bound, without repeats as far as a few attempts find one.
+def optimal_plans(problem: DesignProblem, runs: int, generator: Generator, tries: int = 60) -> Iterator[Array]:
+    """Random plans (m, n) that attain the closed-form bound, until some attempts find none without repeats.
 
-    tries : random constructions of a group;  stop : ends the search for more sizes of groups
+    tries : random constructions of a plan
     """
     if not applies(problem) or problem.constraints:
         return
     joints = list(chain_joints(problem))
     lower, upper = problem.lower[joints], problem.upper[joints]
-    small: list[Pattern] | None = None
-    patterns, widths = 16, upper - lower  # different plans of one size, and times that those too near are placed again
-
-    def placed(pattern: Pattern) -> Array:
-        """(m, n) postures with random phases; joints that play no part are spread."""
-        plan = np.empty((len(pattern[0]), problem.joints))
-        plan[:, joints] = np.minimum(lower + pattern[0] + generator.uniform(0.0, pattern[1]), upper)
-        return spread_free_joints(problem, plan, np.random.default_rng(0))
-
-    def drawn() -> Array:
-        return placed(small[generator.integers(len(small))]) if small else np.empty((0, problem.joints))
-
     while True:
-        plan = None
-        # plans of one group, not of very many runs, before smaller ones are put together
-        for _ in range(8 if runs <= 8192 else 0):
-            pattern = next(_character_plans(widths, runs, tries, generator), None)
-            if pattern is None or not len(too_near(problem, trial := placed(pattern))):
-                plan = None if pattern is None else trial
-                break
-        if plan is None:
-            if small is None:
-                # plans of one group, of the smallest size that divides the number of runs; none where there is none of
-                # up to 48 elements, or as many as the factorial of all joints has
-                sizes = range(len(widths) + 1, min(runs // 2, max(48, 2 ** len(widths))) + 1)
-                possible = (size for size in takewhile(lambda _: not stop(), sizes) if runs % size == 0)
-                each = (list(islice(_character_plans(widths, s, tries, generator), patterns)) for s in possible)
-                small = next(filter(None, each), [])
-            if not small:
+        for _ in range(16):
+            if (pattern := _pattern(upper - lower, runs, tries, generator)) is None:
                 return
-            size = len(small[0][0])
-            groups = [drawn() for _ in range(runs // size)]
-            for _ in range(
-                patterns if distance_to_keep(problem) > 0.0 else 0
-            ):  # those too near others are placed again
-                near = too_near(problem, np.concatenate(groups))
-                for group in np.unique(near // size).tolist():
-                    groups[group] = drawn()
-            plan = spread_free_joints(problem, np.concatenate(groups), np.random.default_rng(0))
+            angles, free_phase = pattern
+            plan = np.empty((runs, problem.joints))
+            plan[:, joints] = np.minimum(lower + angles + generator.uniform(0.0, free_phase), upper)
+            plan = spread_free_joints(problem, plan, np.random.default_rng(0))
+            if not len(too_near(problem, plan)):
+                break
+        else:
+            return
         yield generator.permutation(plan)
 
 
 # -- plans of one group ------------------------------------------------------------------------------------------------
-def _character_plans(widths: Array, size: int, tries: int, generator: Generator) -> Iterator[Pattern]:
-    """Those of a number of random constructions that come to their end; widths (J,) of the joints' ranges [rad]."""
+def _pattern(widths: Array, size: int, tries: int, generator: Generator) -> Pattern | None:
+    """The first of a number of random constructions that comes to its end; widths (J,) of the joints' ranges [rad]."""
     twos = (size & -size).bit_length() - 1
     groups = [(2,) * t + (size // 2**t,) for t in range(twos + 1)]  # Z_2^t x Z_(b / 2^t), as lists of moduli
     room = 2 ** (len(groups) - 1) if np.all(widths < np.pi - ROUNDING) else size  # dimension that columns may have
     odd = size % 2 and np.any(widths < np.pi - ROUNDING)  # half the runs stand at each limit of a narrow joint
     for k in range(0 if room <= len(widths) or odd else tries):  # as many orthogonal columns as links
         if (pattern := _constructed(widths, groups[k % len(groups)], generator)) is not None:
-            yield pattern
+            return pattern
+    return None
 
 
 def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) -> Pattern | None:
@@ -136,8 +106,11 @@ def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) ->
         joint, neighbor = (right, columns[:, -1]) if to_right else (left - 1, columns[:, 0])
         wide = widths[joint] >= np.pi - ROUNDING
         if wide:
-            few = len(elements) <= all_up_to  # characters of the group: all of a small one, else a random choice
-            chosen = elements if few else elements[generator.integers(len(elements), size=sample)]
+            chosen = elements  # characters of the group: all of a small one, else those of low order, on few angles,
+            if len(elements) > all_up_to:  # and a random choice
+                order = np.lcm.reduce(moduli // np.gcd(elements, moduli), axis=1)
+                lowest = np.lexsort((generator.random(len(order)), order))[: 2 * sample]
+                chosen = elements[np.r_[lowest, generator.integers(len(elements), size=sample)]]
             characters = np.exp(2j * np.pi * (elements @ (chosen / moduli).T % 1.0))
             offered = (characters[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
         else:

@@ -211,12 +211,12 @@ def _offers(
         if free and problem.searched_joints:
             yield solver.name, Offer(PlanAscent(problem)(begin, stop=budget.ended))
     if theory_first and free:
-        optimal = optimal_plans(problem, runs, np.random.default_rng(seed), stop=budget.ended)
+        optimal = optimal_plans(problem, runs, np.random.default_rng(seed))
         yield from (("analytic", Offer(plan, 1)) for plan in islice(optimal, 1))
         if runs > LONG_PLAN:
             # a plan from theory of a few runs less, and the postures that add most to it
             for fewer in range(runs - 1, max(runs - 64, problem.fewest_runs) - 1, -1):
-                some = next(optimal_plans(problem, fewer, generator, 12, budget.ended), None)
+                some = next(optimal_plans(problem, fewer, generator, 12), None)
                 if some is not None and (plan := with_additions(problem, some, runs - fewer, generator)) is not None:
                     yield solver.name, Offer(plan, 1)
                 if some is not None or budget.ended():

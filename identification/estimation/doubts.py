@@ -334,8 +334,10 @@ def hardly_determined(fit: Identification) -> list[str]:
     open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""
-    both = {BASE, TOOL} <= {p.kind for p in fit.model.parameters}  # fitted: they are told apart by turns alone
-    turns = ", which turn the flange about all its axes to tell base and tool apart" if both else ""
+    tools = [k for k, p in enumerate(fit.model.parameters) if p.kind == TOOL]
+    # a point that is less sure than machining leaves it, along every axis, moves together with the base
+    apart = bool(tools) and float(np.min(fit.std[tools])) > arm.machining.translation
+    turns = ", which turn the flange about all its axes to tell base and tool apart" if apart else ""
     if few:
         doubt = f"at other postures like those measured the tip may be {inside:.3g} mm (RMS) from where it is computed"
         return [f"{FEW}: {doubt}{was}. Measure more postures{turns}{open_size}"]

@@ -28,7 +28,7 @@ from identification.estimation.problem import (
     starts,
 )
 from identification.estimation.result import Identification
-from identification.estimation.uncertainty import WhiteRows, limit_of, outlying, robust_squares, together, uncertainty
+from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.chain import BASE, TOOL
@@ -220,14 +220,12 @@ def _identification(
         was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
     before = problem.residuals(was)[0]
     sentences, implausible = doubts(model, x, identifiable, before, after, data)
-    # rows that the model does not explain, where enough equations are left to tell; rows nearer than half the limit
-    # need no test with their leverage, which is small where rows are many
+    # rows that the model does not explain, where enough equations are left to tell
     used, held = problem.weights > 0.0, problem.prior_rows
     unexplained, (m, d, p) = np.zeros(len(after), dtype=bool), rows.jacobian.shape
-    white = (problem.root_weights * after)[used]
-    near = m * d > 20 * p and robust_squares(np.sum(white**2, axis=1), d).max() < 0.5 * limit_of(d)
-    if m * d - p + len(held) > p and not near:
-        unexplained[used] = outlying(white, rows.jacobian.reshape(m * d, p), held, held @ (problem.prior_center - x))
+    if m * d - p + len(held) > p:
+        white, left = (problem.root_weights * after)[used], held @ (problem.prior_center - x)
+        unexplained[used] = outlying(white, rows.jacobian.reshape(m * d, p), held, left)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]

@@ -371,7 +371,7 @@ def outlying(
     held, left : (r, p) rows and (r,) residuals of a prior
     """
     (m, d), p = residual.shape, columns.shape[1]
-    basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))
+    basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))[0]
     blocks, held_basis = basis[: m * d].reshape(m, d, -1), basis[m * d :]
     moment = held_basis.T @ (np.zeros(len(held_basis)) if left is None else left)
     kept, limit = np.ones(m, dtype=bool), limit_of(d)

@@ -167,20 +167,16 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     if held is not posterior:
-        more += jacobian.shape[1] * max(variance - noise_variance(posterior), 0.0)
+        of_all, shares = 0.0, np.zeros(len(posterior.problems))
+        for one in posterior.explanations:
+            shares[one.noise] += one.probability
+        for problem, draws, share in zip(posterior.problems, posterior.draws, shares.tolist(), strict=True):
+            noise = sum(count * problem.products.state(key).variance for key, count in draws.items()) / draws.total()
+            of_all += share * noise
+        more += jacobian.shape[1] * max(variance - of_all, 0.0)
     sigma = float(np.sqrt(variance))
     written = PredictingModel(model, values, held.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
     return written.allowing(more)
-
-
-def noise_variance(posterior: Posterior) -> float:
-    """Of one coordinate [mm^2], in the mean over the sets drawn."""
-    shares = np.bincount([e.noise for e in posterior.explanations], [e.probability for e in posterior.explanations])
-    mean = 0.0
-    for problem, draws, share in zip(posterior.problems, posterior.draws, shares.tolist(), strict=True):
-        variances = [count * problem.products.state(key).variance for key, count in draws.items()]
-        mean += share * sum(variances) / draws.total()
-    return mean
 
 
 def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:

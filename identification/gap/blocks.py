@@ -28,7 +28,7 @@ from identification.effects.formulas import RARE
 from identification.error_curve import local_splines
 from identification.gap.fit import At, Rows
 from identification.gap.likelihood import SIZES, Products, orthonormal
-from identification.information import RANK_TOLERANCE, VISIBLE, column_space, column_space_of
+from identification.information import RANK_TOLERANCE, VISIBLE, column_space
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.model import Model
 from identification.vectorized import Evaluate, vectorize
@@ -292,7 +292,7 @@ def with_further_orders(library: Library, at: At, chosen: Sequence[Block]) -> Li
         own = [names.index(p.name) for e in effects for p in e.parameters if p.name in names]
         rest = np.setdiff1d(np.arange(len(names)), own)
         y = rows.whiten(at.left + jacobian[:, :, own] @ at.values[own])
-        basis = column_space(rows.whiten(jacobian[:, :, rest]), at.model.scales[rest])
+        basis = column_space(rows.whiten(jacobian[:, :, rest]), at.model.scales[rest])[0]
         y = y - basis @ (basis.T @ y)
         gains = []  # share of y^T y that a wave of each order explains
         for orders in np.array_split(ORDERS, 8):
@@ -512,7 +512,7 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
     target = rows.whiten(y)
-    u, back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
+    u, back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
     left, shown = target - u @ (u.T @ target), []
     for k, block in enumerate(blocks):
         white = np.ascontiguousarray(rows.whiten(columns[k]).T)

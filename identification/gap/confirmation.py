@@ -30,7 +30,7 @@ from identification.gap.fit import At
 from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
-from identification.information import RANK_TOLERANCE, column_space_of
+from identification.information import RANK_TOLERANCE, column_space
 from identification.instruments.search import registered
 from identification.measurements import POINT, Conditions, Measurements, distances
 
@@ -381,7 +381,7 @@ def predicted_from_others(
     priors = [np.log(one.probability) - problem.products.state(one.key).ratio for one in sets]
     # the base's columns, orthonormal when white, the others, and y: in mm, and white
     m, d = y.shape
-    back = column_space_of(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
+    back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
     own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, back.shape[1]
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
     table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)

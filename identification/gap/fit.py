@@ -186,7 +186,7 @@ class Fit(At):
     @cached_property
     def rank(self) -> int:
         """Number of parameter combinations that the data determine."""
-        return int(column_space(self.jacobian, self.model.scales).shape[1])
+        return int(column_space(self.jacobian, self.model.scales)[0].shape[1])
 
     @property
     def freedom(self) -> int:

@@ -98,7 +98,9 @@ class Search:
                 tops += [single, self._exchanged(pair, block, block)]
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
         for _ in range(PASSES):
-            top = self._up(top)
+            before, top = top, self._up(top)
+            if top.key == before.key:
+                break
         return top
 
     def _up(self, state: State) -> State:

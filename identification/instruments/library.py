@@ -81,13 +81,13 @@ class Distance(Instrument):
     def place(self, rows: Unplaced) -> Placement:
         """From algebraic fits of lengths d, |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points; what the
         lengths leave open of the base is along the arm's own axes."""
-        bases, lengths = np.tile(np.eye(4), (len(rows.tools), 1, 1)), rows.readings[:, 0] / rows.reach
-        for base, points in zip(bases, rows.points, strict=True):
-            around = (points - points.mean(axis=0)) / rows.reach
-            columns = np.column_stack([2.0 * around, np.ones(len(points))])
-            goals = np.sum(around**2, axis=1) - lengths**2
-            center = np.linalg.lstsq(columns, goals, rcond=RANK_TOLERANCE)[0][:3]
-            base[:3, 3] = -points.mean(axis=0) - rows.reach * center
+        points, bases = rows.points, np.tile(np.eye(4), (len(rows.tools), 1, 1))
+        middle = points.mean(axis=1, keepdims=True)
+        around = (points - middle) / rows.reach
+        columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
+        goals = np.sum(around**2, axis=2) - (rows.readings[:, 0] / rows.reach) ** 2
+        solved = (np.linalg.pinv(columns, rcond=RANK_TOLERANCE) @ goals[..., None])[..., 0]
+        bases[:, :3, 3] = -middle[:, 0] - rows.reach * solved[:, :3]
         return searched(self, rows, bases)
 
 

@@ -74,11 +74,8 @@ class Parameter:
 
     @property
     def neutral(self) -> float:
-        """The value where nothing is known: `start`, else 0, else inside the bounds, far from both."""
-        if self.start is not None or self.lower <= 0.0 <= self.upper:
-            return self.start or 0.0
-        near, far = sorted((self.lower, self.upper), key=abs)
-        return 2.0 * near if np.isinf(far) else float(np.sign(near) * np.sqrt(near * far))
+        """The value where nothing is known: `start`, else what the bounds allow that is nearest to 0."""
+        return float(np.clip(0.0, self.lower, self.upper)) if self.start is None else self.start
 
     @property
     def file_name(self) -> str:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from doe.criteria import information_matrix
 from identification.arm import Arm, EffectSpec
-from identification.information import Spectrum, column_space_of, describe, sparse_basis, spectrum
+from identification.information import Spectrum, column_space, describe, sparse_basis, spectrum
 from identification.model import Model
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
@@ -119,7 +119,7 @@ def test_column_space_is_orthonormal_and_made_of_the_columns(smallest: float, ra
     generator = np.random.default_rng(3)
     left, right = (np.linalg.qr(generator.normal(size=(rows, 6)))[0] for rows in (40, 6))
     columns = left * np.array([1.0, 1.0, 1.0, 1.0, 1.0, smallest]) @ right.T
-    basis, turn = column_space_of(columns, np.ones(6))
+    basis, turn = column_space(columns, np.ones(6))
     assert basis.shape == (40, rank)
     np.testing.assert_allclose(basis.T @ basis, np.eye(rank), atol=1e-12)
     np.testing.assert_allclose(columns @ turn, basis, atol=1e-14 / max(smallest, 1e-6))

@@ -221,10 +221,6 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         error = np.vstack([data.positions - simulator.position(truth, run), noise(truth, later_rows, later)])
         return replace(simulator.recorded(truth, whole, error), payload=whole.payload)
 
-    specs = []  # with their settings
-    for name, joint, drawn in inside:
-        kept = {name: float(v) for name, v in drawn.items() if name in ("k", "at")}
-        specs.append(EffectSpec(name, joint, kept | ({"side": 1.0} if name == "base_step" else {})))
     exact = reachable = None
     if spec.many or outside or spec.reads > 1:  # by least squares of all that is hidden, to first order
         # the geometry and an amplitude of each hidden effect
@@ -237,19 +233,24 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         exact = simulator.position(truth, fresh)
         reachable = float(np.sqrt(truth.dimension * np.mean((at_fresh / scale @ wrong) ** 2)))
     return DataSet(
-        arm_of(truth),
-        data,
-        simulator.recorded(truth, fresh, held_out) if truth.effects or spec.reads > 1 else None,
-        tuple(key(e) for e in inside),
-        outside[0] if outside else WALK if spec.noise == WALK else None,
-        place_of(outside) if outside else "time" if spec.noise == WALK else None,
-        tuple(specs),
-        tuple((np.flatnonzero(far) + 1).tolist()),
-        {} if spec.outside or outside else values_of(truth),
-        exact,
-        reachable,
-        further,
+        arm=arm_of(truth),
+        measurements=data,
+        holdout=simulator.recorded(truth, fresh, held_out) if truth.effects or spec.reads > 1 else None,
+        effects=tuple(key(e) for e in inside),
+        outside=outside[0] if outside else WALK if spec.noise == WALK else None,
+        place=place_of(outside) if outside else "time" if spec.noise == WALK else None,
+        specs=tuple(EffectSpec(name, joint, settings(name, values)) for name, joint, values in inside),
+        wrong_rows=tuple((np.flatnonzero(far) + 1).tolist()),
+        values={} if spec.outside or outside else values_of(truth),
+        exact=exact,
+        reachable=reachable,
+        further=further,
     )
+
+
+def settings(name: str, values: Values) -> dict[str, float]:
+    """Of an effect as an arm file has it, what is not estimated."""
+    return {s: float(v) for s, v in values.items() if s in ("k", "at")} | ({"side": 1.0} if name == "base_step" else {})
 
 
 def numbered(values: Values) -> dict[str, float]:
@@ -294,6 +295,11 @@ def place_of(effect: Drawn) -> str | None:
 
 
 # -- hidden effects ----------------------------------------------------------------------------------------------------
+def joints_of(name: str, n: int) -> Sequence[int | None]:
+    """Joints of n, from 1, that an effect of this name can be of; (None,): it is of the whole arm."""
+    return (None,) if name in OF_ARM else range(1 + (name == "joint_coupling"), n + (name != "two_joint_cable"))
+
+
 def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
     """The effects of a data set."""
     if spec.many:
@@ -350,11 +356,10 @@ def directions(truth: TrueArm, name: str, joint: int | None, rng: np.random.Gene
         return {"a": a, "b": b, "k": rng.uniform(65, 120) if rng.random() < 0.5 else int(rng.integers(3, 60)) + 0.5}
     if name == "step_drift":
         return {"x": a, "y": b, "at": rng.uniform(-0.3, 0.3)}
-    around = ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew", "axis_runout")
-    shapes = {one: {"a": a, "b": b} for one in around}
-    shapes |= {"base_offset": {"x0": a, "y0": b}, "base_drift": {"v": np.array([a, b])}}
-    if name in shapes:
-        return shapes[name]
+    if name in ("encoder_eccentricity", "encoder_second_harmonic", "axes_skew", "axis_runout"):
+        return {"a": a, "b": b}
+    if name in ("base_offset", "base_drift"):
+        return {"x0": a, "y0": b} if name == "base_offset" else {"v": np.array([a, b])}
     sign = rng.choice([-1.0, 1.0])
     shapes = {
         "joint_compliance": {"c": 1.0},
@@ -390,8 +395,8 @@ def random_effect(
     """One effect, its type at random, then its joint, of size lambda as in `sized`."""
     while True:
         name = str(rng.choice(names))
-        first, last = 1 + (name == "joint_coupling"), truth.n - (name == "two_joint_cable")
-        joint = None if name in OF_ARM else int(rng.integers(first, last + 1))
+        joints = joints_of(name, truth.n)
+        joint = None if joints[0] is None else int(rng.integers(joints[0], joints[0] + len(joints)))
         drawn = name, joint, directions(truth, name, joint, rng)
         if (effect := sized(truth, run, drawn, lam, span)) is not None:
             return effect
@@ -403,10 +408,8 @@ def many_effects(
     """What a real robot has at once, each effect of its own size lambda between two: so many effects of the library at
     random as `COUNTS` says, one of gravity; `small`: one or more in every joint."""
     plane = truth.in_plane
-    of_joint, of_arm = (LIBRARY_JOINT, LIBRARY_WHOLE) if plane else (SPACE_JOINT, SPACE_WHOLE)
-    listed: list[tuple[str, int | None]] = []
-    listed += [(name, j) for name in of_joint for j in range(1 + (name == "joint_coupling"), truth.n + 1)]
-    listed += [(name, None) for name in of_arm]
+    names = LIBRARY_JOINT + LIBRARY_WHOLE if plane else SPACE_JOINT + SPACE_WHOLE
+    listed = [(name, joint) for name in names for joint in joints_of(name, truth.n)]
     listed = [listed[k] for k in rng.permutation(len(listed))]
     of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
     listed = [place for place in listed if place not in of_gravity[1:]]
@@ -438,13 +441,11 @@ def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, val
 
 def library_columns(truth: TrueArm, run: RowConditions) -> Array:
     """(m d, C) of the geometry and of every effect of the library but the ripples."""
-    space = not truth.in_plane
-    names = [*SPACE_JOINT, "axis_runout", *SPACE_WHOLE] if space else [*LIBRARY_JOINT, *LIBRARY_WHOLE]
-    blocks = [base_jacobian(truth, run)]
-    for name in (name for name in names if name not in ("transmission_ripple", EVERY_JOINT)):
-        joints = [None] if name in OF_ARM else range(1 + (name == "joint_coupling"), truth.n + 1)
-        blocks += [probed(truth, run, name, j) for j in joints]
-    return np.hstack(blocks)
+    space = (*SPACE_JOINT, "axis_runout", *SPACE_WHOLE)
+    names = LIBRARY_JOINT + LIBRARY_WHOLE if truth.in_plane else space
+    others = [name for name in names if name not in ("transmission_ripple", EVERY_JOINT)]
+    blocks = [probed(truth, run, name, joint) for name in others for joint in joints_of(name, truth.n)]
+    return np.hstack([base_jacobian(truth, run), *blocks])
 
 
 def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rng: np.random.Generator) -> Drawn:

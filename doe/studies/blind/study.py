@@ -116,24 +116,26 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     for k in range(key["sets"]):
         data, number = data_set(key["cell"], first + k, planned), key["first"] + k
         diagnosis = diagnose(data.arm, data.measurements, data.holdout, seed=number)
-        row = {"set": number, **hidden_in(data), **answer(diagnosis), **errors(diagnosis.extended_arm(), data)}
+        row = {"set": number, **hidden_and_said(data, diagnosis)}
         for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and diagnosis.verdict == "ambiguous" else ():
             best = discriminate(data.arm, diagnosis, runs, seed=number)
-            again = diagnose(
-                data.arm, data.further(best.plan.postures, best.plan.conditions.get("directions")), seed=number
-            )
+            more = data.further(best.plan.postures, best.plan.conditions.get("directions"))
+            again = diagnose(data.arm, more, seed=number)
             row |= {f"next_{runs}_verdict": again.verdict, f"next_{runs}_named": sorted(again.named.keys)}
         rows.append(row)
     return rows
 
 
-def hidden_in(data: DataSet) -> Row:
-    """What is hidden in a data set, the held-out gap that knowing it would leave, and how well a model that knows it
-    does, and one of the geometry only."""
-    geometry = fitted_arm(data.arm, data.measurements, left_out=data.wrong_rows) if data.exact is not None else data.arm
-    true, inside = None, data.outside is None and data.holdout is not None
-    if inside:
+def hidden_and_said(data: DataSet, diagnosis: Diagnosis) -> Row:
+    """What is hidden in a data set and how well a model does that knows it, or the geometry only; and what a diagnosis
+    says of the set, by its public results, and how well the model does that it writes."""
+    true, geometry, written = None, data.arm, diagnosis.extended_arm()
+    if data.exact is not None:
+        geometry = fitted_arm(data.arm, data.measurements, left_out=data.wrong_rows)
+    if data.outside is None and data.holdout is not None:
         true = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
+    chances, named, verdict = diagnosis.probabilities, diagnosis.named, diagnosis.verdict
+    low, high = zip(*named.limits_95.values(), strict=True)
     return {
         "wrong_rows": list(data.wrong_rows),
         "hidden": sorted(data.effects),
@@ -145,14 +147,6 @@ def hidden_in(data: DataSet) -> Row:
         "error_reachable_mm": data.reachable,
         "parameters": list(data.values),
         "values": list(data.values.values()),
-    }
-
-
-def answer(diagnosis: Diagnosis) -> Row:
-    """What a diagnosis says, by its public results."""
-    chances, named, verdict = diagnosis.probabilities, diagnosis.named, diagnosis.verdict
-    low, high = zip(*named.limits_95.values(), strict=True)
-    return {
         "verdict": verdict,
         "named": sorted(named.keys),
         "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
@@ -167,26 +161,26 @@ def answer(diagnosis: Diagnosis) -> Row:
         "gap_promised_mm": diagnosis.gap.predicted,
         "confirmed": diagnosis.confirmed,
         "contradictions": contradictions(diagnosis.to_json()),
+        "error_named_mm": gap(written, data, data.exact),
+        "inside_tip": inside_tip(written, data),
     }
 
 
-def errors(arm: Arm, data: DataSet) -> Row:
-    """How far the model that the diagnosis writes is from the hold-out without noise, and the share of coordinates
-    there that are inside its 95 % intervals; None where they are not known."""
-    row: Row = {"error_named_mm": gap(arm, data, data.exact), "inside_tip": None}
-    if data.exact is not None and data.holdout is not None:
-        computed, half = predicted_95(arm, data.holdout)
-        row["inside_tip"] = None if half is None else float(np.mean(np.abs(data.exact - computed) <= half))
-    return row
+def inside_tip(arm: Arm, data: DataSet) -> float | None:
+    """Share of the coordinates of the hold-out without noise that are inside a calibrated arm's 95 % intervals; None
+    where either is not known."""
+    if data.exact is None or data.holdout is None:
+        return None
+    computed, half = predicted_95(arm, data.holdout)
+    return None if half is None else float(np.mean(np.abs(data.exact - computed) <= half))
 
 
 def gap(arm: Arm | None, data: DataSet, positions: Array | None) -> float | None:
     """RMS distance [mm] of a calibrated arm from positions at the hold-out's postures; None where there are none."""
     if arm is None or positions is None or data.holdout is None:
         return None
-    return rms_distance(
-        positions - design_model(arm).position(data.holdout.postures, conditions=data.holdout.conditions)
-    )
+    predicted = design_model(arm).position(data.holdout.postures, conditions=data.holdout.conditions)
+    return rms_distance(positions - predicted)
 
 
 def contradictions(diagnosis: Mapping[str, Any]) -> list[str]:

@@ -26,7 +26,7 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     """
     rng = np.random.default_rng(9)
     residual, columns = 7.0 * rng.normal(size=(4000, d)), rng.normal(size=(4000 * d, 5))
-    blocks = column_space(columns, np.ones(5)).reshape(4000, d, -1)
+    blocks = column_space(columns, np.ones(5))[0].reshape(4000, d, -1)
     squares = studentised(residual, blocks, np.ones(4000, dtype=bool), np.zeros((0, 5)), np.zeros(5))
     assert np.median(squares) == pytest.approx(chi2.median(d), rel=1e-9)
     assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
@@ -51,7 +51,7 @@ def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() 
         off, covariance = residual[i] - columns[i] @ step, np.eye(d) + columns[i] @ inverse @ columns[i].T
         expected.append(off @ np.linalg.solve(covariance, off))
     squares = np.array(expected) * chi2.median(d) / np.median(expected)
-    basis = column_space(np.concatenate([columns.reshape(-1, p), held]), np.ones(p))
+    basis = column_space(np.concatenate([columns.reshape(-1, p), held]), np.ones(p))[0]
     blocks, known = basis[: m * d].reshape(m, d, -1), basis[m * d :]
     found = studentised(residual, blocks, np.ones(m, dtype=bool), known, known.T @ left)
     np.testing.assert_allclose(found, squares, rtol=1e-4)  # 1e-6 is added to each covariance

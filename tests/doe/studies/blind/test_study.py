@@ -32,8 +32,8 @@ from doe.studies.blind.study import (
     blind_study,
     calibration,
     contradictions,
-    errors,
     gap,
+    inside_tip,
     outcome_of,
     reliability,
     scored,
@@ -335,8 +335,8 @@ def test_an_arm_with_the_true_values_has_no_error_and_its_intervals_hold() -> No
         values = {**data.values, "length_error:1": data.values["length_error:1"] + d * s}
         origin = {} if freedom is None else {"interval_dof": freedom}
         found = Calibration(values, ("length_error:1",), np.array([[s**2]]), origin)
-        assert errors(replace(arm, calibration=found), data)["inside_tip"] == inside
-    assert errors(known, data)["inside_tip"] is None  # no covariance
+        assert inside_tip(replace(arm, calibration=found), data) == inside
+    assert inside_tip(known, data) is None  # no covariance
 
 
 def test_true_values_have_the_names_of_the_librarys_parameters() -> None:
