@@ -152,8 +152,7 @@ class Campaign:
     @property
     def actions(self) -> list[Action]:
         """What to do next, from the farthest step that was reached."""
-        arm = next((name for name, one in self.arms.items() if one.calibration is None), None)
-        arm = arm or next(iter(self.arms), "arm.toml")
+        arm = next((name for name, one in self.arms.items() if one.calibration is None), next(iter(self.arms)))
         seen = {rows: self.fitted(rows) for rows in self.measurements}
         data = sorted(seen, key=lambda rows: (self.chosen not in seen[rows], not seen[rows])) or ["data.csv"]
         if worse := [
@@ -186,13 +185,7 @@ class Campaign:
 
     def document(self) -> Document:
         """All of it."""
-        names = [arm.name for arm in self.arms.values() if arm.name]
-        title = f"Calibration report: {names[0]}" if names else "Calibration report"
-        return Document(title, self.verdict, self.sections(), self.actions)
-
-    def sections(self) -> list[Section]:
-        """The parts of the page."""
-        sections = []
+        drawn, sections = next(iter(self.arms.values())), list[Section]()
         for name in sorted(self.calibrated, key=lambda name: name != self.chosen):
             arm, closed = self.calibrated[name], name != self.chosen
             corrected = corrected_values(arm)
@@ -200,26 +193,22 @@ class Campaign:
             sections.append(corrected_section(f"Corrected values: {name}", corrected, folded=closed))
             sections += [Section(part.title, part.parts, closed) for part in dh_sections(rows, places, name)]
         sections += [self.test_section(rows) for rows in self.tests]
-        for drawn in [*self.arms.values()][:1]:
-            show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
-            sections += [show(drawn, plan, name, tests=left) for name, plan in self.plans.items()] if show else []
-            joints = [
-                f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(drawn.joint_types, start=1)
-            ]
-            axes = [f"{axis}_mm" for axis in "xyz"[: drawn.dimension]]
-            for name, table in self.commands.items():
-                targets = np.column_stack([table.floats(key) for key in axes])
-                angles = np.column_stack([table.floats(key, empty=np.nan) for key in joints])
-                commanded = command_rows(targets, angles, table.floats("error_mm", empty=np.nan))
-                reasons = table.frame["message"].fill_null("").to_list() if "message" in table else [""] * len(table)
-                lines = [[*row, str(reason)] for row, reason in zip(commanded, reasons, strict=True)]
-                lead = (
-                    f"{commanded_in_words(name, table)} The miss is the calibrated model's, not the robot's accuracy."
-                )
-                heads = ["row", *axes, *joints, "miss [mm]", "why there is none"]
-                sheet = Sheet(heads, lines, "", 24, "the file has all")
-                sections.append(Section(f"Joint commands: {name}", [lead, sheet]))
-        return sections
+        show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
+        sections += [show(drawn, plan, name, tests=left) for name, plan in self.plans.items()] if show else []
+        joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(drawn.joint_types, start=1)]
+        axes = [f"{axis}_mm" for axis in "xyz"[: drawn.dimension]]
+        for name, table in self.commands.items():
+            targets = np.column_stack([table.floats(key) for key in axes])
+            angles = np.column_stack([table.floats(key, empty=np.nan) for key in joints])
+            commanded = command_rows(targets, angles, table.floats("error_mm", empty=np.nan))
+            reasons = table.frame["message"].fill_null("").to_list() if "message" in table else [""] * len(table)
+            lines = [[*row, str(reason)] for row, reason in zip(commanded, reasons, strict=True)]
+            lead = f"{commanded_in_words(name, table)} The miss is the calibrated model's, not the robot's accuracy."
+            heads = ["row", *axes, *joints, "miss [mm]", "why there is none"]
+            sheet = Sheet(heads, lines, "", 24, "the file has all")
+            sections.append(Section(f"Joint commands: {name}", [lead, sheet]))
+        title = f"Calibration report: {drawn.name}".removesuffix(": ")
+        return Document(title, self.verdict, sections, self.actions)
 
     def test_section(self, rows: str) -> Section:
         """The error of every model on some measurements, and its sign against each joint."""

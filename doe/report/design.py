@@ -175,17 +175,6 @@ def missing_lines(design: Design) -> list[str]:
     return lines
 
 
-def criteria_lines(data: Data) -> list[str]:
-    """The value of every criterion, all of which are better the larger they are, and the indices O1 to O5, to compare
-    with published plans;  data : of `armcal score --json`"""
-    values, error = data["criteria"], data["workspace_error_mm"]
-    figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
-    tip = "the tip over the workspace" + ("" if error is None else f", {in_a_sentence(error)} mm RMS")
-    indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
-    every = f"every criterion, the larger the better: {figures} (I: {tip}; Ds: what is in mm)"
-    return [every, f"observability indices: {indices}"]
-
-
 # -- a plan to step through --------------------------------------------------------------------------------------------
 STEPS = (
     "Step through the runs, move them, or strike them out: what is left is computed in this page, and the edited plan "

@@ -60,7 +60,7 @@ def test_an_arm_that_has_the_librarys_effects_is_estimated_anew_without_its_prio
     answer = identify_files(out, folder / "planned.csv", only=(["joint_offsets"],))
     assert answer.exit_code == 0
     assert not answer.data["fit"]["followed"]
-    assert answer.result.names == ("joint_offset:1", "joint_offset:2")
+    assert {*answer.result.names} - answer.result.held == {"joint_offset:1", "joint_offset:2"}
     with pytest.raises(InputError, match="none of the library's is left"):
         identify_files(out, folder / "planned.csv")
 
