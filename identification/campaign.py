@@ -29,7 +29,7 @@ from identification.files.measurement import UNITS, Plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
 from identification.measurements import Measurements, distances, load_measurements
-from identification.origin import data_hashes, diagnosed, mostly_outside
+from identification.origin import data_hashes, diagnosed
 from identification.reuse import same_drawing
 from identification.validate import Validation, validate
 from identification.workflow import dh_lines
@@ -165,12 +165,7 @@ class Campaign:
         look, hold, use = calibrated_actions(arm, data[0], self.chosen or "calibrated.toml")
         if self.chosen is not None:
             done = diagnosed(self.calibrated[self.chosen])
-            far = [
-                rows for rows, test in self.elsewhere.items() if mostly_outside(test.arm, test.measurements.postures)
-            ]
-            wider = f"most rows of {' and '.join(far)} are beyond the angles that {self.chosen} has seen"
-            first = Action(f"Measure over all angles that the robot will use, and identify again: {wider}.")
-            return [*([first] if far else []), *([] if done else [look]), *([] if self.elsewhere else [hold]), use]
+            return [*([] if done else [look]), *([] if self.elsewhere else [hold]), use]
         if self.measurements:
             fit = self.measurements[data[0]].fit
             return [Action("Identify the arm:", identify_command(arm, data[0], fit)), look]

@@ -190,37 +190,14 @@ def describe(direction: Array, names: Sequence[str]) -> str:
 
 
 def sparse_basis(orthonormal: Array) -> Array:
-    """(p, k) sparse vectors that span the columns of an orthonormal (p, k).
-
-    For every parameter the vector of least sum |v| with a one there (a linear program, whose vertices are sparse);
-    then the sparsest independent ones. The reduced echelon form completes them where they do not span.
-    """
-    p, k = orthonormal.shape
-    if k == 0:
-        return np.zeros((p, 0))
+    """(p, k) vectors that span the columns of an orthonormal (p, k), each with a one where the others have none: the
+    reduced echelon form about the rows that are farthest from each other."""
     from scipy.linalg import qr  # deferred: only rank-deficient plans pay for the import
-    from scipy.optimize import linprog
 
-    _, _, pivots = qr(orthonormal.T, pivoting=True, mode="economic")
-    candidates = [*(orthonormal @ np.linalg.inv(orthonormal[pivots[:k]])).T]
-    for one in np.flatnonzero(np.linalg.norm(orthonormal, axis=1) > TOUCHED):
-        # variables are coefficients z and bounds t >= |N z|
-        result = linprog(
-            np.r_[np.zeros(k), np.ones(p)],
-            A_ub=np.block([[orthonormal, -np.eye(p)], [-orthonormal, -np.eye(p)]]),
-            b_ub=np.zeros(2 * p),
-            A_eq=np.r_[orthonormal[one], np.zeros(p)][None],
-            b_eq=[1.0],
-            bounds=[(None, None)] * k + [(0.0, None)] * p,
-            method="highs-ds",
-        )
-        candidates += [orthonormal @ result.x[:k]] if result.status == 0 else []
-    vectors = [v / np.max(np.abs(v)) for v in (*candidates[k:], *candidates[:k])]
-    chosen: list[Array] = []
-    # fewest parameters first (greedy: the independent sets are a matroid)
-    for vector in sorted(vectors, key=lambda v: (int(np.sum(np.abs(v) > TOUCHED)), float(np.sum(np.abs(v))))):
-        clean = np.where(np.abs(vector) > RANK_TOLERANCE, vector, 0.0)
-        trial = np.array([v / np.linalg.norm(v) for v in (*chosen, clean)])
-        if len(chosen) < k and np.linalg.svd(trial, compute_uv=False)[-1] > VISIBLE:
-            chosen.append(clean)
-    return np.array(sorted(chosen, key=lambda v: tuple(np.flatnonzero(np.abs(v) > TOUCHED)))).T
+    k = orthonormal.shape[1]
+    pivots = np.sort(qr(orthonormal.T, pivoting=True, mode="economic")[2][:k])
+    basis = orthonormal @ np.linalg.inv(orthonormal[pivots])
+    basis = basis / np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)
+    basis[np.abs(basis) <= RANK_TOLERANCE] = 0.0
+    order = sorted(range(k), key=lambda j: tuple(np.flatnonzero(np.abs(basis[:, j]) > TOUCHED)))
+    return np.asarray(basis[:, order])

@@ -376,7 +376,7 @@ def identify_files(
         lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
     if fitted.prior is not None and (earlier := fitted.prior.earlier) is not None:
         free = [name for name in fitted.names if name not in {*fitted.prior.names, *fitted.model.prior}]
-        contradicted = [one._asdict() for one in fitted.contradictions]
+        contradicted = [] if fitted.contradiction is None else [fitted.contradiction._asdict()]
         keys["prior_from"] = {"file": str(prior_from), "parameters": list(earlier.parameter_names)}
         keys["prior_from"] |= {"anew": free, "contradicted": contradicted}
         without = f"; without a prior: {', '.join(free)}" if free else ""

@@ -94,7 +94,8 @@ class Drive:
                 lost = "the tracker loses sight of the reflector, and has to find it again before a measurement"
                 lines.append(f"On {self.unseen} of {len(self.moves or ()) - 1} moves {lost}")
             if self.replaced:
-                lines.append(f"{self.replaced} of the postures were replaced: no free way led from the others to them")
+                were = "1 of the postures was" if self.replaced == 1 else f"{self.replaced} of the postures were"
+                lines.append(f"{were} replaced: no free way led there from the others")
         return lines
 
 

@@ -168,16 +168,17 @@ class Clearance:
         """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs, of
         which so many are named."""
         near, lines = self.too_near(postures), list[str]()
+        many = len(np.unique(postures, axis=0))  # of data a posture may have many rows
         if near:
-            runs = len({run for run, *_ in near})
-            lines.append(f"Collisions: {runs} of {len(postures)} postures bring bodies too near to each other:")
+            those = len(np.unique(postures[[run - 1 for run, *_ in near]], axis=0))
+            lines.append(f"Collisions: {those} of {many} postures bring bodies too near to each other:")
         lines += [f"  run {run}: {distance_in_words(pair, gap)}" for run, pair, gap in near]
         touching, clear = ([" and ".join(pair) for pair in pairs] for pairs in (self.touching, self.clear))
         few = np.flatnonzero(self.asked < self.usual)
         narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
         if not near:
             kept = _counted(len(self.pairs) - len(narrow))
-            lines.append(f"Collisions: {kept} of bodies stay {self.usual:g} mm apart in all {len(postures)} postures.")
+            lines.append(f"Collisions: {kept} of bodies stay {self.usual:g} mm apart in all {many} postures.")
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),

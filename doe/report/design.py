@@ -82,7 +82,7 @@ def design_facts(data: Data, status: str) -> Sheet:
     outside, table_1 = data["outside_limits"], data["table_1_max_residual"]
     words = bound_in_words(bound) if bound and not outside else ""
     efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
-    optimal = optimality_in_words(data["optimality"], bound) or "no"
+    optimal = optimality_in_words(data["optimality"], bound) or "not shown"
     optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
     if outside:
         listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")

@@ -207,7 +207,9 @@ def diagnosis_document(
     gap = [*gap_parts(data, nominal), picture("gap_figure")]
     sections.append(Section("The gap, before and after", gap))
     arm = diagnosis.extended_arm(diagnosis.named)
-    values, doubted = corrected_values(arm, diagnosis.named.calibration), data["confirmed"] is False
+    unknown = [p.name for p in diagnosis.named.parameters if np.isnan(p.std)]
+    values = corrected_values(arm, diagnosis.named.calibration, unknown=unknown)
+    doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"
     sections.append(corrected_section(title, values, folded=doubted))
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))

@@ -213,7 +213,8 @@ def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
     keys, cells = ("nominal", "corrected", "std", "low_95", "high_95"), []
     for row in rows:
         name, std, unit = f"{row.name} *" if row.weak else row.name, row.std, row.unit
-        same = {number(getattr(row, key), 4) for key in keys if key != "std"}
+        limits = () if row.corrected is not None and std is None else (row.low_95, row.high_95)  # of a held value none
+        same = {number(value, 4) for value in (row.nominal, row.corrected, *limits)}
         if unit not in ("mm", "deg") or len(same) > 1 or row.nominal is None:
             cells.append([name, *(estimate_text(getattr(row, key), std, unit) for key in keys), unit_or_dash(unit)])
     return Sheet(("", "nominal", "corrected", "std", "low 95 %", "high 95 %", "unit"), cells)

@@ -244,23 +244,18 @@ def copied_rows(measurements: Measurements) -> list[str]:
 
 
 # -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-def contradiction_warnings(contradictions: Sequence[Contradiction], without_prior: Sequence[Parameter]) -> list[str]:
-    """The warning;  without_prior : parameters without a prior."""
-    if not contradictions:
-        return []
-    shown = "; ".join(
+def contradiction_warning(one: Contradiction, without_prior: Sequence[Parameter]) -> str:
+    """In words;  without_prior : parameters without a prior."""
+    by_each = (
         f"{one.name} is {one.prior:.4g} +- {one.prior_std:.2g} {one.unit} in the earlier calibration, {one.value:.4g} "
         f"+- {one.std:.2g} by these measurements"
-        + (f" (or instead {', '.join(one.instead)}: they do not tell)" if one.instead else "")
-        for one in contradictions
     )
-    words = [one.name for one in contradictions] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
-    sentence = f"the measurements contradict the prior: {shown} (others as there)"
+    instead = f" (or instead {', '.join(one.instead)}: they do not tell)" if one.instead else ""
+    words = [one.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
+    sentence = f"the measurements contradict the prior: {by_each}{instead} (others as there)"
     do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
     lacks = "the model lacks what differs between both measurements: armcal diagnose"
-    return [
-        f"{sentence}. The fit is right for neither. Either they changed and are to be estimated again: {do}; or {lacks}"
-    ]
+    return f"{sentence}. The fit is right for neither. Either it changed and is to be estimated again: {do}; or {lacks}"
 
 
 # -- the covariance of the parameters, at the tip ----------------------------------------------------------------------

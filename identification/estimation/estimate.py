@@ -140,7 +140,8 @@ def _with_prior(
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
         wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
-        posed = replace(problem, noise=noise, prior=replace(prior, deviations=wide))
+        widened = replace(prior, deviations=wide)
+        posed = replace(problem, noise=noise, prior=widened)
         rows, center = posed.prior_rows, posed.prior_center
 
         def linearize(x: Array, _: Index, rows: Array = rows, center: Array = center) -> tuple[Array, Array]:
@@ -169,10 +170,10 @@ def _with_prior(
         taken = f"taken as {width * of_zeros:g} times as large, as where a motor was changed or a drawing counts from"
         zeros_far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
         far.append(f"{zeros_far}: {taken} elsewhere")
-    contradictions = () if prior.earlier is None else contradicted(posed, x)
+    contradiction = None if prior.earlier is None else contradicted(posed, widened, prior.earlier, x)
     factor = width if model.prior else None
     return replace(
-        fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradictions=contradictions
+        fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradiction=contradiction
     )
 
 
@@ -292,33 +293,28 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
         return solution
-    # from the closed form, by the chord method with one matrix for all, then their own, last by Levenberg-Marquardt
+    # from the closed form, by the chord method with one matrix for all; where that is slow, by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
     usable = np.all(np.isfinite(x), axis=1)
     center = np.mean(x[usable], axis=0) if usable.any() else problem.start
-    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])[None]
-    for attempt in range(4):
-        rest = np.flatnonzero(status != Status.converged)
-        for part in _chunks(len(rest), m):
-            sets = rest[part]
-            problems = problem.rows(sets)
-            if attempt == 3:
-                each = problems.minimized(x[sets])
-                x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
-            else:
-                jacobians = shared if attempt == 0 else problems.linearize(x[sets], np.arange(len(sets)))[1]
-                x[sets], rss[sets], stationary = chord_steps(problems, jacobians, x[sets])
-                status[sets[stationary]] = Status.converged
+    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])
+    for part in _chunks(len(measured), m):
+        x[part], rss[part], stationary = chord_steps(problem.rows(part), shared, x[part])
+        status[part] = outcomes(stationary, Status.converged, Status.not_identifiable)
+    rest = np.flatnonzero(status != Status.converged)
+    for part in _chunks(len(rest), m):
+        each = problem.rows(sets := rest[part]).minimized(x[sets])
+        x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
     return solution
 
 
-def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Parameters (k, p), weighted sums of squares (k,) and stationary (k,); of data sets that are left to others the
     last parameters inside the bounds to which steps led quickly.
 
-    jacobians : (k, N, p) of each data set with the rows of the prior; (1, N, p): one for all
+    jacobian : (N, p) about one point for all, with the rows of the prior
 
     Steps are N^-1 J(p)^T W r with N^-1 taken at one point, where J(p)^T W r comes exactly from CasADi's reverse mode at
     the price of a few position evaluations: no Jacobian, no decomposition per step. The matrix only sets the speed:
@@ -327,9 +323,9 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
     lower, upper = problem.model.parameters.lower, problem.model.parameters.upper
     held = problem.prior_rows.T @ problem.prior_rows
     table = problem.model.condition_table(problem.postures, problem.conditions)
-    lengths = np.linalg.norm(jacobians, axis=1)
-    unit = jacobians / lengths[:, None]
-    inverse = np.linalg.inv(np.swapaxes(unit, 1, 2) @ unit) / lengths[:, None]  # for scaled gradients
+    lengths = np.linalg.norm(jacobian, axis=0)
+    unit = jacobian / lengths
+    inverse = np.linalg.inv(unit.T @ unit) / lengths  # for scaled gradients
     parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
     index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)
     data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
@@ -351,9 +347,7 @@ def chord_steps(problem: Problem, jacobians: Array, starts: Array) -> tuple[Arra
             break
         index, last, rounding = index[going], size[going], rounding[going]
         data = data if going.all() else np.ascontiguousarray(data[:, going])
-        if len(inverse) > 1:
-            lengths, inverse = lengths[going], inverse[going]
-        x = x[going] + (gradient[going][:, None] @ inverse)[:, 0]
+        x = x[going] + gradient[going] @ inverse
     return parameters, squares, stationary
 
 

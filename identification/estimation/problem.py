@@ -380,18 +380,14 @@ class Contradiction(NamedTuple):
     instead: tuple[str, ...] = ()
 
 
-def released_drops(problem: Problem, x: Array, residual: Array, jacobian: Array) -> dict[str, float]:
+def released_drops(problem: Problem, earlier: Calibration, x: Array) -> dict[str, float]:
     """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units of
     the noise, fall where its own prior is released and the others' stay, linear about x (p,).
 
     Released, a mean of the prior is one more unknown: its column is that of the calibration's rows.
-
-    residual, jacobian : of `Problem.linearized`
     """
-    assert problem.prior is not None
-    assert problem.prior.earlier is not None
-    names = [name for name in problem.model.names if name in problem.prior.earlier.parameter_names]
-    rows = problem.prior_rows
+    names = [name for name in problem.model.names if name in earlier.parameter_names]
+    (residual, jacobian), rows = problem.linearized(x), problem.prior_rows
     whole = np.concatenate([jacobian, rows])
     shifts = np.zeros((len(whole), len(names)))
     shifts[-len(names) :] = rows[-len(names) :, [problem.model.names.index(name) for name in names]]
@@ -402,46 +398,38 @@ def released_drops(problem: Problem, x: Array, residual: Array, jacobian: Array)
     return dict(zip(names, ((left.T @ target) ** 2 / squares / problem.noise**2).tolist(), strict=True))
 
 
-def contradicted(problem: Problem, x: Array) -> tuple[Contradiction, ...]:
-    """Parameters whose prior, an earlier calibration, the measurements contradict, the clearest first.
+def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array) -> Contradiction | None:
+    """The parameter whose prior, an earlier calibration, the measurements contradict most clearly; None: none.
 
     The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
-    What drops it most is released first, since errors of one parameter look like errors of others, and the fit is made
-    again, from the one before since an error of degrees is not linear, before the others are tested.
+    Errors of one parameter look like errors of others, so that of several the others are told once it is free. Its
+    value is that of the fit without its prior, from the one with it, since an error of degrees is not linear.
 
     x : (p,) of the fit with the whole prior
     """
-    model, prior, explained = problem.model, problem.prior, dict[str, tuple[str, ...]]()
-    assert prior is not None
-    earlier = prior.earlier
-    assert earlier is not None
-    alone, posed = replace(problem, prior=prior.released(model.names, model.prior)), problem
-    while posed.prior is not None and posed.prior.earlier is not None:
-        residual, jacobian = problem.linearized(x)
-        noise = likeliest(alone, x, residual, jacobian)[0]
-        decomposed = spectrum(jacobian, model.scales, prior=replace(alone, noise=noise).prior_rows)
-        freedom = problem.equations - decomposed.determined(jacobian)
-        if problem.reliance == "given" or (problem.sigma is not None and noise == 1.0):
-            freedom = np.inf
-        if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
-            break
-        drops = released_drops(replace(posed, noise=noise), x, residual, jacobian)
-        worst = max(drops, key=drops.__getitem__)
-        less = np.array([drops[worst], *(drops[worst] - drop for drop in drops.values())])
-        p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
-        if p_least * len(drops) >= 0.01:
-            break
-        explained[worst] = tuple(name for name, p in zip(drops, p_less, strict=True) if p > 0.05 and name != worst)
-        posed = replace(problem, prior=prior.released(explained, model.prior), noise=noise)
-        x = posed.minimized(x[None]).parameters[0]
-    covariance = posed.noise**2 * spectrum(posed.linearized(x)[1], model.scales, prior=posed.prior_rows).covariance
-    contradictions = []
-    for name, instead in explained.items():
-        p, of_earlier = model.parameters[k := model.names.index(name)], earlier.about({name}).covariance
-        figures = earlier.values[name], np.sqrt(np.asarray(of_earlier)[0, 0]), x[k], np.sqrt(covariance[k, k])
-        prior_value, prior_std, value, std = (float(figure * p.to_file) for figure in figures)
-        contradictions.append(Contradiction(name, p.file_unit, prior_value, prior_std, value, std, instead))
-    return tuple(contradictions)
+    model, alone = problem.model, replace(problem, prior=prior.released(problem.model.names, problem.model.prior))
+    residual, jacobian = problem.linearized(x)
+    noise = likeliest(alone, x, residual, jacobian)[0]
+    decomposed = spectrum(jacobian, model.scales, prior=replace(alone, noise=noise).prior_rows)
+    freedom = problem.equations - decomposed.determined(jacobian)
+    if problem.reliance == "given" or (problem.sigma is not None and noise == 1.0):
+        freedom = np.inf
+    if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
+        return None
+    drops = released_drops(replace(problem, noise=noise), earlier, x)
+    name = max(drops, key=drops.__getitem__)
+    less = np.array([drops[name], *(drops[name] - drop for drop in drops.values())])
+    p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
+    if p_least * len(drops) >= 0.01:
+        return None
+    posed = replace(problem, prior=prior.released({name}, model.prior), noise=noise)
+    x = posed.minimized(x[None]).parameters[0]
+    covariance = noise**2 * spectrum(posed.linearized(x)[1], model.scales, prior=posed.prior_rows).covariance
+    p, variance = model.parameters[k := model.names.index(name)], np.asarray(earlier.about({name}).covariance)[0, 0]
+    figures = earlier.values[name], np.sqrt(variance), x[k], np.sqrt(covariance[k, k])
+    before, before_std, value, std = (float(figure * p.to_file) for figure in figures)
+    instead = tuple(other for other, least in zip(drops, p_less, strict=True) if least > 0.05 and other != name)
+    return Contradiction(name, p.file_unit, before, before_std, value, std, instead)
 
 
 # -- the methods -------------------------------------------------------------------------------------------------------

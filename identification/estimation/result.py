@@ -21,7 +21,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
-from identification.estimation.doubts import contradiction_warnings, hardly_determined, tip_of
+from identification.estimation.doubts import contradiction_warning, hardly_determined, tip_of
 from identification.estimation.problem import Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
@@ -75,7 +75,7 @@ class Identification(Documented):
     unexplained_rows : the same of rows that come together, by posture or joint angle: what the model lacks there
     prior : of the parameters, as it was taken;  machining_factor : on the sizes of [machining] in it, None: not in it
     held : names of parameters that were not estimated, with the covariance of an earlier calibration
-    contradictions : parameters whose prior, an earlier calibration, the measurements contradict
+    contradiction : parameter whose prior, an earlier calibration, the measurements contradict most
     """
 
     model: Model
@@ -101,7 +101,7 @@ class Identification(Documented):
     prior: Prior | None = None
     machining_factor: float | None = None
     held: frozenset[str] = frozenset()
-    contradictions: tuple[Contradiction, ...] = ()
+    contradiction: Contradiction | None = None
     iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -159,7 +159,7 @@ class Identification(Documented):
         scatter = f"{shown.MISFIT} {times:{'.3g' if times < 1000.0 else '.0f'}} times sigma_mm = {self.sigma:.4g}"
         figures = f"chi2 {self.chi2:.4g}, {self.dof} degrees of freedom, {shown.p_value_in_words(self.p_value)}"
         cause, do = "the model is incomplete or sigma_mm too small", "armcal diagnose looks for what is missing"
-        if self.contradictions:
+        if self.contradiction:
             cause, do = f"the prior does not hold (above), {cause}", "settle the prior first"
         follows = (
             "rely on sigma_mm and are too narrow" if self.uncertainty.kind == "given" else "do not rely on sigma_mm"
@@ -171,7 +171,8 @@ class Identification(Documented):
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
         without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = (*contradiction_warnings(self.contradictions, without_prior), *((self.misfit,) if self.misfit else ()))
+        misfit = [contradiction_warning(self.contradiction, without_prior)] if self.contradiction else []
+        misfit += [self.misfit] if self.misfit else []
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:
             return (shown.UNFINISHED, *misfit, *doubts)
@@ -243,11 +244,9 @@ class Identification(Documented):
         """Values for the controller: nominal and corrected lengths, zeros, frames, effects; empty without an arm."""
         if self.arm is None:
             return ()
-        calibration = Calibration(self.values, self.names, self.covariance)
         unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
         factor = None if self.prior is None else self.prior.factor(self.model.parameters)
-        freedom = self.uncertainty.freedom
-        return corrected_values(self.arm, calibration, freedom, unknown, factor)
+        return corrected_values(self.arm, self.calibration(), unknown, factor)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
@@ -369,7 +368,6 @@ class _Spread(NamedTuple):
 def corrected_values(
     arm: Arm,
     calibration: Calibration | None = None,
-    freedom: Collection[float] | None = None,
     unknown: Collection[str] = (),
     factor: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
@@ -377,7 +375,6 @@ def corrected_values(
     and measured points; values of the instrument, where they were estimated; and parameters of effects.
 
     calibration : None: the arm's own calibration
-    freedom : degrees of freedom of the variances of `calibration.parameter_names`; None: as its provenance says
     unknown : names of parameters that are not estimable
     factor : (p, r) factor of the covariance of `calibration.parameter_names` before the measurements, 0 where
         there is none; None: that of the arm's machining, where all that it says something of was estimated
@@ -386,8 +383,7 @@ def corrected_values(
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    spread = freedom_of(calibration) if freedom is None else np.array([*freedom], dtype=float)
-    of, lengths, zeros = _Spread(names, calibration.covariance, spread, before, unknown), [], []
+    of, lengths, zeros = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), [], []
     for j, length in enumerate(arm.lengths.tolist() if chain.planar else (), start=1):
         value = length + values.get(name := f"{LENGTH_ERROR}:{j}", 0.0)
         lengths.append(of.row(f"length of link {j}", length, value, {name: 1.0}, "mm", "length of the link"))

@@ -58,17 +58,21 @@ class Urdf:
         parents = {self.link(joint, "parent") for joint in self.by_child.values()}
         return tuple(link for link in self.links if link not in parents)
 
-    def masses(self, base: str, tip: str) -> tuple[float, ...]:
-        """[kg] of what each moving joint of a chain carries up to the next one, zero where the file gives none."""
-        of_links = {str(link.get("name")): link.find("inertial/mass") for link in self.robot.findall("link")}
-        masses: list[float] = []
-        for element in self.elements(base, tip):
-            if element.get("type") != FIXED:
-                masses.append(0.0)
-            mass = of_links.get(self.link(element, "child"))
-            if masses and mass is not None:
-                masses[-1] += self._numbers(mass, "mass", "value", None, 1).item()
-        return tuple(masses)
+    def masses(self, base: str, tip: str) -> tuple[Array, Array]:
+        """(n,) [kg] of all links that move with a joint of a chain and not with the next, zero where the file gives
+        none; (n,) how far along the line to the next joint, the last to the tip, their center of mass is, 0 to 1."""
+        steps = np.array([step[:3, 3] for step in self.chain(base, tip).link_poses[1:]])
+        masses, moments, places = np.zeros(len(steps)), np.zeros(len(steps)), self.links_on(base, tip)
+        for link in self.robot.findall("link"):
+            name, inertial = str(link.get("name")), link.find("inertial")
+            number, place, _ = places.get(name, (0, np.eye(4), False))
+            if number and inertial is not None and (element := inertial.find("mass")) is not None:
+                mass, step = self._numbers(element, "mass", "value", None, 1).item(), steps[number - 1]
+                center = (place @ self.origin(inertial, f"link {name!r}: inertial"))[:3, 3]
+                masses[number - 1] += mass
+                moments[number - 1] += mass * float((step / 2.0 if inertial.find("origin") is None else center) @ step)
+        whole = masses * np.sum(steps**2, axis=1)
+        return masses, np.clip(np.divide(moments, whole, out=np.full(len(steps), 0.5), where=whole > 0.0), 0.0, 1.0)
 
     def links_on(self, base: str, tip: str) -> dict[str, tuple[int, Array, bool]]:
         """Link -> number of the joint of a chain that it moves with, 0: none; its pose (4, 4) [mm] in the frame of that

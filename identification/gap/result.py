@@ -134,7 +134,8 @@ def probabilities(posterior: Posterior) -> Probabilities:
 
 # -- estimates of named effects ----------------------------------------------------------------------------------------
 class Estimate(NamedTuple):
-    """Estimate of one parameter with its 95 % interval; all figures in `unit`, the unit of files and tables."""
+    """Estimate of one parameter with its 95 % interval, NaN where the rows do not determine it; all figures in `unit`,
+    the unit of files and tables."""
 
     name: str
     unit: str
@@ -218,12 +219,15 @@ def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: 
     tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
     repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
     table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
-    sure = uncertainty(table, spectrum(jacobian, model.scales), sigma_given=sigma is not None, doubtful=doubtful)
+    parts = spectrum(jacobian, model.scales)
+    sure = uncertainty(table, parts, sigma_given=sigma is not None, doubtful=doubtful)
     effects = model.effects[len(model.effects) - added :]  # the arm's own come first
     names = {p.name for effect in effects for p in effect.parameters}
     deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
-    limits = limits_95(model.parameters, fitted.values, deviations, sure.freedom)
-    figures = zip(model.parameters, np.column_stack([fitted.values, deviations, limits]), strict=True)
+    deviations = np.where(parts.identifiable, deviations, np.nan)  # gravity has no moment about a vertical axis
+    values = np.where(parts.identifiable, fitted.values, np.nan)
+    limits = limits_95(model.parameters, values, deviations, sure.freedom)
+    figures = zip(model.parameters, np.column_stack([values, deviations, limits]), strict=True)
     return Candidate(
         tuple(effect.label for effect in effects),
         tuple(sorted({effect.family for effect in effects})),

@@ -94,17 +94,6 @@ def test_sparse_basis_finds_disjoint_blocks(seed: int, size: int, blocks: int) -
         assert cosine == pytest.approx(1.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("angle", [0.1, 0.7, 1.3])
-def test_sparse_basis_of_two_circles_with_an_edge_in_common(angle: float) -> None:
-    """Circulations of a graph: two triangles that share an edge span them, and so do one triangle and the square
-    around both, which has one edge more."""
-    triangles = np.array([[1.0, 1.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0, 1.0]]).T
-    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    basis = sparse_basis(np.linalg.qr(triangles)[0] @ turned)
-    for k in range(2):
-        np.testing.assert_allclose(basis[:, k] * np.sign(basis[-1 if k else 0, k]), triangles[:, k], atol=1e-9)
-
-
 def test_description_rounds_and_signs() -> None:
     names = ("a", "b", "c")
     assert describe(np.array([1.0, 0.001, -1.01]), names) == "a + c"

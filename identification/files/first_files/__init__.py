@@ -70,7 +70,7 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     base = base or urdf.root
     chains = _chains(urdf, base, tip)
     tip = min(chains, key=lambda end: (ENDS.index(end) if end in ENDS else len(ENDS), -len(chains[end])))
-    chain, masses, name = chains[tip], urdf.masses(base, tip), urdf.robot.get("name")
+    chain, (masses, centers), name = chains[tip], urdf.masses(base, tip), urdf.robot.get("name")
     if file in (ARM, DATA, SCHEMA, STEPS):
         raise InputError(f"{path}: the name {file} is needed for another file, allowed: another name")
     limits = np.degrees([[j.lower, j.upper] for j in chain.joints if j.type == REVOLUTE]).round(4).reshape(-1, 2)
@@ -88,8 +88,9 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
         "upper": limits[:, 1].tolist(),
         "several": bool(several.any()),
     }
-    if any(masses):
-        values |= {"massed": True, "masses": [float(f"{mass:.12g}") for mass in masses]}
+    if np.any(masses):
+        values |= {"massed": True, "masses": [float(f"{mass:.12g}") for mass in masses.tolist()]}
+        values["centers"] = centers.round(3).tolist()
     return _files([joint.type for joint in chain.joints], instrument, **values) | {file: urdf.text}
 
 

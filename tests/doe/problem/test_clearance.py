@@ -219,7 +219,8 @@ def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None
     assert f"{int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures" in said[0]
     free = postures[np.all(margins >= 0.0, axis=1)]
     assert clearance.to_json(free) == []
-    assert f"stay 20 mm apart in all {len(free)} postures" in clearance.in_words(free)[0]
+    for rows in (free, np.repeat(free, 2, axis=0)):  # repeats are no further postures
+        assert f"stay 20 mm apart in all {len(free)} postures" in clearance.in_words(rows)[0]
     first = clearance.to_json(postures)[0]
     pair = clearance.pairs.index(tuple(first["bodies"]))
     assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]

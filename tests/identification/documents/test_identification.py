@@ -56,6 +56,7 @@ def test_a_value_that_no_controller_tells_from_the_drawing_is_left_out() -> None
     """The product of two small turns, say: 0.00000 +- 0.00001 deg."""
     figures = {"pitch": (1e-6, 1e-5), "yaw": (0.002, 1e-5), "roll": (0.0, 0.001)}
     rows = [CorrectedValue(n, None, 0.0, x, s, x - 2 * s, x + 2 * s, "deg", "") for n, (x, s) in figures.items()]
+    rows.append(CorrectedValue("held", None, 0.0, 1e-9, None, None, None, "deg", ""))
     table, *_ = corrected_section("Corrected values", rows).parts
     assert isinstance(table, Sheet)
     assert [row[0] for row in table.rows] == ["yaw", "roll"]

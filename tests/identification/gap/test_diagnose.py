@@ -20,6 +20,7 @@ from identification.gap.fit import Rows, fit
 from identification.gap.result import Diagnosis, candidate_of
 from identification.measurements import Measurements
 from identification.model import Model
+from identification.model.minimal import practical
 from tests.small_arm import OTHERS, drawn_arm, random_postures, small_arm
 from tests.small_arm import measured as measured_three
 
@@ -300,6 +301,17 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     assert estimate.value == estimate.low_95 == 0.0
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4
     assert estimate.high_95 == pytest.approx(stats.t(2 * 60 - 3).ppf(0.975) * std, rel=1e-3)
+
+
+def test_what_the_rows_do_not_determine_has_no_interval() -> None:
+    # under a vertical axis gravity has no moment about it, whatever the joint's compliance is
+    rng = np.random.default_rng(1)
+    data = measured_three(small_arm(rng), random_postures(30, rng), rng)
+    arm = practical(drawn_arm(), data)
+    fitted = fit(Model(arm.with_effects(EffectSpec("joint_compliance"))), Rows.of(data))
+    first, second, *_ = candidate_of(fitted, 1).parameters
+    assert np.all(np.isnan([first.value, first.std, first.low_95, first.high_95]))
+    assert 0.0 < second.low_95 < second.high_95
 
 
 def test_poor_data_do_not_crash() -> None:
