@@ -9,14 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.planar_theorem import (
-    closed_form_bound,
-    closed_form_log_det,
-    pair_means,
-    table_1_max_residual,
-)
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.errors import InputError
+from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det, pair_means, table_1_max_residual
+from identification import Arm, Calibration, EffectSpec, InputError
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem, random_box
 
 ROUNDING = 1e-9  # log det of well-conditioned matrices of at most 14 rows, condition below 1e6

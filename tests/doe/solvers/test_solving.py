@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from doe import score_plan
 from doe.bounds.certificate import Bound
-from doe.design import score_plan
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
-from identification.arm import EffectSpec
-from identification.errors import InputError, JobError
-from identification.running import Status
+from identification import EffectSpec, InputError, JobError, Status
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 

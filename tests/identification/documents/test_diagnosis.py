@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.arm import Arm
+from identification import Arm, Diagnosis, Measurements, diagnose
 from identification.document import Sheet
 from identification.documents.diagnosis import (
     curve_parts,
@@ -20,9 +20,6 @@ from identification.documents.diagnosis import (
     gap_in_words,
     gap_parts,
 )
-from identification.gap.diagnose import diagnose
-from identification.gap.result import Diagnosis
-from identification.measurements import Measurements
 
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}

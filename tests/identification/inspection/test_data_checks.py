@@ -7,15 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.errors import InputError
+from identification import Arm, DHRow, InputError, Measurements, Model, chain_of
 from identification.inspection.inspection import inspect
 from identification.inspection.readings import data_warnings, read_differently
 from identification.instruments import PlanarDistance
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles, pose
-from identification.measurements import Measurements
-from identification.model import Model
 
 QUARTER = np.pi / 2.0
 ROWS = [DHRow(0.0, QUARTER, 350.0), DHRow(-400.0, 0.0, 0.0), DHRow(-300.0, QUARTER, 0.0, limits=(-2.0, 2.0))]
