@@ -114,8 +114,8 @@ class RowTable:
         self.path = None if path is None else Path(path).absolute()
         if self.path is None:
             return
+        self._made = not os.path.exists(self.path.parent)
         try:
-            self._made = not self.path.parent.exists()
             self.path.parent.mkdir(exist_ok=True)
         except OSError as error:
             reason = f"cannot be made ({error.strerror})"

@@ -48,7 +48,7 @@ class Program(NamedTuple):
     moves: list[dict[str, Any]]
     units: tuple[str, ...]
     seconds: float
-    not_free: list[tuple[int, tuple[str, str], float]]
+    not_free: list[dict[str, Any]]
 
 
 def program(
@@ -111,8 +111,8 @@ def program(
     runs = np.where(via, 0, np.cumsum(~via)).tolist()
     labels = [f"run {run}" if run else "via" for run in runs]
     comments = labels.copy()
-    for row, (one, other), _ in not_free:
-        comments[row - 1] += SPECIAL.sub("?", f", may collide: {one} and {other}")
+    for move in not_free:
+        comments[move["row"] - 1] += SPECIAL.sub("?", f", may collide: {' and '.join(move['bodies'])}")
     moves = []
     for k, row in enumerate(columns):
         joints = [decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)]
