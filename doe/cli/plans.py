@@ -19,7 +19,7 @@ import click
 
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
 from identification import InputError, Progress
-from identification.document import Answer, Document, Sheet
+from identification.document import Answer, Document, Sheet, in_a_sentence
 from identification.files.io import write_together
 from identification.workflow import VERBS, Names, Written
 
@@ -113,7 +113,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
         answer.data["collisions_checked"] = bool(looked)
         answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
     for clearance in looked if postures is not None else []:
-        answer.data["collisions"] = clearance.to_json(postures)
+        answer.data["collisions"] = clearance.too_near(postures)
         answer.document = answer.document.plus(*clearance.in_words(postures))
     return answer
 
@@ -128,8 +128,8 @@ def design_files(
     starts: Count | None = None,
     seconds: Seconds | None = None,
     discriminating: bool = False,
-    order: str | None = None,
-    approach: str = "any",
+    order: Literal["given", "travel", "random"] | None = None,
+    approach: Literal["any", "positive", "negative", "alternate"] = "any",
     criterion: CriterionOptions,
     keep: Path | None = None,
     candidates: Path | None = None,
@@ -151,8 +151,8 @@ def design_files(
     starts : Number of starts.
     seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
-    order : given, travel (least joint travel) or random; left out: travel where bodies are known.
-    approach : any, or from where each joint comes to every posture: positive, negative or alternate.
+    order : Of measurement; travel: least joint travel; left out: travel where bodies are known.
+    approach : From where each joint comes to every posture.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
@@ -161,8 +161,7 @@ def design_files(
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.driving import check_approach, drive, with_approach
-    from doe.plan.plan import check_order
+    from doe.plan.driving import drive, with_approach
     from doe.problem.uncertain import with_choices
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
@@ -178,8 +177,6 @@ def design_files(
             lacks = "found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
             raise InputError(f"--clearance-mm: {lacks}")
         loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
-    check_order(order)
-    check_approach(approach)
     if approach != "any" and loaded.chain.instrument.contact:
         raise InputError(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
@@ -245,10 +242,10 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
-    from doe.plan.driving import in_sentences, not_free, unproven
+    from doe.plan.driving import in_sentences, unproven
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
-    from doe.report.design import criteria_lines, design_document
+    from doe.report.design import design_document
     from identification import Plan, design_model, load_arm
 
     loaded = load_arm(arm, package_dir)
@@ -281,10 +278,16 @@ def score_files(
     driven = Plan.load(plan, loaded.joint_types, vias=True).postures
     moves = None if judged.weights is not None else unproven(problem.constraints, driven)
     if moves is not None:
-        data["moves"] = {"not_free": not_free(moves)}
+        data["moves"] = {"not_free": moves}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
-    lines = [meant] if judged.fit and not robust else []
-    document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
+    lines = [*([meant] if judged.fit and not robust else []), *in_sentences(moves or [])]
+    figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
+    rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
+    of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
+    lines.append(f"every criterion, the larger the better: {figures} ({of})")
+    indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
+    lines.append(f"observability indices: {indices}")
+    document = design_document(design).plus(*lines, *tables)
     return with_collisions(Answer(data, document), problem, judged.postures)
 
 
@@ -483,7 +486,7 @@ def program_files(
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
     out : Write the program, which takes the name of the file.
     """
-    from doe.plan.driving import in_sentences, not_free
+    from doe.plan.driving import in_sentences
     from doe.program.program import program
     from identification import Plan, load_arm
 
@@ -499,7 +502,7 @@ def program_files(
     vias = sum(move["kind"] == "via" for move in made.moves)
     runs = len(file) - vias
     data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
-    data["not_free"] = not_free(made.not_free)
+    data["not_free"] = made.not_free
     counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
     sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
@@ -592,18 +595,17 @@ def report_files(
 ) -> Answer:
     """One page of a campaign's files.
 
-    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate), and what design,
-    score, identify, diagnose or validate said with --json. The page has the verdict (first the error on rows that no
-    fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped through and
-    edited; it is one file that needs no network.
+    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate). The page has the
+    verdict (first the error on rows that no fit has seen), what to do next, corrected values, errors with their sign,
+    and plans that can be stepped through and edited; it is one file that needs no network.
 
     out : Write the page.
     """
-    from doe.report.design import design_verdict, plan_section
+    from doe.report.design import plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict, package_dirs=package_dir)
+    campaign = Campaign.of(files, show_plan=plan_section, package_dirs=package_dir)
     text = page(campaign.document(), files)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
