@@ -36,7 +36,6 @@ BAR = LENGTHS + 'kind = "distance"\ncenter_mm = [0, 0, 0.0]'
 BARE = ARM.partition("[measurement]")[0]
 ONE_POSTURE = [f"10,20,-30,{40 + 1e-6 * k:.7f},{300 + 0.1 * (k % 7)},{90 - 0.1 * (k % 5)}\n" for k in range(60)]
 COMMANDS = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm,error_mm,reachable\n1,2,3,4,5,x,0.1,1\n"
-SHORT = '{"criterion": 1, "runs": {}, "efficiency": "x", "certified_optimal": []}'
 Case = tuple[str | list[str], list[str], dict[str, str]]
 
 
@@ -143,8 +142,7 @@ CASES: list[Case] = [
     # pages
     case("report plan.csv --out page.html", "plan.csv; arm"),
     case("report arm.toml arm.toml --out page.html", "arm.toml; twice"),
-    case("report arm.toml bad.json --out page.html", "bad.json; JSON", bad_json="{"),
-    case("report short.json --out page.html", "short.json", short_json=SHORT),
+    case("report arm.toml bad.json --out page.html", "bad.json; .json; arm files", bad_json="{"),
     case("report arm.toml bad.toml --out page.html --force", "of one arm", toml="links_mm = [300.0, 210.0]\n"),
     case("report arm.toml bad.csv --out page.html", "bad.csv: row 1 (line 2); y_mm; 'x'", csv=COMMANDS),
     # names of files
