@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from doe.cli import main
-from doe.cli.verb import LONGEST_LINE, in_one_line
+from doe.cli.verb import LONGEST_LINE, in_one_line, seconds_above_zero, whole_numbers
 from identification import InputError
 from identification.files.csv import read_table
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
@@ -36,7 +36,6 @@ BAR = LENGTHS + 'kind = "distance"\ncenter_mm = [0, 0, 0.0]'
 BARE = ARM.partition("[measurement]")[0]
 ONE_POSTURE = [f"10,20,-30,{40 + 1e-6 * k:.7f},{300 + 0.1 * (k % 7)},{90 - 0.1 * (k % 5)}\n" for k in range(60)]
 COMMANDS = "q1_deg,q2_deg,q3_deg,q4_deg,x_mm,y_mm,error_mm,reachable\n1,2,3,4,5,x,0.1,1\n"
-SHORT = '{"criterion": 1, "runs": {}, "efficiency": "x", "certified_optimal": []}'
 Case = tuple[str | list[str], list[str], dict[str, str]]
 
 
@@ -143,8 +142,7 @@ CASES: list[Case] = [
     # pages
     case("report plan.csv --out page.html", "plan.csv; arm"),
     case("report arm.toml arm.toml --out page.html", "arm.toml; twice"),
-    case("report arm.toml bad.json --out page.html", "bad.json; JSON", bad_json="{"),
-    case("report short.json --out page.html", "short.json", short_json=SHORT),
+    case("report arm.toml bad.json --out page.html", "bad.json; .json; arm files", bad_json="{"),
     case("report arm.toml bad.toml --out page.html --force", "of one arm", toml="links_mm = [300.0, 210.0]\n"),
     case("report arm.toml bad.csv --out page.html", "bad.csv: row 1 (line 2); y_mm; 'x'", csv=COMMANDS),
     # names of files
@@ -198,7 +196,8 @@ def test_what_no_option_takes(folder: Folder, verb: str) -> None:
     """A word where a number or a choice belongs, numbers beyond all ranges, an option that is none."""
     options = [p for p in main.commands[verb].params if isinstance(p, click.Option) and not p.is_flag]
     for option in options:
-        if isinstance(option.type, click.Choice | click.IntRange | click.FloatRange):
+        number = getattr(option.type, "func", None) in (seconds_above_zero, whole_numbers)
+        if number or isinstance(option.type, click.Choice | click.IntRange | click.FloatRange):
             for wrong in ("nothing", "nan", "-99999999999999999999"):
                 folder.refused([verb, f"{option.opts[0]}={wrong}"], option.opts[0], wrong)
     folder.refused([verb, "--colour", "red"], "--colour")
