@@ -170,9 +170,9 @@ def hardly_better(offered: Data) -> str:
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
-    return (
-        f"This model predicts {sure} than the geometry alone: {model} against {geometry} in rows that no fit has seen."
-    )
+    placed = ", each with the arm placed anew" if offered["by"] == "holdout" else ""
+    seen = f"in rows that no fit has seen{placed}"
+    return f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."
 
 
 def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
