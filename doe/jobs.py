@@ -114,7 +114,7 @@ class RowTable:
         self.path = None if path is None else Path(path).absolute()
         if self.path is None:
             return
-        self._made = not self.path.parent.exists()
+        self._made = not os.path.exists(self.path.parent)
         try:
             self.path.parent.mkdir(exist_ok=True)
         except OSError as error:

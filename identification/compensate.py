@@ -433,7 +433,7 @@ def tried(task: Task) -> tuple[Array, Array]:
     # a branch that is nearer to a goal that is nearly reached, by less than anybody knows, is none to go to
     ranks[(ranks >= NEAR) & (ranks < MISSED)] = NEAR
     postures, rank = np.repeat(ends, FEW, axis=1), np.pad(ranks, ((0, 0), (0, FEW - 1)), constant_values=np.inf)
-    for first, last, bad in ((0, 8, NEAR), (8, 32, BEYOND), (8, 256, MISSED)):
+    for first, last, bad in ((0, 8, NEAR), (8, 32, BEYOND), (32, 256, MISSED)):
         missed = np.flatnonzero(rank[:, 0] >= bad)
         missed = missed[np.argsort(rank[missed, 0], kind="stable")]
         at_once = 8_000 // (last - first)

@@ -36,12 +36,12 @@ TESTED = {  # module -> tests that must notice
     "identification/estimation/estimate.py": [f"{ESTIMATION}/test_estimate.py", f"{ESTIMATION}/test_prior.py"],
     "identification/estimation/problem.py": [f"{ESTIMATION}/test_prior.py", f"{ESTIMATION}/test_contradictions.py"],
     "identification/gap/likelihood.py": [
-        *("tests/identification/gap/test_likelihood.py", "tests/identification/gap/test_average.py"),
+        *("tests/identification/gap/test_likelihood.py", "tests/identification/gap/test_average.py")
     ],
     "identification/gap/search.py": ["tests/identification/gap/test_search.py"],
     "doe/bounds/planar_theorem.py": ["tests/doe/bounds/test_planar_theorem.py"],
     "doe/bounds/certificate.py": [
-        *("tests/doe/bounds/test_certificate.py", "tests/doe/bounds/test_column_generation.py"),
+        *("tests/doe/bounds/test_certificate.py", "tests/doe/bounds/test_column_generation.py")
     ],
     "doe/criteria.py": ["tests/doe/criteria"],
 }

@@ -13,10 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from doe.studies.blind.simulator import Drawn, TrueArm, position, session, shift, turn
-from identification.arm import Arm, Gravity
+from identification import Arm, DHRow, Gravity, Measurements, chain_of
 from identification.files.urdf import urdf_text
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
 
 HALF = np.pi / 2.0
 TABLE = np.array(  # a, alpha, d
@@ -49,12 +47,7 @@ def small_arm(rng: np.random.Generator, *effects: Drawn, compliance: np.ndarray 
 
 
 def measured(
-    truth: TrueArm,
-    postures: np.ndarray,
-    rng: np.random.Generator,
-    *,
-    sigma: float = 0.02,
-    of_posture: float = 0.03,
+    truth: TrueArm, postures: np.ndarray, rng: np.random.Generator, *, sigma: float = 0.02, of_posture: float = 0.03
 ) -> Measurements:
     """Every posture (m, 6) at each reflector in turn, with noise [mm] of each row and of each posture."""
     k = len(REFLECTORS)
@@ -84,5 +77,5 @@ def urdf(*, masses: bool = True) -> str:
     text = urdf_text(drawn_arm().chain, "small_arm")
     for number, mass in enumerate(MASSES if masses else (), start=1):
         inertial = f'<inertial><mass value="{mass}"/></inertial>'
-        text = re.sub(f'<link name="link_{number}"/>', f'<link name="link_{number}">{inertial}</link>', text)
+        text = re.sub(f'<link name="link_{number}" />', f'<link name="link_{number}">{inertial}</link>', text)
     return text

@@ -13,9 +13,8 @@ import pytest
 
 from doe.report.page import page
 from doe.studies.monte_carlo import load_study
+from identification import InputError, load_arm
 from identification.document import Document, Section, Sheet
-from identification.errors import InputError
-from identification.files.arm import load_arm
 from identification.files.first_files import urdf_files
 from identification.files.urdf import parse_urdf
 from tests.test_house import modules

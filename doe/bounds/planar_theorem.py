@@ -9,6 +9,8 @@ The sum is over j = 2..n; a base offset adds j = 1. M' is scaled by the best kno
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from doe.bounds.certificate import Bound
@@ -47,27 +49,20 @@ def closed_form_bound(problem: DesignProblem) -> Bound | None:
     return Bound(closed_form_log_det(problem), "closed_form", rigorous=True) if applies(problem) else None
 
 
-def pair_means(postures: Array, weights: Array | None = None) -> dict[tuple[int, int], complex]:
-    """Pair (j, k), 1 <= j < k <= n -> mean over the runs of exp(i (q_(j+1) + ... + q_k)) = H_jk.
+def pair_means(postures: Array, weights: Array | None = None) -> dict[str, complex]:
+    """Angle q_(j+1) + ... + q_k, 1 <= j < k <= n, as Table I prints it, `q2+q3` -> mean over the runs of exp(i angle) =
+    H_jk.
 
     All of them vanish if and only if log det M' = 0: Table I for any n. The paper's six sums of four links are right:
     q2, q3, q4, q2+q3, q3+q4 and q2+q3+q4; only the name c_24, s_24 of the last is not, whose indices say q2+q4.
     """
     angles = np.atleast_2d(np.asarray(postures, dtype=float))
     shares = np.full(len(angles), 1.0 / len(angles)) if weights is None else weights
-    columns = np.exp(1j * np.cumsum(angles, axis=1))
-    gram = columns.conj().T @ (shares[:, None] * columns)
-    n = angles.shape[1]
-    return {(j + 1, k + 1): complex(gram[j, k]) for j in range(n) for k in range(j + 1, n)}
-
-
-def pair_name(pair: tuple[int, int]) -> str:
-    """The angle of a pair as Table I prints it.
-
-    >>> pair_name((1, 3))
-    'q2+q3'
-    """
-    return "+".join(f"q{joint}" for joint in range(pair[0] + 1, pair[1] + 1))
+    means = dict[str, complex]()
+    for j, k in combinations(range(angles.shape[1]), 2):
+        name = "+".join(f"q{joint + 1}" for joint in range(j + 1, k + 1))
+        means[name] = complex(shares @ np.exp(1j * angles[:, j + 1 : k + 1].sum(axis=1)))
+    return means
 
 
 def table_1_max_residual(postures: Array, weights: Array | None = None) -> float:

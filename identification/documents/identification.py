@@ -3,6 +3,7 @@ commands; what to do next; and the library of effects."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -303,16 +304,26 @@ def is_better(data: Data) -> bool:
     return data["rms_mm"] < data["rms_nominal_mm"] and not any(BY_CHANCE in note for note in data["notes"])
 
 
-def validation_sections(data: Data, points: str = "") -> list[Section]:
-    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
+def refitted_in_words(data: Data) -> str:
+    """`position and rotation of the base, measured points`: what of a model was fitted to the rows; or empty."""
+    names = {str(one["name"]) for one in data["refitted"]}
+    kinds = {re.split(r"[.:[]", name)[0] for name in names}
+    turned = any(name.startswith("base.r") for name in names) or (data["refit"] == "base" and "joint_offset:1" in names)
+    words = ["joint offsets"] if data["refit"] == "offsets" else []
+    words += [f"position{' and rotation' * turned} of the base"] if kinds & {"base", "base_offset"} else []
+    words += ["measured points"] if "tool" in kinds else []
+    return ", ".join(
+        [*words, *(f"{kind}s" for kind in sorted(kinds - {"base", "base_offset", "joint_offset", "tool"}))]
+    )
+
+
+def validation_sections(data: Data) -> list[Section]:
+    """Drawing and model over all rows, and block by block."""
     keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
-    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
     summary = f"{data['rows']} rows, nothing refitted"
-    if data["refit"] != "none":
+    if what := refitted_in_words(data):
         sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
-        summary = (
-            f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
-        )
+        summary = f"{data['rows']} rows, refitted{sessions}: {what}; everything else as in the file"
     figures = ("RMS", "mean", "95 %\nbelow", "largest")
     rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
     rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])

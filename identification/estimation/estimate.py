@@ -31,7 +31,6 @@ from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
-from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
 from identification.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
@@ -97,18 +96,7 @@ def estimate(
         if decomposed.truncated(useful).rank == decomposed.rank:
             break
         problem = replace(problem, tolerance=useful)
-    fit = _identification(problem, measurements, chosen, solution, decomposed, decomposed.rank)
-    arm = getattr(model, "arm", None)
-    if arm is None or (filed := arm.calibration) is None or len(measurements.session_names) > 1:
-        return fit
-    stands = BASE in arm.chain.settled or filed.base is not None
-    if not stands or not (TOOL in arm.chain.settled or {*filed.tools} >= {*arm.chain.tools}):
-        return fit
-    if len(placing(model.parameters)) < len(model.names):
-        return fit
-    # a spatial arm of which nothing but its place is estimated was where its calibration has it
-    computed = model.position(measurements.postures, model.values, measurements.conditions)
-    return replace(fit, residuals_before=measurements.positions - computed)
+    return _identification(problem, measurements, chosen, solution, decomposed, decomposed.rank)
 
 
 @single_thread()

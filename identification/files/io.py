@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import io
 import os
-import re
 import secrets
-import shutil
-import sys
 import tomllib
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
@@ -22,10 +18,6 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 AnyPath = TypeVar("AnyPath", bound=PathLike)
 Content: TypeAlias = Union[str, bytes, "Figure", Callable[[], "Figure"]]  # of a file; a picture, or what draws it
-PARTS = 100  # of a dotted key; the library keeps every prefix of one, so that its memory grows with their square
-# Each part is looked at once from each of the `PARTS` before it; from inside a word or a text no search begins.
-_PART = r"""(?:[A-Za-z0-9_-]++|"(?:\\.|[^"\\\n])*+"|'[^'\n]*+')"""
-TOO_LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}[ \t]*+\.[ \t]*+){{{PARTS}}}")
 EXISTS = "the file exists, allowed: a new file name, or --force to replace it"
 
 
@@ -65,20 +57,10 @@ def read_text(path: PathLike) -> str:
 
 def read_toml(path: PathLike) -> dict[str, Any]:
     """The tables of a TOML file. Raises `InputError` as `read_text` does; a syntax error has line and column."""
-    text, allowed = read_text(path), "TOML 1.0"
-    if key := TOO_LONG_KEY.search(text):
-        line, allowed = text.count("\n", 0, key.start()) + 1, "TOML 1.0, less nested"
-        reason = f"line {line} has a key of more than {PARTS} parts"
-    else:
-        try:
-            return tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            reason = " ".join(str(error).split())
-        except ValueError:  # as Python says it of its own limit
-            reason = f"a whole number of more than {sys.get_int_max_str_digits()} digits"
-        except RecursionError:
-            reason, allowed = "nested too deeply", "TOML 1.0, less nested"
-    raise InputError(f"{path}: not valid TOML: {reason}, allowed: {allowed}")
+    try:
+        return tomllib.loads(read_text(path))
+    except (ValueError, RecursionError) as error:  # whole numbers of too many digits, nested too deeply
+        raise InputError(f"{path}: not valid TOML: {' '.join(str(error).split())}, allowed: TOML 1.0") from None
 
 
 def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
@@ -97,36 +79,31 @@ def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
 
 
 def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> None:
-    """Writes texts, bytes and pictures, all files or none: every one is complete beside its target before the first
-    target is touched, and if a later one cannot take its place the earlier ones are put back.
+    """Writes texts, bytes and pictures, each whole or not at all: all are complete beside their targets before the
+    first takes its place.
 
     Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable.
     """
     targets = {_checked_target(path, force): _in_bytes(path, content) for path, content in contents.items()}
+    staged = {target: target.with_name(f".{secrets.token_hex(8)}.tmp") for target in targets}
     try:
-        with ExitStack() as temporary, ExitStack() as undo:
-
-            def beside(target: Path) -> Path:
-                path = target.with_name(f".{secrets.token_hex(8)}.tmp")
-                temporary.callback(path.unlink, missing_ok=True)
-                return path
-
-            staged = {target: beside(target) for target in targets}
-            for target, new in staged.items():
-                _write_new(new, targets[target], mode_of=target)
-            for target, new in staged.items():
-                if target.exists() and not force:  # another command has written it meanwhile
-                    raise FileExistsError
-                if not target.exists():
-                    undo.callback(target.unlink, missing_ok=True)
-                elif len(targets) > 1:
-                    undo.callback(os.replace, shutil.copy2(target, beside(target)), target)
-                os.replace(new, target)
-            undo.pop_all()
-    except FileExistsError:
-        raise InputError(f"{target}: {EXISTS}") from None
+        for target, new in staged.items():
+            with open(new, "xb") as stream:
+                stream.write(targets[target])
+                stream.flush()
+                os.fsync(stream.fileno())  # so that a crash leaves the old file or the new one, not an empty one
+            if target.exists():
+                new.chmod(target.stat().st_mode & 0o777)
+        for target in staged:
+            if target.exists() and not force:  # another command has written it meanwhile
+                raise InputError(f"{target}: {EXISTS}")
+        for target, new in staged.items():
+            os.replace(new, target)
     except OSError as error:
         raise InputError(f"{target}: cannot be written ({error.strerror}), allowed: a writable place") from None
+    finally:
+        for new in staged.values():
+            new.unlink(missing_ok=True)
 
 
 def check_writable(path: PathLike | None, force: bool = False, *, picture: bool = False) -> None:
@@ -162,30 +139,13 @@ def _checked_target(path: PathLike, force: bool) -> Path:
         raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: another file name") from None
     folder = str(Path(path).parent)
     for wrong, sentence in (
-        (not target.parent.is_dir(), f"there is no folder {folder!r}, allowed: a file in an existing folder"),
-        (target.is_dir(), "is a directory, allowed: a file name"),
+        (not os.path.isdir(target.parent), f"there is no folder {folder!r}, allowed: a file in an existing folder"),
+        (os.path.isdir(target), "is a directory, allowed: a file name"),
         # the pipe behind /dev/stdout has no path
         (os.path.exists(path) and not os.path.isfile(path), "is not a regular file, allowed: a new file name"),
         (not os.access(target.parent, os.W_OK), "the folder cannot be written to, allowed: a writable one"),
-        (target.exists() and not force, EXISTS),
+        (os.path.exists(target) and not force, EXISTS),
     ):
         if wrong:
             raise InputError(f"{path}: {sentence}")
     return target
-
-
-def _write_new(path: Path, content: bytes, mode_of: Path) -> None:
-    """A complete file of a new name; by way of a file without one, of which a killed process leaves nothing, where the
-    system has such files."""
-    descriptors, unnamed = "/proc/self/fd", None
-    if hasattr(os, "O_TMPFILE") and os.path.isdir(descriptors):
-        with suppress(OSError):
-            unnamed = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
-    with open(path, "xb") if unnamed is None else open(unnamed, "wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())  # so that a crash leaves the old file or the new one, not an empty one
-        if unnamed is not None:
-            os.link(f"{descriptors}/{unnamed}", path, src_dir_fd=unnamed)  # else Python links the link
-    if mode_of.exists():
-        path.chmod(mode_of.stat().st_mode & 0o777)

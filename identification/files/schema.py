@@ -8,13 +8,11 @@ check of ours.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, NoReturn, TypeVar, get_args
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -197,7 +195,7 @@ def _table_of_kinds(title: str, place: str, /, **keys: Any) -> Any:
 
 
 def _covariance(table: Any) -> Any:
-    """Symmetric and positive semidefinite, but for rounding."""
+    """A row and a column for each parameter."""
     if table.covariance is None:
         return table
     if (names := table.parameters) is None:
@@ -205,14 +203,6 @@ def _covariance(table: Any) -> Any:
     for count, what in ((len(table.covariance), "rows"), *((len(row), "values in a row") for row in table.covariance)):
         if count != len(names):
             _refuse("covariance", f"found {count} {what} for {len(names)} parameters, allowed: {len(names)}")
-    matrix, rounded = np.array(table.covariance).reshape(len(names), len(names)), 1e-5  # written with six digits
-    deviations = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    largest = np.outer(deviations, deviations)  # at a correlation of one
-    correlations = matrix / np.where(largest > 0.0, largest, 1.0)
-    if not np.allclose(correlations, correlations.T, rtol=0.0, atol=rounded):
-        _refuse("covariance", "found values that differ from those across the diagonal, allowed: a symmetric matrix")
-    if (least := np.linalg.eigvalsh(correlations).min(initial=0.0)) < -rounded * len(matrix):
-        _refuse("covariance", f"found correlations with eigenvalue {least:.3g}, allowed: positive semidefinite")
     return table
 
 
@@ -438,15 +428,3 @@ def validated(file: type[F], tables: Mapping[str, Any], place: str = "", kind: s
     ):
         allowed = re.sub(words, ours, allowed)
     raise InputError(f"{place}{key}: found {found if len(found) <= 80 else f'{found[:77]}...'}, allowed: {allowed}")
-
-
-def json_schema(kind: str) -> dict[str, Any]:
-    """The JSON schema of arm files of a kind, for editors."""
-    whole = ArmFile.model_json_schema()
-    for table in (whole, *whole["$defs"].values()):
-        for key, field in list(table["properties"].items()):
-            if field.pop("of", kind) != kind:
-                del table["properties"][key]
-            elif field.pop("needed", False):
-                table.setdefault("required", []).append(key)
-    return dict(json.loads(json.dumps(whole)))

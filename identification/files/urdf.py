@@ -1,8 +1,7 @@
 """URDF files: the chain of joints from a base to a tip link, and a corrected chain written back.
 
-Read by the standard library; declarations of a document type or of entities are refused. Only the `origin` elements of
-the chain's joints are rewritten, everything else of the file stays as it is, byte for byte. URDF speaks metres and
-radians (http://wiki.ros.org/urdf/XML/joint).
+Read and written by the standard library; declarations of a document type or of entities are refused. URDF speaks metres
+and radians (http://wiki.ros.org/urdf/XML/joint).
 """
 
 from __future__ import annotations
@@ -12,8 +11,6 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
-from xml.parsers import expat
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -264,80 +261,62 @@ def xml_root(text: str, path: PathLike, what: str) -> ElementTree.Element:
     if declared := re.search(r"<!(DOCTYPE|ENTITY)", text):
         raise InputError(f"{path}: found {declared.group()}, allowed: XML without document types and entities")
     try:
-        return ElementTree.fromstring(_declared_first(text))
+        return ElementTree.fromstring(text.lstrip())  # nothing may be before the declaration of XML
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: not XML: {error}, allowed: {what}") from None
 
 
-def _declared_first(text: str) -> str:
-    """The text for a parser of XML, which allows nothing before its declaration: where blank lines are before it, it is
-    blank too, so that places in the text stay the same."""
-    return re.sub(r"\A\s+<\?xml\b[^>]*>", lambda before: re.sub(r"[^\s]", " ", before[0]), text)
-
-
 def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:
-    """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its own.
+    """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its own;
+    comments stay.
 
     origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
     """
-    corrected = dict[str, tuple[Array, Array]]()  # name of a joint -> origin, and angles as drawn
+    above = re.match(r"(\s*(<\?.*?\?>|<!--.*?-->))*\s*", urdf.text, re.DOTALL)
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    robot = ElementTree.fromstring(urdf.text.lstrip(), parser)
+    joints = {joint.get("name"): joint for joint in robot.findall("joint")}
     remaining, fixed = list(origins), np.eye(4)
     for element in urdf.elements(base, tip):
         if element.get("type") == FIXED:
             fixed = fixed @ urdf.origin(element)
-        else:
-            origin = np.linalg.inv(fixed) @ remaining.pop(0)
-            corrected[str(element.get("name"))], fixed = (origin, urdf.angles(element)), np.eye(4)
-    # where the start tags of the joints' `origin` elements begin and end; of a joint without one right after its tag
-    text, places, path = urdf.text.encode(), dict[str, tuple[int, int]](), list[str]()
-    parser = expat.ParserCreate("utf-8")  # as the text was decoded, whatever it says of itself
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        at = parser.CurrentByteIndex
-        closing = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, at)  # not those inside quotes
-        end = len(text) if closing is None else closing.end()
-        joint = path[1] if len(path) == 2 else ""
-        if len(path) == 1 and tag == "joint":
-            tag = attributes.get("name", "")
-            places[tag] = end, end
-        elif tag == "origin" and joint in places and places[joint][0] == places[joint][1]:
-            places[joint] = at, end
-        path.append(tag)
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: path.pop()
-    parser.Parse(_declared_first(urdf.text).encode(), True)
-    for (begin, end), name in sorted(((places[name], name) for name in corrected), reverse=True):
-        origin, drawn = corrected[name]
-        closed = begin == end or text[:end].endswith(b"/>")
-        text = text[:begin] + _origin_element(origin, closed, drawn).encode() + text[end:]
-    return text.decode()
+            continue
+        joint = joints[element.get("name")]
+        origin = joint.find("origin")
+        place = _origin(np.linalg.inv(fixed) @ remaining.pop(0), urdf.angles(element))
+        (ElementTree.SubElement(joint, "origin") if origin is None else origin).attrib.update(place)
+        fixed = np.eye(4)
+    return (above[0] if above else "") + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
 def urdf_text(chain: KinematicChain, name: str) -> str:
     """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
     `tip`."""
-    lines = ['<?xml version="1.0"?>', f'<robot name="{_escaped(name)}">', f'  <link name="{BASE_LINK}"/>']
-    before = BASE_LINK
+    robot, before = ElementTree.Element("robot", name=printable(name)), BASE_LINK
+    ElementTree.SubElement(robot, "link", name=before)
     for j, joint in enumerate([*chain.joints, None], start=1):
-        link, head, inner = TIP, f'"joint_{j}_fixed" type="{FIXED}"', _origin_element(chain.end, True)
+        link = TIP if joint is None else f"link_{j}"
+        ElementTree.SubElement(robot, "link", name=link)
+        kind, called = (FIXED, f"joint_{j}_fixed") if joint is None else (joint.type, printable(joint.name))
+        element = ElementTree.SubElement(robot, "joint", name=called, type=kind)
+        ElementTree.SubElement(element, "parent", link=before)
+        ElementTree.SubElement(element, "child", link=link)
+        ElementTree.SubElement(element, "origin", _origin(chain.end if joint is None else joint.origin))
         if joint is not None:
-            unit, axis = METER if joint.type == PRISMATIC else 1.0, " ".join(f"{float(x):.17g}" for x in joint.axis)
-            limits = f'lower="{joint.lower / unit:.17g}" upper="{joint.upper / unit:.17g}" effort="0" velocity="0"'
-            link, head = f"link_{j}", f'"{_escaped(joint.name)}" type="{joint.type}"'
-            inner = f'{_origin_element(joint.origin, True)}<axis xyz="{axis}"/><limit {limits}/>'
-        ends = f'<parent link="{before}"/><child link="{link}"/>'
-        lines += [f'  <link name="{link}"/>', f"  <joint name={head}>{ends}{inner}</joint>"]
+            unit = METER if joint.type == PRISMATIC else 1.0
+            ends = {"lower": _numbers(joint.lower / unit), "upper": _numbers(joint.upper / unit)}
+            ElementTree.SubElement(element, "axis", xyz=_numbers(*joint.axis))
+            ElementTree.SubElement(element, "limit", ends | {"effort": "0", "velocity": "0"})
         before = link
-    return "\n".join([*lines, "</robot>\n"])
+    ElementTree.indent(robot)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
 
 
-def _escaped(text: str) -> str:
-    """An XML attribute in double quotes, safe inside a TOML string in triple single quotes: no control characters."""
-    return escape(printable(text), {'"': "&quot;", "'": "&apos;"})
+def _origin(matrix: Array, near: Array | None = None) -> dict[str, str]:
+    """Attributes of an `origin` element, by the angles that are nearest to some."""
+    turn = roll_pitch_yaw(matrix[:3, :3], near)
+    return {"xyz": _numbers(*matrix[:3, 3] / METER), "rpy": _numbers(*turn)}
 
 
-def _origin_element(matrix: Array, closed: bool, near: Array | None = None) -> str:
-    place = " ".join(f"{float(x):.17g}" for x in matrix[:3, 3] / METER)
-    turn = " ".join(f"{float(x):.17g}" for x in roll_pitch_yaw(matrix[:3, :3], near))
-    return f'<origin xyz="{place}" rpy="{turn}"{"/>" if closed else ">"}'
+def _numbers(*values: float) -> str:
+    return " ".join(f"{float(x):.17g}" for x in values)

@@ -186,15 +186,15 @@ def _problems(
     sentences = data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
     if not sentences:
         sentences = [*doubts.another_frame(arm, measurements), *other_frame(arm, readings.written)] or zeros
+    rows = np.arange(len(measurements)) + 1
+    if fit is not None and not sentences:
+        unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
+        sentences = doubts.far_rows(fit.residuals_after, *unexplained)
     if not sentences and drawing > DRAWN * arm.reach:
         sentences = [f"the drawing is {drawing:.4g} mm off wherever the arm stands: check lengths and columns"]
     if fit is None:
         return [*sentences, "too few rows for a fit of the geometry"]
     if sentences:
-        return sentences
-    rows = np.arange(len(measurements)) + 1
-    unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))
-    if sentences := doubts.far_rows(fit.residuals_after, *unexplained):
         return sentences
     # far from the rows of one arm, where noise is not the reason: effects that are not in the model leave less than 1 %
     # of the reach, a fit that explains something less than 80 % of what the drawing leaves

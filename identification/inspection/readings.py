@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, rows_in_words
+from identification.arrays import Array
 from identification.errors import require
 from identification.instruments import Placement, Unplaced
 from identification.kinematics.chain import TOOL
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
-from identification.measurements import POINT, Measurements, distances, rms_distance
+from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, spread_rows
 
@@ -416,10 +416,10 @@ def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
     return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
 
-# -- orientations, markers, rows far from all others -------------------------------------------------------------------
+# -- orientations, and what is said of every file ----------------------------------------------------------------------
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
-    """Sentences about units that the numbers contradict, other conventions of orientations, swapped markers and rows
-    far from all others; and of an arm that reaches farther than any does.
+    """Sentences about units that the numbers contradict and other conventions of orientations; and of an arm that
+    reaches farther than any does.
 
     Raises `InputError` if the numbers of joints differ.
     """
@@ -427,11 +427,30 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     if arm.reach > 20000.0:  # [mm]
         how = "lengths that were written in millimetres there come out 1000 times too large"
         units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")
-    if units or not arm.chain.frame_kinds or _rows(_anywhere(arm), measurements)[2]:
+    first = measurements.rows(measurements.session_rows[0])
+    if units or (turns := first.orientations) is None or _rows(_anywhere(arm), measurements)[2]:
         return units
     # as it is drawn; with one measured point where it has several and the rows name none
-    bare = replace(arm, chain=one_unnamed(arm.chain, measurements), effects=(), calibration=None)
-    return [*_orientations(measurements, bare), *_far_rows(measurements, bare)]
+    chain = one_unnamed(arm.chain, measurements)
+    model, missed = Model(replace(arm, chain=chain, effects=(), calibration=None)), dict[str, float]()
+    fixed_axes = np.swapaxes(from_angles(-to_angles(turns)), -1, -2)
+    for name, read in {
+        "": turns,
+        "angles about fixed axes": fixed_axes,
+        "the instrument in the frame of the tool": np.swapaxes(turns, -1, -2),
+        "the instrument in the frame of the tool, by angles about fixed axes": np.swapaxes(fixed_axes, -1, -2),
+    }.items():
+        rows = replace(first, orientations=read)
+        left = rows.positions - placed_model(model, rows).position(rows.postures, conditions=rows.conditions)
+        missed[name] = float(np.median(np.linalg.norm(left[:, POINT.stop :], axis=1))) / (chain.angle_scale or 1.0)
+        if missed[""] <= FAR * arm.machining.rotation:
+            return []
+    best = min(missed, key=missed.__getitem__)
+    looks = f"; they look like {best}" if CLEARLY * missed[best] < missed[""] else ""
+    return [
+        f"the orientations are {np.degrees(missed['']):.3g} deg from the nominal arm's in the median{looks}; rx_deg, "
+        "ry_deg and rz_deg turn the tool about its own x, then y, then z axis, from the frame of the instrument"
+    ]
 
 
 def gap_notes(measurements: Measurements) -> list[str]:
@@ -441,63 +460,6 @@ def gap_notes(measurements: Measurements) -> list[str]:
     left_out = f"before {int(measurements.gaps.sum())} of {len(measurements)} rows numbers of order are left out"
     how = "keep order 1, 2, 3 .. without steps, or give columns direction1, direction2 .."
     return [f"{left_out}: from which side the joints came is not known there (play in gears needs it; {how})"]
-
-
-def _left(arm: Arm, measurements: Measurements, kept: NDArray[np.bool_]) -> Array:
-    """(m, d) from the nominal arm [mm], base and measured points found from the rows kept, in each session."""
-    left = np.empty(measurements.positions.shape)
-    for rows in measurements.session_rows:
-        here = measurements.rows(rows)
-        placed = placed_model(Model(arm), here.rows(kept[rows]) if kept[rows].any() else here)
-        left[rows] = here.positions - placed.position(here.postures, conditions=here.conditions)
-    return left
-
-
-def _orientations(measurements: Measurements, arm: Arm) -> Iterator[str]:
-    """Another convention of the orientations, where those that are measured are far from the nominal arm's."""
-    if (measured := measurements.orientations) is None:
-        return
-    first, fixed_axes = measurements.session_rows[0], np.swapaxes(from_angles(-to_angles(measured)), -1, -2)
-    missed = {}
-    for name, read in {
-        "": measured,
-        "angles about fixed axes": fixed_axes,
-        "the instrument in the frame of the tool": np.swapaxes(measured, -1, -2),
-        "the instrument in the frame of the tool, by angles about fixed axes": np.swapaxes(fixed_axes, -1, -2),
-    }.items():
-        left = _left(arm, replace(measurements, orientations=read).rows(first), np.ones(len(first), dtype=bool))
-        turned = np.linalg.norm(left[:, POINT.stop :], axis=1)
-        missed[name] = float(np.median(turned)) / (arm.chain.angle_scale or 1.0)
-        if not name and missed[name] <= FAR * arm.machining.rotation:
-            return
-    best = min(missed, key=missed.__getitem__)
-    looks = f"; they look like {best}" if CLEARLY * missed[best] < missed[""] else ""
-    yield (
-        f"the orientations are {np.degrees(missed['']):.3g} deg from the nominal arm's in the median{looks}; rx_deg, "
-        "ry_deg and rz_deg turn the tool about its own x, then y, then z axis, from the frame of the instrument"
-    )
-
-
-def _far_rows(measurements: Measurements, arm: Arm) -> Iterator[str]:
-    """Rows that another marker explains, and rows that nothing does."""
-    kept = np.ones(len(measurements), dtype=bool)
-    for _ in range(5):
-        far = distances(_left(arm, measurements, kept))
-        before, kept = kept, far <= FAR * np.median(far)
-        if np.array_equal(before, kept):
-            break
-    if kept.all() or 2 * kept.sum() < len(kept):
-        return
-    usual, swapped = float(np.median(far[kept])), np.zeros(len(kept), dtype=bool)
-    for name in measurements.marker_names:
-        other = replace(measurements, marker=np.where(kept, np.array(measurements.marker), name))
-        swapped |= ~kept & (distances(_left(arm, other, kept)) <= FAR * usual)
-    typical = f"others are {usual:.3g} mm from the nominal arm in the median"
-    if swapped.any():
-        yield f"markers look swapped in {rows_in_words(swapped)}: the position is that of another marker; {typical}"
-    if (lost := ~kept & ~swapped).any():
-        worst = float(far[lost].max())
-        yield f"a lost beam or another posture in {rows_in_words(lost)}: up to {worst:.4g} mm off; {typical}"
 
 
 # -- what else the drawing tells ---------------------------------------------------------------------------------------

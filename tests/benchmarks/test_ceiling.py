@@ -22,11 +22,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.discrimination.design import discrimination_design
-from doe.problem.problem import DesignProblem
 from doe.studies.blind import cells, simulator
 from doe.studies.blind.simulator import TrueArm, column, session
-from identification.model import Model
+from identification import Model
 
 pytestmark = pytest.mark.benchmark
 COUNT = 400

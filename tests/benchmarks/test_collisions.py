@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.problem.problem import DesignProblem
+from doe import DesignProblem
 from identification import Model, load_arm
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.filterwarnings("ignore")]  # of pinocchio

@@ -17,11 +17,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.bounds.column_generation import continuous_design
-from doe.problem.problem import DesignProblem
-from identification.files.arm import load_arm
-from identification.measurements import load_measurements
-from identification.model import Model
+from identification import Model, load_arm, load_measurements
 from identification.model.minimal import minimal
 from tests.benchmarks.peers.arms import ARMS, AXES, FOUR, Planar, Screws
 from tests.benchmarks.peers.fits import placed

@@ -12,19 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doe import DesignProblem, solve
 from doe.bounds.certificate import Bound
 from doe.plan.accuracy import tip_beside_random
-from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import robust_problem
-from doe.solvers import solve
-from identification.arm import Arm, EffectSpec
-from identification.arrays import Array
-from identification.estimation import Identification, estimate
-from identification.files.arm import load_arm
-from identification.gap.diagnose import diagnose
+from identification import Arm, Array, EffectSpec, Identification, Model, diagnose, estimate, load_arm
 from identification.gap.library_prior import given_by, library_prior
 from identification.measurements import Measurements, load_measurements
-from identification.model import Model
 from identification.validate import validate
 
 SHARED = Path(__file__).parents[3] / "shared/data"

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from doe.problem.problem import DesignProblem
-from identification.arm import Arm, EffectSpec
-from identification.model import Model
+from doe import DesignProblem
+from identification import Arm, EffectSpec, Model
 
 FOUR = Arm([260.0, 180.0, 120.0, 100.0], np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]), 0.1)
 FIVE = Arm(
-    [260.0, 180.0, 120.0, 100.0, 90.0],
-    np.radians([-180, -100, -140, -60, -110]),
-    np.radians([180, 40, 10, 75, 95]),
+    [260.0, 180.0, 120.0, 100.0, 90.0], np.radians([-180, -100, -140, -60, -110]), np.radians([180, 40, 10, 75, 95])
 )
 SIX = Arm(
     [260.0, 180.0, 120.0, 100.0, 90.0, 80.0],

@@ -9,9 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from doe.problem.problem import DesignProblem
-from identification.arrays import Array
-from identification.kinematics.parameters import Parameter, ParameterSet
+from doe import DesignProblem
+from identification import Array, Parameter, ParameterSet
 
 
 @dataclass(frozen=True)

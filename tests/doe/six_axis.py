@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from doe.problem.problem import DesignProblem
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.kinematics.chain import DHRow, chain_of
-from identification.model import Model
+from doe import DesignProblem
+from identification import Arm, Array, DHRow, Model, chain_of
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 # a [mm], alpha [deg], d [mm]: the maker's table

@@ -9,12 +9,11 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.advise import advise, with_scatter
-from doe.problem.problem import DesignProblem
 from doe.report.design import advice_document, advice_sentence
-from identification.arm import Arm, Calibration
+from identification import Arm, Calibration, InputError
 from identification.document import Sheet
-from identification.errors import InputError
 from identification.reuse import only
 from tests.doe.arms import FIVE, FOUR, problem
 from tests.doe.plan.test_spacing import whole_information

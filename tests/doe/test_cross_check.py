@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.bounds.column_generation import relax
 from doe.cross_check import cross_check
-from doe.problem.problem import DesignProblem
-from identification.arm import Arm
-from identification.model import Model
+from identification import Arm, Model
 
 # doe/README.md, "Planar theorem": only joint 3 with 160 deg is too narrow, 2 log(sin 80 deg) for each of its two links
 EXPECTED = 4.0 * np.log(np.sin(np.radians(80.0)))
@@ -20,12 +19,7 @@ def test_three_answers_agree() -> None:
     problem = DesignProblem.of(Model(Arm([260.0, 180.0, 120.0, 100.0], lower=lower, upper=upper)))
     relaxed = relax(problem, 5, "clarabel")
     found = cross_check(problem, relaxed, 8)
-    methods = [
-        "relaxation, clarabel",
-        "column generation, column_generation",
-        "exact plan, exchange",
-        "closed form",
-    ]
+    methods = ["relaxation, clarabel", "column generation, column_generation", "exact plan, exchange", "closed form"]
     assert [row["method"] for row in found] == methods
     for row, tolerance in zip(found, (1e-4, 1e-8, 1e-7, 1e-12), strict=True):
         assert row["value"] == pytest.approx(EXPECTED, abs=tolerance)

@@ -9,14 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doe import score, score_plan, solve
 from doe.bounds.certificate import Bound
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A
-from doe.design import score, score_plan
 from doe.report.design import remarks
-from doe.solvers import solve
-from identification import Plan
-from identification.arm import Arm, EffectSpec
+from identification import Arm, EffectSpec, Plan
 from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det

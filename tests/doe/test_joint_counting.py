@@ -10,16 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.problem.problem import DesignProblem
-from identification import Plan
-from identification.arm import Arm, Calibration
-from identification.estimation import estimate
+from doe import DesignProblem
+from identification import Arm, Calibration, Measurements, Model, Plan, estimate, load_arm, load_measurements
 from identification.estimation.doubts import outside_limits
-from identification.files.arm import load_arm
 from identification.files.measurement import load_targets, measurement_text
 from identification.kinematics.counting import Counting, JointKinds
-from identification.measurements import Measurements, load_measurements
-from identification.model import Model
 from identification.simulate import simulate
 from tests.identification.kinematics.test_counting import countings
 

@@ -10,16 +10,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe import DesignProblem, solve
 from doe.bounds.column_generation import continuous_design, relax
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.plan.spacing import too_near
-from doe.problem.problem import DesignProblem
-from doe.solvers import solve
-from identification.arm import Arm
-from identification.arrays import Array
+from identification import Arm, Array, Model
 from identification.kinematics.chain import BASE, Joint, KinematicChain
 from identification.kinematics.frames import pose
-from identification.model import Model
 
 STEP = 1e-5  # [mm, rad] of central differences: error of order STEP^2 = 1e-10 relative, rounding 1e-16 / STEP
 TIP = np.array([120.0, 35.0, 50.0])

@@ -18,18 +18,7 @@ from hypothesis import strategies as st
 
 from doe.cli import main
 from doe.cli.verb import FilePath
-from tests.fuzz.inputs import (
-    arms,
-    measurements,
-    mostly_valid,
-    one_in,
-    pick,
-    plans,
-    studies,
-    targets,
-    urdfs,
-    words,
-)
+from tests.fuzz.inputs import arms, measurements, mostly_valid, one_in, pick, plans, studies, targets, urdfs, words
 
 LOOPS = {"loop": "pool", "pool": "loop"}  # links that lead in a circle, in every case's folder
 THERE = {"there.csv": "mine\n", "folder/mine.txt": "mine\n"}  # files of the user's, in every case's folder

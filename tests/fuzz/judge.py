@@ -17,12 +17,9 @@ from click.testing import CliRunner, Result
 
 from doe.cli import main
 from doe.cli.verb import LONGEST_LINE
-from identification import Plan
-from identification.errors import InputError
-from identification.files.arm import load_arm
+from identification import InputError, Plan, load_arm, load_measurements
 from identification.files.csv import read_table
 from identification.files.urdf import read_urdf
-from identification.measurements import load_measurements
 from tests.fuzz.commands import LOOPS, THERE, Case
 
 RESULT, BAD_INPUT, FAILED, HELP = "result", "bad input", "job failed", "help"

@@ -12,13 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from doe.studies.monte_carlo import load_study
-from identification import Plan
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.files.arm import load_arm
+from identification import Arm, InputError, Plan, load_arm, load_measurements
 from identification.files.csv import read_table
 from identification.files.measurement import load_targets
-from identification.measurements import load_measurements
 from tests.fuzz.commands import Case, cases
 from tests.fuzz.inputs import ArmText, arms, measurements, mostly_valid, plans, spoilt, studies, targets
 from tests.fuzz.judge import Outcome, broken, prepare, run_here

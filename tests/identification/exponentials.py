@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.arrays import Array
+from identification import Array
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 
 HALF = np.pi / 2.0

@@ -11,12 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification import Plan
-from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification import Arm, Calibration, Conditions, EffectSpec, Gravity, Measurements, Model, Plan, estimate
 from identification.arrays import eigen_of_pairs
-from identification.estimation import estimate
-from identification.measurements import Conditions, Measurements
-from identification.model import Model
 from identification.simulate import simulate
 from identification.workspace import WorkspaceBox
 

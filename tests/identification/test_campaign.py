@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Arm, Calibration, Measurements, Model
-from identification.campaign import Campaign
+from identification import Arm, Calibration, Campaign, InputError, Measurements, Model
 from identification.document import as_text
-from identification.errors import InputError
 from identification.workflow import Written, identify_files
 
 LENGTHS = [300.0, 200.0]

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.arm import Arm, Calibration
-from identification.arrays import Array
+from identification import Arm, Array, Calibration
 from identification.compensate import TOLERANCE, compensate
 from identification.files.measurement import load_targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of

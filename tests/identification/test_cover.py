@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull
 
-from identification.arrays import Array
+from identification import Array
 from identification.cover import boxes_around, capsules_around, from_capsules, objective
 from identification.files.bodies import Shape
 from identification.kinematics.frames import from_roll_pitch_yaw, pose

@@ -7,17 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe.problem.problem import DesignProblem
+from doe import DesignProblem, solve
 from doe.problem.uncertain import workspace
-from doe.solvers import solve
-from identification import for_design
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.for_design import ArmModel
+from identification import Arm, ArmModel, InputError, Model, for_design
 from identification.instruments import Plane, Sphere
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.frames import pose, rotation_to_z
-from identification.model import Model
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 

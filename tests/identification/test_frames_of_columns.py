@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification import Plan
-from identification.arm import Arm, EffectSpec
+from identification import Arm, EffectSpec, Plan
 
 
 def test_a_plan_and_an_arm_in_a_notebook() -> None:

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.criteria import information_matrix
-from identification.arm import Arm, EffectSpec
+from identification import Arm, EffectSpec, Model
 from identification.information import Spectrum, column_space, describe, sparse_basis, spectrum
-from identification.model import Model
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 

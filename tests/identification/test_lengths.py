@@ -13,18 +13,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.estimation import Identification, estimate
-from identification.gap.diagnose import diagnose
-from identification.information import spectrum
+from identification import Arm, Array, Identification, Measurements, Model, Status, diagnose, estimate, spectrum
 from identification.instruments import Distance, Instrument, Plane, Sphere
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.frames import pose
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.model.minimal import minimal, practical
-from identification.running import Status
 from identification.sessions import with_sessions
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from identification import Status
 from identification.levenberg_marquardt import (
     GRADIENT_TOLERANCE,
     PATIENCE,
@@ -17,7 +18,6 @@ from identification.levenberg_marquardt import (
     damped_steps,
     levenberg_marquardt,
 )
-from identification.running import Status
 
 INF = np.inf
 TIMES = np.linspace(0.0, 3.0, 12)

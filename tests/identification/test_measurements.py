@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from identification import InputError
 from identification.conditions import REMEMBERED, condition_columns, past_from_order
-from identification.errors import InputError
 from identification.measurements import Measurements, directions_from_order, session_time
 
 

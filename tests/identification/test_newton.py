@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from identification.arrays import Array
+from identification import Array
 from identification.newton import Rows, newton_ascent
 
 WAVES = np.array([[1.0, 0.3], [-0.4, 1.2], [0.7, -0.9]])

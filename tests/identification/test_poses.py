@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm, Calibration
-from identification.estimation import estimate
+from identification import Arm, Calibration, Measurements, Model, estimate, load_measurements
 from identification.files.arm import load_arm, with_calibration
 from identification.files.measurement import measurement_text
 from identification.inspection.readings import data_warnings
-from identification.measurements import Measurements, load_measurements
-from identification.model import Model
 from identification.model.minimal import minimal
 from identification.model.placed import placed_model
 from identification.simulate import simulate

@@ -7,13 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.estimation import estimate
-from identification.for_design import without_prior
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
-from identification.model import Model
+from identification import Arm, DHRow, InputError, Measurements, Model, chain_of, estimate, without_prior
 from identification.replications import ModelTable, Replications, StudyFile, TruthTable, true_values
 
 ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]

@@ -12,7 +12,7 @@ import numpy as np  # noqa: F401  (loads the BLAS that is limited)
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from identification.errors import InputError
+from identification import InputError
 from identification.running import additions, single_thread
 
 

@@ -8,13 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification import Arm, Calibration, EffectSpec, Model, estimate, load_arm, with_effects
 from identification.compensate import compensate
-from identification.estimation import estimate
-from identification.files.arm import load_arm, with_effects
 from identification.files.measurement import measurement_text
 from identification.measurements import Measurements, load_measurements
-from identification.model import Model
 from identification.simulate import following_errors, servo_shift, simulate, with_servo_errors
 
 ARM = Arm([300.0, 250.0], sigma=0.05)

@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm, EffectSpec
-from identification.errors import InputError
-from identification.estimation import estimate
+from identification import Arm, DHRow, EffectSpec, InputError, Measurements, Model, chain_of, estimate, rms_distance
 from identification.inspection.readings import data_warnings
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import pose, rotation_about
-from identification.measurements import Measurements, rms_distance
-from identification.model import Model
 from identification.model.minimal import minimal
 from identification.model.placed import placed_model
 from identification.sessions import of_these_sessions, pooled_sessions, with_sessions, without_sessions

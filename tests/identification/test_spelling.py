@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from identification.effects import library
+from identification import library
 from identification.errors import close_names, nearest, suggestion
 
 KEYS = ("name", "kind", "links_mm", "joint_limits_deg", "measurement", "gravity", "effects", "calibration", "sigma_mm")

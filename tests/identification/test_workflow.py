@@ -8,17 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Arm, Calibration, Measurements, Model, load_arm
+from identification import Arm, Calibration, InputError, Measurements, Model, load_arm, load_sessions
 from identification.document import Document
-from identification.errors import InputError
-from identification.workflow import (
-    VERBS,
-    Written,
-    compensate_files,
-    identify_files,
-    load_sessions,
-    validate_files,
-)
+from identification.workflow import VERBS, Written, compensate_files, identify_files, validate_files
 
 LENGTHS = [300.0, 200.0]
 REAL = Arm(LENGTHS, calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
@@ -60,7 +52,7 @@ def test_an_arm_that_has_the_librarys_effects_is_estimated_anew_without_its_prio
     answer = identify_files(out, folder / "planned.csv", only=(["joint_offsets"],))
     assert answer.exit_code == 0
     assert not answer.data["fit"]["followed"]
-    assert answer.result.names == ("joint_offset:1", "joint_offset:2")
+    assert [row["name"] for row in answer.data["parameters"]] == ["joint_offset:1", "joint_offset:2"]
     with pytest.raises(InputError, match="none of the library's is left"):
         identify_files(out, folder / "planned.csv")
 

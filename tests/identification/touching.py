@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from identification.arrays import Array
+from identification import Array
 from tests.identification.exponentials import Exponentials
 
 STEP = 1e-6  # [rad] of central differences

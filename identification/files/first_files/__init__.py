@@ -17,7 +17,7 @@ from identification.errors import InputError, printable
 from identification.files.bodies import mesh_file, name_beside
 from identification.files.io import PathLike
 from identification.files.measurement import column_of, posture_columns
-from identification.files.schema import json_schema, validated_arm
+from identification.files.schema import ArmFile, validated_arm
 from identification.files.urdf import Urdf, read_urdf
 from identification.instruments import KINDS, TRACKER
 from identification.kinematics.chain import KinematicChain
@@ -157,6 +157,6 @@ def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: A
     return {
         ARM: environment.get_template(f"arm_{arm_kind}.toml.j2").render(usual | values),
         DATA: ",".join(columns) + "\n",
-        SCHEMA: json.dumps(json_schema(arm_kind), indent=1) + "\n",
+        SCHEMA: json.dumps(ArmFile.model_json_schema(), indent=1) + "\n",
         STEPS: environment.get_template("steps.j2").render(usual | values),
     }

@@ -13,8 +13,7 @@ from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
 from doe.criteria import A
-from identification.arm import Arm, EffectSpec
-from identification.model import Model
+from identification import Arm, EffectSpec, Model
 from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET
 from tests.doe.arms import problem as of

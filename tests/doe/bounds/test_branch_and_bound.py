@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, sensitivity_polynomial, trigonometric_jacobian
-from identification.arm import Calibration, EffectSpec, Gravity
-from identification.arrays import Array
+from identification import Array, Calibration, EffectSpec, Gravity
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 from tests.doe.regression import regression
 

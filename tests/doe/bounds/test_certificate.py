@@ -8,13 +8,11 @@ import json
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.column_generation import CandidateSet
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.problem.problem import DesignProblem
-from identification import Plan
-from identification.arrays import Array
-from identification.running import Status
+from identification import Array, Plan, Status
 from tests.doe.arms import ECCENTRICITY, FOUR, problem
 from tests.doe.bounds.test_planar_theorem import factorial
 

@@ -24,10 +24,7 @@ from doe.bounds.column_generation import (
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.postures import grid, listed_candidates, random_postures
 from doe.problem.problem import PriorInformation
-from identification.arm import Arm, EffectSpec
-from identification.arrays import Array
-from identification.errors import InputError, JobError
-from identification.running import Status
+from identification import Arm, Array, EffectSpec, InputError, JobError, Status
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, random_box
 from tests.doe.regression import regression

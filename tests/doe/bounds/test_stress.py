@@ -11,13 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from doe import DesignProblem, score, solve
 from doe.bounds.column_generation import relax
-from doe.design import score
-from doe.problem.problem import DesignProblem
-from doe.solvers import solve
-from identification.arm import Arm
-from identification.errors import ArmcalError, JobError
-from identification.model import Model
+from identification import Arm, ArmcalError, JobError, Model
 
 FEW = settings(max_examples=max(settings.default.max_examples // 10, 10))  # type: ignore[union-attr]
 WIDTHS = st.sampled_from([1e-6, 1e-3, 0.1, 10.0, 90.0, 360.0])

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from doe.bounds.weights import interior_point_weights, optimal_weights, solve_program, sparsest
 from doe.criteria import A, Criterion, D, Ds, E
 from doe.problem.problem import PriorInformation
-from identification.arrays import Array
-from identification.errors import JobError
+from identification import Array, JobError
 
 POINTS = np.linspace(-1.0, 1.0, 21)
 QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)

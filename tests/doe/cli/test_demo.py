@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from identification.files.arm import load_arm
+from identification import load_arm
 from identification.workflow import VERBS
 from tests.doe.cli.conftest import Folder, Outcome
 

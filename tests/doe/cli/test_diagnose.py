@@ -9,9 +9,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from identification.files.arm import load_arm
+from identification import Diagnosis, load_arm
 from identification.gap import diagnose
-from identification.gap.result import Diagnosis
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 
 ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.06\nb_deg = -0.05\n'

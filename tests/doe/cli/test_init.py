@@ -14,9 +14,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from identification import Model, load_arm, load_measurements
+from identification import InputError, Model, load_arm, load_measurements
 from identification.arm import LENGTH_RANGE
-from identification.errors import InputError
 from identification.files.arm import arm_from_tables
 from identification.files.csv import read_table
 from identification.files.first_files import dh_files, planar_files, urdf_files

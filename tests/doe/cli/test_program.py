@@ -6,8 +6,7 @@ import warnings
 
 import numpy as np
 
-from identification.files.measurement import Plan
-from identification.measurements import load_measurements
+from identification import Plan, load_measurements
 from tests.doe.cli.conftest import Folder
 from tests.doe.program.test_program import read_fanuc
 

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 from doe.cli.verb import LONGEST_LINE, in_one_line
-from identification.errors import InputError
+from identification import InputError
 from identification.files.csv import read_table
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
 

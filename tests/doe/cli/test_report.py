@@ -10,9 +10,8 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from identification import Campaign
+from identification import Campaign, load_arm
 from identification.document import in_a_sentence
-from identification.files.arm import load_arm
 from tests.doe.cli.conftest import Folder
 
 

@@ -21,20 +21,10 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
-from doe.cli.verb import (
-    FOLDER,
-    FilePath,
-    WholeNumbers,
-    check_outputs,
-    command,
-    shown_progress,
-    stoppable,
-    stopped_by,
-)
+from doe.cli.verb import FOLDER, FilePath, WholeNumbers, check_outputs, command, shown_progress, stoppable, stopped_by
 from doe.studies.monte_carlo import StudyFile
+from identification import InputError, Progress
 from identification.document import Answer, Document
-from identification.errors import InputError
-from identification.running import Progress
 from identification.workflow import Names
 from tests.doe.cli.conftest import Folder, without_progress
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from doe import D, DesignProblem
 from doe.bounds.certificate import ApproximateDesign
 from doe.criteria import (
     NAMES,
     A,
     Criterion,
-    D,
     Ds,
     DStar,
     E,
@@ -23,12 +23,7 @@ from doe.criteria import (
     inverses,
     log_determinants,
 )
-from doe.problem.problem import DesignProblem
-from identification import Plan
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.information import spectrum
-from identification.model import Model
+from identification import Arm, InputError, Model, Plan, spectrum
 
 P = 6
 POSES = np.random.default_rng(42).normal(size=(5, 2, P))

@@ -24,10 +24,8 @@ from doe.demo.run import (
 )
 from doe.plan.driving import room_of
 from doe.studies.blind.simulator import position, session
-from identification import Plan
-from identification.files.arm import load_arm
+from identification import Model, Plan, load_arm
 from identification.files.urdf import read_urdf
-from identification.model import Model
 from tests.doe.plan.test_moves import sampled
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from doe import DesignProblem
 from doe.discrimination import design
 from doe.discrimination.design import (
     LAMBDA,
@@ -20,14 +21,11 @@ from doe.discrimination.design import (
     Swaps,
     discrimination_design,
 )
-from doe.problem.problem import DesignProblem
 from doe.report import design as report
 from doe.solvers.solver import Budget
 from doe.studies.blind.cells import arm_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
-from identification.arm import Arm
-from identification.model import Model
-from identification.running import Status
+from identification import Arm, Model, Status
 from identification.workspace import WorkspaceBox
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])

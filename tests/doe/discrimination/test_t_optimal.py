@@ -10,15 +10,9 @@ import pytest
 
 from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.problem.constraints import constraints_of
-from identification.arm import Arm, Gravity
-from identification.errors import InputError
-from identification.gap.diagnose import diagnose
-from identification.gap.result import Diagnosis
-from identification.kinematics.chain import DHRow, chain_of
+from identification import Arm, DHRow, Diagnosis, Gravity, InputError, Model, Status, chain_of, diagnose
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Conditions, Measurements, rms_distance
-from identification.model import Model
-from identification.running import Status
 from identification.workspace import WorkspaceBox
 
 ARM = Arm(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from doe import jobs
 from doe.jobs import RowTable, canonical, frame_of
-from identification.errors import InputError
+from identification import InputError
 
 
 def fill(path: Path, tasks: range, **how: bool) -> None:

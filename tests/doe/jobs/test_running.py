@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 
 from doe import jobs
 from doe.jobs import LOST, RowTable, Workers, call, cluster, parquet, run_tasks
-from identification.errors import InputError, JobError
+from identification import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
 import work

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
+from doe import DesignProblem, score
 from doe.bounds.certificate import Bound
 from doe.criteria import E
-from doe.design import score
 from doe.plan.accuracy import (
     TipError,
     TipErrors,
@@ -20,18 +20,9 @@ from doe.plan.accuracy import (
     observability,
     tip_beside_random,
 )
-from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import (
-    average_error,
-    missing_effects,
-    robust_problem,
-    tip_jacobians,
-    workspace,
-)
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.arrays import Array
+from doe.problem.uncertain import average_error, missing_effects, robust_problem, tip_jacobians, workspace
+from identification import Arm, Array, Calibration, EffectSpec, Model
 from identification.gap.library_prior import library_prior
-from identification.model import Model
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 from tests.doe.six_axis import six_axis
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.criteria import A, E
 from doe.plan.ascent import PlanAscent
 from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
-from identification.arrays import Array
+from identification import Array
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 from tests.doe.problem.test_spatial_constraints import ARM
 from tests.doe.six_axis import LIMITED, SIX_AXIS, six_axis

@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.plan.driving import MOVING, check_approach, drive, one_turn, out_of_sight, room_of, with_approach
 from doe.plan.moves import APPROACH, free
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
-from doe.problem.problem import DesignProblem
-from identification import Arm, Array, Model, Plan
-from identification.arm import EffectSpec
+from identification import Arm, Array, EffectSpec, InputError, JobError, Model, Plan
 from identification.bodies import Body, Cell
-from identification.errors import InputError, JobError
 from identification.workspace import LineOfSight, WorkspaceBox
 from tests.doe.problem.test_clearance import cell_of
 from tests.doe.six_axis import SIX_AXIS

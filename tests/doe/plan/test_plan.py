@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from doe.plan.plan import shortest_path
-from identification import Plan
-from identification.errors import InputError
+from identification import InputError, Plan
 
 
 def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from doe import solve
 from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
-from doe.solvers import solve
-from identification.arm import Arm
-from identification.arrays import Array
+from identification import Arm, Array
 from tests.doe.arms import FOUR, OFFSET, problem
 
 NARROW = Arm([200.0, 150.0], np.radians([-40, -50]), np.radians([40, 60]))

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
+from doe import DesignProblem
 from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import FLOOR, SIGHT, Clearance, Slopes, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
 from identification import Arm, Array, Model, design_model
 from identification.bodies import Body, Cell
 from identification.workspace import LineOfSight

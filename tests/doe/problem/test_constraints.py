@@ -8,14 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from doe import DesignProblem
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.problem.constraints import Expression, constraints_of
 from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
 from doe.solvers import Random, solve
-from identification.arm import Arm, Calibration
-from identification.errors import InputError
-from identification.model import Model
+from identification import Arm, Calibration, InputError, Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import FOUR
 

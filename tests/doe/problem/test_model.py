@@ -10,22 +10,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from doe import DesignProblem, score_plan, solve
 from doe.advise import advise
 from doe.bounds.column_generation import relax
-from doe.design import score_plan
 from doe.discrimination.t_optimal import RivalPredictions
 from doe.plan.accuracy import TipErrors
 from doe.problem.model import REQUIRED
-from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import robust_problem
-from doe.solvers import solve
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.estimation import estimate
-from identification.gap.diagnose import diagnose
-from identification.kinematics.parameters import Parameter, ParameterSet
-from identification.measurements import Measurements
-from identification.vectorized import vectorize
+from identification import Array, InputError, Measurements, Parameter, ParameterSet, diagnose, estimate, vectorize
 
 
 class Sine:

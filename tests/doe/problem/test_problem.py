@@ -10,7 +10,7 @@ import pytest
 from doe.problem.constraints import Expression
 from doe.problem.postures import grid, listed_candidates, well_spread
 from doe.problem.problem import PriorInformation
-from identification.errors import InputError
+from identification import InputError
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 
 

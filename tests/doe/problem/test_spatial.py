@@ -8,16 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from doe import DesignProblem, solve
 from doe.bounds.certificate import Bound
-from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import tip_jacobians
-from doe.solvers import solve
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.for_design import ArmModel, with_points
+from identification import Arm, ArmModel, InputError, Model, with_points
 from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
-from identification.model import Model
 from identification.model.minimal import minimal
 from tests.doe.arms import FOUR
 from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS, STEP, difference_information, difference_jacobian, six_axis

@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from doe import DesignProblem, solve
 from doe.bounds.certificate import Bound
 from doe.problem.constraints import LINK_RADIUS, _distance, constraints_of
 from doe.problem.postures import random_postures
-from doe.problem.problem import DesignProblem
-from doe.solvers import solve
-from identification.arrays import Array
+from identification import Array, DHRow, Model
 from identification.instruments import Distance
-from identification.kinematics.chain import DHRow
-from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
 from tests.identification.kinematics.test_spatial import printed

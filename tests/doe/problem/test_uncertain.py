@@ -8,26 +8,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from doe import DesignProblem, score, solve
 from doe.bounds.best_known import best_known_bound
 from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.criteria import A, D
-from doe.design import score
-from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import (
-    average_error,
-    missing_effects,
-    robust_problem,
-    with_choices,
-    workspace,
-)
-from doe.solvers import solve
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.errors import InputError
+from doe.problem.uncertain import average_error, missing_effects, robust_problem, with_choices, workspace
+from identification import Arm, Array, Conditions, DHRow, InputError, Model, chain_of
 from identification.estimation.problem import Problem
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Conditions
-from identification.model import Model
 
 LENGTHS = np.array([300.0, 200.0])
 ARM_ROBUST = Arm(LENGTHS, np.radians([-170, -100]), np.radians([170, 100]), 0.1)

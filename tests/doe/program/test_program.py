@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from doe.program.program import LANGUAGES, Program, decimal, program
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.files.measurement import Plan
-from identification.kinematics.chain import DHRow, chain_of
+from identification import Arm, DHRow, InputError, Plan, chain_of
 from identification.kinematics.counting import Counting
 from tests.doe.six_axis import LIMITED, TABLE
 

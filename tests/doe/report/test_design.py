@@ -10,25 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from doe import DesignProblem, score
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
-from doe.design import score
 from doe.discrimination.t_optimal import NextPostures
-from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import missing_effects, robust_problem
-from doe.report.design import (
-    design_facts,
-    design_verdict,
-    next_document,
-    plan_section,
-    plan_steps,
-    relax_document,
-)
-from identification.arm import Arm, Gravity
+from doe.report.design import design_facts, design_verdict, next_document, plan_section, plan_steps, relax_document
+from identification import Arm, Conditions, Gravity, Model, Plan
 from identification.document import Pictures, as_text
-from identification.files.measurement import Plan
-from identification.measurements import Conditions
-from identification.model import Model
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
 from tests.doe.six_axis import SIX_AXIS

@@ -10,27 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doe import DesignProblem, score
 from doe.advise import advise
 from doe.bounds.column_generation import relax
-from doe.design import score
-from doe.problem.problem import DesignProblem
 from doe.report.design import advice_document, design_document, relax_document
 from doe.report.page import origin, page
-from identification.arm import Arm, Calibration, EffectSpec
+from identification import Arm, Calibration, EffectSpec, Measurements, Model, diagnose, estimate
 from identification.compensate import compensate
 from identification.document import Document, Part, Section, Sheet, as_text
 from identification.documents.diagnosis import diagnosis_document
-from identification.documents.identification import (
-    entry_document,
-    identification_document,
-    library_document,
-)
+from identification.documents.identification import entry_document, identification_document, library_document
 from identification.effects.catalogue import entry
-from identification.estimation import estimate
-from identification.gap.diagnose import diagnose
 from identification.inspection.inspection import inspect
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.validate import validate
 
 ARM = Arm([300.0, 200.0], sigma=0.05, name="two <links>")

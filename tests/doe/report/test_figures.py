@@ -11,9 +11,8 @@ from mpl_toolkits.mplot3d import art3d
 
 from doe.report.figures import outlines, plan_figure
 from doe.report.scene import scene, side
-from identification import design_model
+from identification import Model, design_model
 from identification.bodies import Body, Cell
-from identification.model import Model
 from tests.doe.problem.test_spatial_constraints import ARM, PILLAR, POSTURES, SIGHT, SPHERE
 
 

@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe.design import score
-from doe.problem.problem import DesignProblem
+from doe import DesignProblem, score
 from doe.report.page import PlanSteps, page
-from identification import Plan
+from identification import Model, Plan, load_arm
 from identification.document import Action, Document, Section, Sheet
-from identification.files.arm import load_arm
-from identification.model import Model
 from tests.doe.cli.conftest import Folder, table
 from tests.doe.report.browser import Watched, browser
 

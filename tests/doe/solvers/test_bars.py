@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from doe import solve
 from doe.criteria import A, Criterion, Ds, DStar, E, I
-from doe.solvers import solve
-from identification.arm import Arm
+from identification import Arm
 from tests.doe.arms import FIVE, FOUR, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 

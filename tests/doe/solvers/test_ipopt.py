@@ -8,13 +8,11 @@ import threading
 import numpy as np
 import pytest
 
+from doe import DesignProblem, solve
 from doe.bounds.certificate import Bound
-from doe.problem.problem import DesignProblem
-from doe.solvers import solve
 from doe.solvers.ipopt import Climber
 from doe.solvers.solver import Budget
-from identification.errors import InputError
-from identification.running import Status
+from identification import InputError, Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 
 UNKNOWN = Bound(np.inf, "grid")  # spares the time to find one

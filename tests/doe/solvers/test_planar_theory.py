@@ -7,13 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from doe import DesignProblem
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.problem.problem import DesignProblem
 from doe.solvers import Analytic, solve
 from doe.solvers.solver import Budget
-from identification.arm import Arm, EffectSpec
-from identification.errors import JobError
-from identification.running import Status
+from identification import Arm, EffectSpec, JobError, Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
 from tests.doe.bounds.test_planar_theorem import complex_log_det
 

@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from doe import score_plan
 from doe.bounds.certificate import Bound
-from doe.design import score_plan
 from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
-from identification.arm import Arm, EffectSpec
-from identification.errors import InputError, JobError
-from identification.kinematics.chain import DHRow, chain_of
-from identification.running import Status
+from identification import Arm, DHRow, EffectSpec, InputError, JobError, Status, chain_of
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 

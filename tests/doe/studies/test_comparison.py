@@ -15,16 +15,12 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
+from doe import DesignProblem, score
 from doe.cli import main
-from doe.design import score
 from doe.jobs import RowTable, frame_of
-from doe.problem.problem import DesignProblem
 from doe.report.studies import comparison_parts, performance_profile, profile_figure
 from doe.studies.comparison import compare, evaluated, summary, with_hits
-from identification import Plan
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.model import Model
+from identification import Arm, InputError, Model, Plan
 
 LIMITS = np.radians([180.0, 120.0, 100.0])
 ARM = Arm(np.array([260.0, 180.0, 120.0]), -LIMITS, LIMITS, sigma=0.1, name="three")

@@ -16,19 +16,8 @@ from doe.cli import main
 from doe.jobs import frame_of, seed_of
 from doe.problem.postures import random_postures
 from doe.report.studies import monte_carlo_parts
-from doe.studies.monte_carlo import (
-    Study,
-    load_study,
-    pooled_rows,
-    run_study,
-)
-from identification import Plan
-from identification.arm import Arm, Calibration
-from identification.errors import InputError
-from identification.for_design import without_prior
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Conditions
-from identification.model import Model
+from doe.studies.monte_carlo import Study, load_study, pooled_rows, run_study
+from identification import Arm, Calibration, Conditions, DHRow, InputError, Model, Plan, chain_of, without_prior
 from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox
 

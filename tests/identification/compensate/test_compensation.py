@@ -14,14 +14,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from identification import Array, Conditions, DHRow, InputError, Measurements, Model, chain_of, estimate
 from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.arrays import Array
 from identification.compensate import TOLERANCE, Compensation, compensate
-from identification.errors import InputError
-from identification.estimation import estimate
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Conditions, Measurements
-from identification.model import Model
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 # of three targets the first is reached, the second 0.25 mm off, and the third's command misses a constraint by 3 mm

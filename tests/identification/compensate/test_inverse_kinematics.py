@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 
 from doe.problem.constraints import constraints_of
-from identification.arm import Arm, Calibration
+from identification import Arm, Calibration, Model
 from identification.compensate import TOLERANCE, compensate
-from identification.model import Model
 from identification.workspace import KeepOutCircle, WorkspaceBox
 from tests.doe.six_axis import CHAIN
 

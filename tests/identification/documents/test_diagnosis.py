@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.arm import Arm
+from identification import Arm, Diagnosis, Measurements, diagnose
 from identification.document import Section, Sheet
 from identification.documents.diagnosis import (
     curve_sections,
@@ -20,9 +20,6 @@ from identification.documents.diagnosis import (
     gap_in_words,
     gap_section,
 )
-from identification.gap.diagnose import diagnose
-from identification.gap.result import Diagnosis
-from identification.measurements import Measurements
 
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
@@ -85,10 +82,12 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
 def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: str) -> None:
     """It is said before what was named, and the commands of the robot are to come from the geometry."""
     offered = {"rms_mm": rms, "max_mm": 3.07, "rms_geometry_mm": 0.275, "max_geometry_mm": 1.81, "better": False}
+    offered |= {"by": "holdout"}
     data = said("named", "backlash:2") | {"offered": offered}
     first = diagnosis_verdict(data)[0]
     assert first.startswith(f"This model predicts {word} the geometry alone: {rms:g}")
     assert "(largest 3.07) against" in first
+    assert first.endswith("in rows that no fit has seen, each with the arm placed anew.")
     commands = [action.command for action in diagnosis_actions(data, written=Path("extended.toml"))]
     assert commands[0] == "armcal identify arm.toml data.csv --out calibrated.toml"
     assert commands[1].startswith("armcal compensate calibrated.toml ")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from identification.compensate import Compensation
 from identification.document import Sheet
@@ -12,6 +13,7 @@ from identification.documents.identification import (
     corrected_section,
     identification_actions,
     identification_verdict,
+    refitted_in_words,
     validation_actions,
     validation_verdict,
 )
@@ -66,11 +68,7 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
     refit = "armcal validate m.toml d.csv --refit offsets"
     again = "armcal identify m.toml d.csv --only joint_offsets,base"
     use = "armcal compensate m.toml targets.csv --out commands.csv"
-    for better, how, expected in (
-        (True, "base", [use]),
-        (False, "base", [refit, again]),
-        (False, "offsets", [again]),
-    ):
+    for better, how, expected in ((True, "base", [use]), (False, "base", [refit, again]), (False, "offsets", [again])):
         data = {"rms_mm": 1.0, "rms_nominal_mm": 2.0 if better else 1.0, "refit": how, "notes": []}
         actions = validation_actions(data, "m.toml", "d.csv")
         assert [action.command for action in actions] == expected
@@ -82,6 +80,21 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
     assert first[1].command.startswith("armcal diagnose a.toml d.csv")
     kept = identification_actions({"warnings": []}, "a.toml", "d.csv", Path("mine.toml"), diagnosed=True)
     assert [action.command.split()[1:3] for action in kept] == [["validate", "mine.toml"], ["compensate", "mine.toml"]]
+
+
+@pytest.mark.parametrize(
+    ("refit", "names", "words"),
+    [
+        ("base", "base_offset.x0 base_offset.y0 joint_offset:1", "position and rotation of the base"),
+        ("base", "base.x base.rz tool[A].x", "position and rotation of the base, measured points"),
+        ("base", "base.x base.y tool[1].z", "position of the base, measured points"),  # distances show no rotation
+        ("base", "tool[1].x cup[A].x cup[B].z", "measured points, cups"),
+        ("offsets", "base_offset.x0 joint_offset:1 joint_offset:2", "joint offsets, position of the base"),
+        ("none", "", ""),
+    ],
+)
+def test_what_was_refitted_in_words(refit: str, names: str, words: str) -> None:
+    assert refitted_in_words({"refit": refit, "refitted": [{"name": name} for name in names.split()]}) == words
 
 
 def commands(errors: list[float], missed: list[float]) -> Compensation:

@@ -7,14 +7,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from doe.report.page import svg
-from identification.arm import Arm
-from identification.documents.pictures import (
-    AFTER,
-    BEFORE,
-    dots,
-    joint_errors,
-    signed_figures,
-)
+from identification import Arm
+from identification.documents.pictures import AFTER, BEFORE, dots, joint_errors, signed_figures
 
 LENGTHS = np.array([300.0, 200.0])
 

@@ -8,13 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.arrays import readonly
-from identification.estimation import estimate
+from identification import Arm, Calibration, EffectSpec, Measurements, Model, estimate, readonly
 from identification.files.arm import load_arm, with_calibration, with_effects
 from identification.gap.blocks import hypotheses
-from identification.measurements import Measurements
-from identification.model import Model
 
 RIPPLE = "transmission_ripple"
 LENGTHS = [300.0, 200.0, 100.0]

@@ -9,7 +9,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from identification.arm import EffectSpec
+from identification import EffectSpec
 from identification.effects import Effect, build, formulas, library
 from identification.effects.catalogue import SUPPLY, entry
 from identification.effects.catalogue import example as example_of

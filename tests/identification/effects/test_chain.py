@@ -6,12 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec, Gravity
+from identification import Arm, Conditions, EffectSpec, Gravity, InputError
 from identification.conditions import condition_columns
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock, step_times
-from identification.errors import InputError
-from identification.measurements import Conditions
 
 LENGTHS, MASSES, CENTERS = np.array([400.0, 300.0]), np.array([5.0, 3.0]), np.array([0.5, 0.4])
 ARM = Arm(LENGTHS, gravity=Gravity([2.0, -9.0], MASSES, CENTERS))

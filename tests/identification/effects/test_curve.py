@@ -10,16 +10,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification import Arm, Calibration, EffectSpec, InputError, Measurements, Model, estimate, planar_chain
 from identification.compensate import compensate
 from identification.effects import build
 from identification.error_curve import ErrorCurve
-from identification.errors import InputError
-from identification.estimation.estimate import estimate
 from identification.files.arm import load_arm, with_calibration, with_effects
-from identification.kinematics.chain import planar_chain
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.simulate import simulate
 from identification.validate import validate
 

@@ -7,9 +7,8 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from identification import effects
+from identification import InputError, effects
 from identification.effects import base, library
-from identification.errors import InputError
 
 pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
 SOURCE = '''

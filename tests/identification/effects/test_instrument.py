@@ -7,14 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.errors import InputError
-from identification.estimation import estimate
-from identification.gap.diagnose import diagnose
+from identification import Arm, Calibration, EffectSpec, InputError, Measurements, Model, diagnose, estimate
 from identification.instruments import TRACKER, Distance, Sphere
 from identification.kinematics.frames import pose
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.model.placed import in_own_frame, tip_jacobian
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.exponentials import Exponentials, drawing

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec
+from identification import PRISMATIC, Arm, EffectSpec, Model
 from identification.instruments import Distance
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose
-from identification.kinematics.parameters import PRISMATIC
-from identification.model import Model
 from identification.simulate import simulate
 
 ARM = Arm([300.0, 200.0, 150.0], sigma=0.1)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
-from identification.arm import Arm, EffectSpec, Gravity
-from identification.measurements import Measurements
-from identification.model import Model
+from identification import Arm, EffectSpec, Gravity, Measurements, Model
 
 LENGTHS = (260.0, 180.0, 120.0, 100.0)
 TRUTH = np.r_[1.5, -0.6, -0.4, 0.7, np.radians([0.5, -0.5, 0.7, -0.3])]

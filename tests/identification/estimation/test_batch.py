@@ -7,12 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import EffectSpec
-from identification.errors import InputError, JobError
-from identification.estimation import estimate, estimate_batch
+from identification import EffectSpec, InputError, JobError, Measurements, Model, estimate, estimate_batch
 from identification.levenberg_marquardt import Solution
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.model.minimal import minimal
 from tests.doe.six_axis import CHAIN, SIX_AXIS
 from tests.identification.estimation.cases import SIGMA, arm, plan, scipy_fit, truth

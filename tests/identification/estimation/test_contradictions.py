@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from identification.arm import Arm, Calibration
-from identification.estimation import Identification, estimate
+from identification import Arm, Calibration, Identification, Measurements, Model, estimate
 from identification.estimation.problem import Prior, Problem, contradicted, released_drops
-from identification.measurements import Measurements
-from identification.model import Model
 
 LENGTHS, SIGMA = np.array([400.0, 300.0, 150.0]), 0.05
 MODEL = Model(Arm(LENGTHS, sigma=SIGMA))

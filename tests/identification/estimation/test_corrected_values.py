@@ -15,16 +15,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification import Arm, Calibration, DHRow, EffectSpec, Identification, Measurements, Model, chain_of, estimate
 from identification.documents.identification import corrected_section, corrected_table
-from identification.estimation import Identification, estimate
 from identification.estimation.problem import Prior
 from identification.estimation.result import CorrectedValue, corrected_values, dh_table
 from identification.files.arm import load_arm, with_calibration
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
-from identification.measurements import Measurements
-from identification.model import Model
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
 from tests.identification.kinematics.test_corrected_dh import UR10, elementary
 

@@ -6,13 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.arm import Arm, EffectSpec
-from identification.estimation import estimate
+from identification import Arm, DHRow, EffectSpec, Measurements, Model, Status, chain_of, estimate
 from identification.estimation.doubts import FAR, another_frame, outside_limits
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan
 
 

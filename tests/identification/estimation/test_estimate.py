@@ -13,12 +13,8 @@ import pytest
 from scipy import stats
 
 from doe.criteria import information_matrix
-from identification.arm import Arm, EffectSpec
-from identification.errors import InputError
+from identification import Arm, EffectSpec, InputError, Measurements, Model, Status
 from identification.estimation import estimate, without_outliers
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit
 
 

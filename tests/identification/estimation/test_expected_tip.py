@@ -8,12 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.estimation import estimate, estimate_batch
+from identification import Arm, Model, estimate, estimate_batch, load_arm, load_measurements
 from identification.estimation.doubts import expected_tip
-from identification.files.arm import load_arm
-from identification.measurements import load_measurements
-from identification.model import Model
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
 
 UR10 = Path(__file__).parents[2] / "data" / "ur10"

@@ -7,12 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.estimation import estimate
+from identification import Arm, Measurements, Model, estimate
 from identification.estimation.doubts import left_out_rms
 from identification.estimation.problem import Prior
-from identification.measurements import Measurements
-from identification.model import Model
 
 ARM = Arm([260.0, 180.0], sigma=0.1)
 MODEL = Model(ARM)

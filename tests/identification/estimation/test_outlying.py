@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from identification.arm import Arm
-from identification.estimation import estimate
+from identification import Arm, Model, estimate
 from identification.estimation.uncertainty import limit_of, outlying, studentised, together
 from identification.information import column_space
-from identification.model import Model
 from identification.simulate import simulate
 from tests.small_arm import OTHERS, drawn_arm, measured, random_postures, small_arm
 

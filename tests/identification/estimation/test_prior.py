@@ -13,16 +13,9 @@ import pytest
 from scipy.linalg import null_space
 from scipy.optimize import minimize_scalar
 
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.estimation import estimate
+from identification import Arm, Array, DHRow, InputError, Measurements, Model, Status, chain_of, estimate
 from identification.estimation.problem import Prior, Problem, likeliest, likeliest_noise
 from identification.gap.library_prior import library_prior
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 
 ARM = Arm([300.0, 200.0], sigma=0.1)
 LIBRARY = library_prior(ARM, names=["encoder_eccentricity", "gear_ratio"])

@@ -10,13 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification import Measurements, Model, Status, estimate
 from identification.arm import Arm, EffectSpec, Machining
-from identification.estimation import estimate
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 from tests.identification.estimation.cases import arm, data, plan, scipy_fit
 
 ROWS = [

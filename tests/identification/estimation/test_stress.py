@@ -10,10 +10,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.arm import Arm
-from identification.estimation import Identification, estimate
-from identification.measurements import Measurements
-from identification.model import Model
+from identification import Arm, Identification, Measurements, Model, estimate
 
 EPS = float(np.finfo(float).eps)
 DIGITS = 1e-9  # standard deviations

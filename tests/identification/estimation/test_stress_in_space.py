@@ -10,12 +10,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.arm import Arm
-from identification.estimation import estimate
+from identification import Arm, Measurements, Model, estimate
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import AXES, pose
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.model.minimal import practical
 from tests.identification.estimation.test_stress import DIGITS, EPS, SIGMAS, lengths_of
 

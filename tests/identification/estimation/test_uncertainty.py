@@ -13,22 +13,10 @@ import pytest
 from scipy import stats
 from scipy.linalg import sqrtm
 
+from identification import DHRow, InputError, Measurements, Model, chain_of, estimate, spectrum
 from identification.arm import Arm, Machining
-from identification.errors import InputError
-from identification.estimation import estimate
 from identification.estimation.doubts import copied_rows, left_out_rms
-from identification.estimation.uncertainty import (
-    WhiteRows,
-    correlated,
-    lack_of_fit,
-    quantile_95,
-    sandwich,
-    uncertainty,
-)
-from identification.information import spectrum
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
-from identification.model import Model
+from identification.estimation.uncertainty import WhiteRows, correlated, lack_of_fit, quantile_95, sandwich, uncertainty
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
 
 

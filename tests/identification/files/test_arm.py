@@ -14,15 +14,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
+from identification import InputError, Model, readonly
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
-from identification.arrays import readonly
-from identification.errors import InputError
 from identification.files.arm import arm_from_tables, load_arm, with_calibration, with_effects
 from identification.files.urdf import read_urdf
 from identification.instruments import Distance, Instrument, PlanarDistance, Plane, Sphere
 from identification.kinematics.chain import BASE, TOOL, DHRow
 from identification.kinematics.frames import pose
-from identification.model import Model
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 from tests.identification.kinematics.test_spatial import printed
 
@@ -516,14 +514,6 @@ def found_of_arms(draw: st.DrawFn) -> tuple[list[float], list[EffectSpec], Calib
         provenance={"file": draw(st.text(st.characters(codec="utf-8"))), "rms_mm": draw(numbers)},
     )
     return lengths.tolist(), effects, calibration
-
-
-def test_a_rounded_covariance_is_read(tmp_path: Path) -> None:
-    two = 'parameters = ["length_error:1", "joint_offset:2"]\n'
-    text = (
-        PLAIN + CALIBRATION + two + "covariance = [[0.333333, 0.577350], [0.577351, 1.0]]\n"
-    )  # of 1/3 and 1, correlation 1
-    assert load(tmp_path, text).calibration.covariance.shape == (2, 2)
 
 
 @given(found_of_arms())

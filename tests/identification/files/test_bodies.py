@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arm import Arm
+from identification import Arm, InputError, load_arm, with_effects
 from identification.bodies import Body, Cell
-from identification.errors import InputError
-from identification.files.arm import load_arm, with_effects
 from identification.files.bodies import mesh_file
 from identification.files.urdf import parse_urdf
 from tests.identification.files.test_arm import PLAIN

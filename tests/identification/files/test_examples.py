@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 from doe.studies.monte_carlo import StudyFile
-from identification import Plan
-from identification.files.arm import load_arm
-from identification.measurements import load_measurements
+from identification import Plan, load_arm, load_measurements
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "identification/files/README.md"

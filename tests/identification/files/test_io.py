@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import tomllib
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.errors import InputError
+from identification import InputError
 from identification.files import io as files
 from identification.files.csv import Table, read_table
 
@@ -58,26 +57,6 @@ def test_places_that_cannot_be_written_to(tmp_path: Path, monkeypatch: pytest.Mo
     assert held(tmp_path) == {}
 
 
-@pytest.mark.parametrize("stop", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_what_was_replaced_is_put_back_when_the_next_cannot_be(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: BaseException
-) -> None:
-    (tmp_path / "a").write_text("old")
-    place, seen = os.replace, []
-
-    def third(new: Path, target: Path) -> None:
-        seen.append(target.name)
-        if len(seen) == 3:
-            raise stop
-        place(new, target)
-
-    monkeypatch.setattr(files.os, "replace", third)
-    with pytest.raises((InputError, KeyboardInterrupt)):
-        files.write_together({tmp_path / name: "new" for name in "abc"}, force=True)
-    assert seen == ["a", "b", "c", "a"]
-    assert held(tmp_path) == {"a": "old"}
-
-
 def test_a_file_that_another_command_wrote_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files.os, "fsync", lambda _: (tmp_path / "b").write_text("theirs"))
     both = {tmp_path / "a": "1", tmp_path / "b": "2"}
@@ -85,42 +64,18 @@ def test_a_file_that_another_command_wrote_meanwhile_stays(tmp_path: Path, monke
     assert held(tmp_path) == {"b": "theirs"}
 
 
-@pytest.mark.parametrize("lacking", ["O_TMPFILE", "fsync"])
-def test_file_systems_that_lack_something(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lacking: str) -> None:
-    """Nameless files are done without; with a full disk the old file stays."""
-
-    def fails(*_: object, **__: object) -> None:
+def test_with_a_full_disk_the_old_files_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     path = tmp_path / "a"
     path.write_text("old")
-    if lacking == "fsync":
-        monkeypatch.setattr(files.os, "fsync", fails)
-        refused(files.write_together, {path: "new"}, True, names=("a: cannot be written", "No space left"))
-    else:
-        monkeypatch.delattr(files.os, "O_TMPFILE", raising=False)
-        files.write_together({path: "new"}, force=True)
-    assert held(tmp_path) == {"a": "old" if lacking == "fsync" else "new"}
+    monkeypatch.setattr(files.os, "fsync", fails)
+    refused(files.write_together, {path: "new", tmp_path / "b": "1"}, True, names=("a: cannot be written", "No space"))
+    assert held(tmp_path) == {"a": "old"}
 
 
 # -- TOML --------------------------------------------------------------------------------------------------------------
-def test_a_long_key_takes_no_memory(tmp_path: Path) -> None:
-    """The standard library's parser keeps every prefix of a dotted key: 100 kB of it took 8.7 GB."""
-    (tmp_path / "a.toml").write_text(".".join(["a"] * 50000) + " = 1\n")
-    tracemalloc.start()
-    try:
-        refused(files.read_toml, tmp_path / "a.toml", names=())
-        assert tracemalloc.get_traced_memory()[1] < 2e6
-    finally:
-        tracemalloc.stop()
-
-
-@pytest.mark.parametrize("unit", ['"\\"', "\"'", "'", '"', 'a"', "\\", "a ", "a.", '"a"."', " .", "-"])
-def test_looking_for_long_keys_takes_time_in_proportion(unit: str) -> None:
-    """Texts made to be searched again from every place: 300 kB of each in an instant, not in hours."""
-    files.TOO_LONG_KEY.search(unit * (300_000 // len(unit)))
-
-
 def test_toml_is_read_whatever_its_keys_texts_and_first_bytes(tmp_path: Path) -> None:
     text = 'a.b."c.d".e = 1\n[x.y]\nz = "' + "1.2, " * 500 + '"\nw = [' + "0.1, 1.5e-3, " * 500 + "]\n"
     for content in (text.encode(), b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode()):
@@ -136,10 +91,7 @@ def test_toml_is_read_whatever_its_keys_texts_and_first_bytes(tmp_path: Path) ->
         (b" \n\n", ["empty"]),
         (b"a = 1\nb = '\xff'\n", ["UTF-8", "byte 0xff on line 2"]),
         (b"a = " + b"[" * 5000, ["not valid TOML"]),
-        (b"a = " + b"1" * 4301, ["not valid TOML", "a whole number of more than 4300 digits, allowed: TOML 1.0"]),
-        (b"[a]\n" + b".".join([b"a"] * 50000) + b" = 1\n", ["line 2", "a key of more than 100 parts", "less nested"]),
-        (b"\n[" + b" . ".join([b'"a.b"'] * 20000) + b"]", ["line 2", "a key of more than 100 parts"]),
-        (b"a = {" + b".".join([b"'a=b'"] * 20000) + b" = 1}", ["line 1", "a key of more than 100 parts"]),
+        (b"a = " + b"1" * 4301, ["not valid TOML", "4300 digits"]),
     ],
 )
 def test_bad_toml(tmp_path: Path, content: bytes, parts: list[str]) -> None:

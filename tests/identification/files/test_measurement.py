@@ -15,23 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from identification import Plan
-from identification.arm import Arm
+from identification import Arm, DHRow, InputError, Measurements, Plan, chain_of, load_measurements
 from identification.effects.catalogue import entry
-from identification.errors import InputError
 from identification.files.csv import read_table, table_of_frame
-from identification.files.measurement import (
-    angle_columns,
-    load_targets,
-    measurement_text,
-    read_orientations,
-)
+from identification.files.measurement import angle_columns, load_targets, measurement_text, read_orientations
 from identification.gap.library_prior import given_by
 from identification.inspection.readings import gap_notes
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles
-from identification.measurements import Measurements, load_measurements
 from identification.sessions import pooled_sessions
 
 PLAIN = "q1_deg,q2_deg,x_mm,y_mm\n30,-60,1.5,2.5\n90,0,-3,4\n"

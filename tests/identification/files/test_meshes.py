@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arrays import Array
-from identification.errors import InputError
+from identification import Array, InputError
 from identification.files.meshes import read_mesh
 
 FACES = np.array([[[0, 0, 0], [1, 0, 0], [0, 1.5, 0]], [[0, 0, 0], [0, 1.5, 0], [0, 0, -2]]], dtype=float)

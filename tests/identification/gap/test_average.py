@@ -12,16 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.arm import Arm, EffectSpec
-from identification.arrays import Array
+from identification import Arm, Array, EffectSpec, Measurements, Model
 from identification.error_curve import ErrorCurve
 from identification.gap.average import averaged, beside_known, shape_and_waves
 from identification.gap.blocks import around, hypotheses, measured_range
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES, Key
 from identification.gap.search import Explanation, Posterior, posterior_of
-from identification.measurements import Measurements
-from identification.model import Model
 
 ARM = Arm([300.0, 200.0], sigma=0.05)
 SETS = (("encoder_eccentricity:2",), ("gear_ratio:2", "curve:1"), ("encoder_eccentricity:2", "curve:2"))
@@ -150,11 +147,7 @@ BUMP = 1e-4 * np.exp(-0.5 * (ANGLES / 0.1) ** 2)
 
 
 @pytest.mark.parametrize(
-    ("error", "shape"),
-    [
-        (np.zeros(361), "smooth curve over -180 to 180 deg"),
-        (BUMP, "in part waves: "),
-    ],
+    ("error", "shape"), [(np.zeros(361), "smooth curve over -180 to 180 deg"), (BUMP, "in part waves: ")]
 )
 def test_shapes_with_a_name_and_without(error: np.ndarray, shape: str) -> None:
     text, waves = shape_and_waves(ANGLES, error, STD)

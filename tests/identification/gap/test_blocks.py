@@ -10,17 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import effects
+from identification import InputError, Measurements, Model, diagnose, effects, load_arm, planar_chain, with_effects
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import base, build
-from identification.errors import InputError
-from identification.files.arm import load_arm, with_effects
 from identification.gap.blocks import Library, hypotheses
-from identification.gap.diagnose import diagnose
 from identification.gap.fit import At, Rows
-from identification.kinematics.chain import planar_chain
-from identification.measurements import Measurements
-from identification.model import Model
 
 SOURCE = '''
 import casadi as ca

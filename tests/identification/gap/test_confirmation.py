@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm
+from identification import Arm, Measurements
 from identification.documents.diagnosis import holds_in_words
 from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_of
 from identification.gap.blocks import hypotheses
@@ -25,7 +25,6 @@ from identification.gap.confirmation import (
 )
 from identification.gap.fit import Rows
 from identification.gap.search import posterior_of
-from identification.measurements import Measurements
 
 SIGMA = 0.1  # per coordinate
 RNG = np.random.default_rng(1)

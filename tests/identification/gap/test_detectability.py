@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification.arm import Arm, EffectSpec, Gravity
-from identification.errors import InputError
+from identification import Arm, EffectSpec, Gravity, InputError, Measurements, Model
 from identification.gap.blocks import hypotheses, linearized
 from identification.gap.detectability import assess, detectability, detectable_lambda
 from identification.gap.fit import At, Rows, fit
-from identification.measurements import Measurements
-from identification.model import Model
 
 ARM = Arm(
     [260.0, 180.0, 120.0],

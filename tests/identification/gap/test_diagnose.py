@@ -12,14 +12,10 @@ from scipy import stats
 from doe.studies.blind import cells as hidden_effects
 from doe.studies.blind import simulator
 from doe.studies.blind.cells import random_truth
-from identification.arm import Arm, EffectSpec, Gravity
-from identification.errors import InputError
+from identification import Arm, EffectSpec, Gravity, InputError, Measurements, Model, diagnose
 from identification.estimation import estimate as identify
-from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows, fit
 from identification.gap.result import Diagnosis, candidate_of
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.model.minimal import practical
 from tests.small_arm import OTHERS, drawn_arm, random_postures, small_arm
 from tests.small_arm import measured as measured_three

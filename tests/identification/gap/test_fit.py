@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from identification.arm import Arm, EffectSpec, Gravity
-from identification.estimation import Identification, estimate
+from identification import Arm, Diagnosis, EffectSpec, Gravity, Identification, Measurements, Model, diagnose, estimate
 from identification.estimation.problem import Problem
-from identification.gap.diagnose import diagnose
 from identification.gap.fit import Rows, fit
-from identification.gap.result import Diagnosis
-from identification.measurements import Measurements
-from identification.model import Model
 from tests.identification.estimation.cases import arm, data, plan
 from tests.identification.gap.test_diagnose import ARM, diagnosed, measured
 

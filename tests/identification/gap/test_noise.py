@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification.arm import Arm
+from identification import Arm, Measurements, Model, estimate
 from identification.documents.identification import fit_facts
-from identification.estimation import estimate
 from identification.gap.fit import Rows, fit
 from identification.gap.noise import NoiseFloor, misfit, noise_floor, repeat_finding, with_repeats_doubted
-from identification.measurements import Measurements
-from identification.model import Model
 
 ARM = Arm([300.0, 200.0, 150.0])
 

@@ -9,13 +9,11 @@ import pytest
 from scipy.linalg import null_space
 from scipy.special import logsumexp, softmax
 
-from identification.arm import Arm, EffectSpec
+from identification import Arm, EffectSpec, Measurements, Model
 from identification.documents.diagnosis import findings
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES
 from identification.gap.replication import SAME, Replication, replications
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.sessions import pooled_sessions, with_sessions
 
 LENGTHS, SIGMA, K = np.array([300.0, 200.0]), 0.1, 5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe.studies.blind.study import contradictions
-from identification.arm import EffectSpec
+from identification import EffectSpec
 from identification.documents.diagnosis import missing_parts
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.result import Candidate, Diagnosis, Probabilities

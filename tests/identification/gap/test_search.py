@@ -12,20 +12,11 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp, softmax, zeta
 from scipy.stats import norm
 
-from identification.arrays import Array
+from identification import Array
 from identification.gap import search as search_module
 from identification.gap.blocks import Block
 from identification.gap.likelihood import SIZES, Products
-from identification.gap.search import (
-    SPREAD,
-    STRAY,
-    TAIL,
-    WRONG,
-    Search,
-    Weighed,
-    log_odds_of_count,
-    log_odds_of_sizes,
-)
+from identification.gap.search import SPREAD, STRAY, TAIL, WRONG, Search, Weighed, log_odds_of_count, log_odds_of_sizes
 from tests.identification.gap.test_likelihood import products_of
 
 WIDTHS = (1, 2, 1, 1)

@@ -9,13 +9,9 @@ import pytest
 
 from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import measure, session
-from identification.arm import Arm, EffectSpec, Gravity
+from identification import Arm, EffectSpec, Gravity, Measurements, Model, detectability, diagnose
 from identification.gap.blocks import hypotheses, untested_joints
-from identification.gap.detectability import detectability
-from identification.gap.diagnose import diagnose
 from identification.gap.fit import At, Rows
-from identification.measurements import Measurements
-from identification.model import Model
 from tests.identification.exponentials import Exponentials, drawing
 
 ARM = Arm(drawing(), sigma=0.05)

@@ -7,12 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec
-from identification.estimation import estimate
-from identification.gap.diagnose import diagnose
-from identification.gap.result import Diagnosis
-from identification.measurements import Measurements
-from identification.model import Model
+from identification import Arm, Diagnosis, EffectSpec, Measurements, Model, diagnose, estimate
 
 SAMPLE = Path(__file__).parents[2] / "data" / "ur10_planar" / "measurements.csv"
 FILE = Path(__file__).parents[4] / "shared" / "data" / "ur10_planar" / "measurements.csv"  # for benchmarks

@@ -7,15 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.errors import InputError
+from identification import Arm, DHRow, InputError, Measurements, Model, chain_of
 from identification.inspection.inspection import inspect
 from identification.inspection.readings import data_warnings, read_differently
 from identification.instruments import PlanarDistance
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles, pose
-from identification.measurements import Measurements
-from identification.model import Model
 
 QUARTER = np.pi / 2.0
 ROWS = [DHRow(0.0, QUARTER, 350.0), DHRow(-400.0, 0.0, 0.0), DHRow(-300.0, QUARTER, 0.0, limits=(-2.0, 2.0))]
@@ -65,15 +61,18 @@ def test_a_unit_is_named_where_the_measured_factor_fits_it(unit: str, factor: fl
             assert factor < 1.0 or f"the lengths of the {larger} are " in said
 
 
-def test_swapped_markers_and_lost_beams_are_named() -> None:
+def test_rows_of_swapped_markers_and_lost_beams_are_named() -> None:
     data = measured(60)
     markers = data.marker.copy()
     markers[[10, 11]] = markers[[11, 10]]
-    positions = data.positions.copy()
-    positions[20] += (0.0, 400.0, 0.0)
-    first, second = data_warnings(replace(data, marker=markers, positions=positions), ARM)
-    assert first.startswith("markers look swapped in rows 11, 12: ")
-    assert second.startswith("a lost beam or another posture in row 21: up to ")
+    (swapped,) = inspect(ARM, replace(data, marker=markers)).problems
+    assert swapped.startswith("rows 11, 12: up to ")
+    for far in (400.0, 5000.0):
+        positions = data.positions.copy()
+        positions[20] += (0.0, far, 0.0)
+        (lost,) = inspect(ARM, replace(data, positions=positions)).problems
+        assert lost.startswith("row 21: up to ")
+        assert "a lost beam" in lost
 
 
 # -- units of planar measurements --------------------------------------------------------------------------------------

@@ -10,12 +10,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm
-from identification.estimation import estimate
+from identification import Arm, DHRow, Measurements, Model, chain_of, estimate
 from identification.inspection.inspection import inspect
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
-from identification.model import Model
 from identification.validate import validate
 
 LENGTHS = np.array([500.0, 400.0, 200.0])

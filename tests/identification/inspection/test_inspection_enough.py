@@ -7,14 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.estimation import estimate
+from identification import Arm, DHRow, Measurements, Model, chain_of, estimate
 from identification.gap.library_prior import library_prior
 from identification.gap.noise import NoiseFloor
 from identification.inspection.inspection import inspect, sufficiency
-from identification.kinematics.chain import DHRow, chain_of
-from identification.measurements import Measurements
-from identification.model import Model
 
 LENGTHS = np.array([500.0, 400.0])
 NOISE = 0.05

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm
+from identification import Arm, Measurements
 from identification.inspection.inspection import other_frame
 from identification.inspection.readings import read_differently
 from identification.kinematics.chain import BASE
 from identification.kinematics.frames import rotation_about
-from identification.measurements import Measurements
 from tests.identification.exponentials import Exponentials, drawing
 
 

@@ -11,12 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 
-from identification import load_arm, load_measurements
-from identification.arm import Arm
+from identification import Arm, DHRow, Measurements, chain_of, load_arm, load_measurements
 from identification.inspection.readings import Reading, parallel_joints, read_differently
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import Counting
-from identification.measurements import Measurements
 from tests.identification.exponentials import drawing
 from tests.identification.inspection.test_inspection import points
 from tests.identification.kinematics.test_counting import countings

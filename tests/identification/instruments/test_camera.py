@@ -7,15 +7,11 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, Calibration, EffectSpec
+from identification import Arm, Calibration, EffectSpec, Model, Status, diagnose, estimate
 from identification.document import in_a_sentence
 from identification.documents.pictures import gap_figure
-from identification.estimation import estimate
-from identification.gap.diagnose import diagnose
 from identification.instruments import Coordinate, Instrument
 from identification.kinematics.frames import from_angles, pose
-from identification.model import Model
-from identification.running import Status
 from identification.simulate import simulate
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN

@@ -7,16 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec
-from identification.arrays import Array
+from identification import Arm, Array, EffectSpec, Measurements, Model, Status, diagnose, planar_chain, spectrum
 from identification.estimation import Identification, estimate
-from identification.gap.diagnose import diagnose
-from identification.information import spectrum
 from identification.instruments import PlanarDistance
-from identification.kinematics.chain import planar_chain
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 from identification.sessions import with_sessions
 from identification.simulate import simulate
 from identification.validate import validate

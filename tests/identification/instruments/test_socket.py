@@ -13,13 +13,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification.arm import Arm
-from identification.arrays import Array
-from identification.errors import InputError
-from identification.estimation import Identification, estimate
-from identification.information import spectrum
+from identification import Arm, Array, Identification, InputError, Measurements, estimate, spectrum
 from identification.instruments import Socket
-from identification.measurements import Measurements
 from identification.model import Model, minimal
 from identification.model.placed import of_positions
 from identification.sessions import with_sessions
@@ -81,9 +76,7 @@ def unseen_distances(truth: Exponentials, fit: Identification, seed: int) -> tup
 
 
 @pytest.mark.parametrize(
-    ("table", "known"),
-    [(TABLE, ONE_BAR), (SEVEN, (*ONE_BAR, ("C", "D")))],
-    ids=["6R, one bar", "7R, two bars"],
+    ("table", "known"), [(TABLE, ONE_BAR), (SEVEN, (*ONE_BAR, ("C", "D")))], ids=["6R, one bar", "7R, two bars"]
 )
 def test_distances_between_unseen_cups(
     table: tuple[tuple[float, float, float], ...], known: tuple[tuple[str, str], ...]

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec
-from identification.errors import InputError
-from identification.estimation import estimate
-from identification.measurements import Measurements
-from identification.model import Model
+from identification import Arm, EffectSpec, InputError, Measurements, Model, estimate
 from tests.identification.estimation.cases import arm, data, plan, scipy_fit
 
 BASE = (EffectSpec("base_offset"),)

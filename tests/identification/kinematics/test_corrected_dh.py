@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.errors import InputError
+from identification import PRISMATIC, InputError
 from identification.kinematics.chain import MODIFIED, STANDARD, DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
-from identification.kinematics.parameters import PRISMATIC
 
 HALF = np.pi / 2.0
 CRAIG = [

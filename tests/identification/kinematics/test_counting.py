@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.errors import InputError
+from identification import PRISMATIC, REVOLUTE, InputError, turned_into
 from identification.kinematics.counting import (
     Counting,
     JointKinds,
@@ -19,9 +19,7 @@ from identification.kinematics.counting import (
     in_joints,
     joint_range,
     range_of,
-    turned_into,
 )
-from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 
 
 @st.composite

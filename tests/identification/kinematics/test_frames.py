@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from identification.arrays import Array
+from identification import Array
 from identification.kinematics.frames import (
     from_angles,
     from_quaternions,

@@ -10,18 +10,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from identification.arrays import Array
-from identification.errors import InputError
+from identification import PRISMATIC, Array, InputError, Parameter, ParameterSet, vectorize
 from identification.files.urdf import read_urdf
 from identification.kinematics.chain import MODIFIED, STANDARD, DHRow, Joint, KinematicChain, chain_of, planar_chain
 from identification.kinematics.frames import pose
-from identification.kinematics.parameters import (
-    PRISMATIC,
-    Parameter,
-    ParameterSet,
-    chain_parameters,
-)
-from identification.vectorized import vectorize
+from identification.kinematics.parameters import chain_parameters
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
 

@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from doe.criteria import information_matrix
-from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.errors import InputError
-from identification.measurements import Conditions
-from identification.model import Model
+from identification import Arm, Calibration, Conditions, EffectSpec, Gravity, InputError, Model
 
 GRAVITY_ACCELERATION = np.array([1.5, -9.6])  # not along an axis, so that both components are tested
 

@@ -8,17 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification.arm import Arm, EffectSpec, Gravity
-from identification.conditions import Conditions
+from identification import PRISMATIC, Arm, Conditions, EffectSpec, Gravity, Measurements, Model
 from identification.effects import Chain, base, library
 from identification.effects.chain import position_and_state, widths
 from identification.error_curve import ErrorCurve
 from identification.instruments import Distance
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose, turned
-from identification.kinematics.parameters import PRISMATIC
-from identification.measurements import Measurements
-from identification.model import Model
 
 CHAIN = chain_of(
     [

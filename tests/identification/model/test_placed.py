@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm
-from identification.errors import InputError
+from identification import PRISMATIC, Arm, Conditions, InputError, Measurements, Model
 from identification.instruments import Distance
 from identification.instruments.search import registered
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import pose
-from identification.kinematics.parameters import PRISMATIC
-from identification.measurements import Conditions, Measurements
-from identification.model import Model
 from identification.model.minimal import minimal, practical
 from identification.model.placed import of_positions, placed_model, tip_jacobian
 from tests.doe.six_axis import CHAIN as DRAWN

@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from identification.arm import Arm
-from identification.errors import InputError
-from identification.estimation import Identification, estimate
+from identification import REVOLUTE, Arm, Identification, InputError, Measurements, Model, Status, estimate
 from identification.inspection.readings import read_differently
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
-from identification.kinematics.parameters import REVOLUTE
-from identification.measurements import Measurements
-from identification.model import Model
-from identification.running import Status
 from identification.sessions import pooled_sessions, with_sessions
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR

@@ -13,20 +13,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from identification import PRISMATIC, DHRow, Diagnosis, InputError, Model, chain_of, diagnose, estimate, load_arm
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.error_curve import ErrorCurve
-from identification.errors import InputError
-from identification.estimation import estimate
-from identification.files.arm import load_arm
-from identification.gap.diagnose import diagnose
 from identification.gap.library_prior import given_by, library_prior
-from identification.gap.result import Diagnosis
-from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_angles, pose
-from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import Measurements, distances, load_measurements
-from identification.model import Model
 from identification.origin import outside
 from identification.validate import Figures, beside_geometry, extrapolation, judged, prior_judged, validate
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm

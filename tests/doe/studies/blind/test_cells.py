@@ -36,11 +36,8 @@ from doe.studies.blind.simulator import (
     relays,
     session,
 )
-from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.arrays import Array
+from identification import Arm, Array, Calibration, EffectSpec, Gravity, Model, fitted_arm
 from identification.effects import build_all
-from identification.gap.fit import fitted_arm
-from identification.model import Model
 from identification.model.minimal import practical
 
 NUMBERS, IN_SPACE = range(900, 903), range(900, 903)

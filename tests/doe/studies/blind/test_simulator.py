@@ -13,12 +13,9 @@ import pytest
 from doe.studies.blind import cells, simulator
 from doe.studies.blind.cells import random_truth
 from doe.studies.blind.simulator import RowConditions, TrueArm, session
-from identification.arm import Arm, Calibration, EffectSpec, Gravity
-from identification.conditions import Conditions
-from identification.kinematics.chain import DHRow, chain_of
+from identification import Arm, Calibration, Conditions, DHRow, EffectSpec, Gravity, Model, chain_of
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.measurements import past_from_order
-from identification.model import Model
 
 AROUND: tuple[Any, Any] = ({"a": 2e-3, "b": -1e-3},) * 2
 IN_PLANE: dict[str, tuple[Any, Any]] = {

@@ -38,9 +38,7 @@ from doe.studies.blind.study import (
     reliability,
     scored,
 )
-from identification.arm import Calibration
-from identification.gap.fit import fitted_arm
-from identification.model import Model
+from identification import Calibration, Model, fitted_arm
 
 FAIL = 1e-4
 MEASURES = ("alarm", "exact", "class", "in the set", "located", "outliers listed", "next_2 right", "next_8 right")

@@ -7,14 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification import Arm, Calibration, EffectSpec, Gravity, InputError, Measurements, Model, estimate
 from identification.effects import Effect, Parameter, register
 from identification.effects.base import _LIBRARY
-from identification.errors import InputError
-from identification.estimation import estimate
 from identification.gap.library_prior import library_prior
-from identification.measurements import Measurements
-from identification.model import Model
 
 ARM = Arm([300.0, 200.0])
 ORDERS = range(3, 65)
