@@ -17,7 +17,7 @@ import numpy as np
 from doe.bounds.best_known import bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import Bound
 from doe.design import Design
-from doe.plan.accuracy import TipError, TipErrors
+from doe.plan.accuracy import TipErrors
 from doe.plan.spacing import with_additions
 from doe.problem.model import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
@@ -31,12 +31,12 @@ class Advice:
 
     designs : in the order of `runs`
     target : wanted accuracy [mm], see `accuracy`, or None
-    tip_errors : of every design, if the model is right and if effects are missing; empty where no sizes are known
+    tip_errors : of every design, see `TipErrors.of_plan`; empty where no sizes are known
     """
 
     designs: tuple[Design, ...]
     target: float | None = None
-    tip_errors: tuple[TipError, ...] = ()
+    tip_errors: tuple[dict[str, float], ...] = ()
 
     @property
     def runs(self) -> tuple[int, ...]:
@@ -56,7 +56,7 @@ class Advice:
         """Accuracy of a design [mm]: the largest expected standard deviation of a length of the arm's geometry, or
         (`of_tip`) the expected error of the tip if the model is right. None without sigma."""
         if self.of_tip:
-            return next(e.right for d, e in zip(self.designs, self.tip_errors, strict=True) if d is design)
+            return next(e["model_right"] for d, e in zip(self.designs, self.tip_errors, strict=True) if d is design)
         return None if design.deviations is None else design.deviations.largest("mm")
 
     @property
@@ -78,7 +78,9 @@ class Advice:
             data, expected = design.to_json(), design.deviations
             row = {key: data[key] for key in keys}
             row["largest_length_std_mm"] = None if expected is None else expected.largest("mm")
-            rows.append(row | {"tip_error_mm": self.tip_errors[k].to_json() if self.tip_errors else None})
+            errors = self.tip_errors[k].items() if self.tip_errors else ()
+            finite = {key: error if np.isfinite(error) else None for key, error in errors}
+            rows.append(row | {"tip_error_mm": finite or None})
         smallest = None if self.smallest is None else len(self.smallest.plan)
         return {"rows": rows, "target_mm": self.target, "smallest_runs": smallest}
 
@@ -161,5 +163,5 @@ def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) 
     design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
     expected = design.deviations
     deviations = [np.inf, np.inf] if expected is None else [expected.largest("mm"), expected.largest("rad")]
-    of_tip = [] if errors is None else [errors.of_plan(postures)]
-    return np.array([*deviations, *(figure for error in of_tip for figure in (error.right, error.worst))])
+    of_tip = {} if errors is None else errors.of_plan(postures)
+    return np.array([*deviations, *(error for key, error in of_tip.items() if key.startswith("model_right"))])

@@ -217,7 +217,7 @@ def check_files(
     if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
         q = Plan.load(data, loaded.joint_types).postures
         outside = (np.flatnonzero(np.any((q < loaded.lower - 1e-6) | (q > loaded.upper + 1e-6), axis=1)) + 1).tolist()
-        near = [each for clearance in bodies for each in clearance.to_json(q)]
+        near = [each for clearance in bodies for each in clearance.too_near(q)]
         summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
         summary += f": {', '.join(map(str, outside))}" if outside else ""
         lines = [summary, *(line for clearance in bodies for line in clearance.in_words(q))]
@@ -228,7 +228,7 @@ def check_files(
     inspection = inspect(loaded, measurements)
     answer = Answer(inspection.to_json(), inspection.document(str(arm), str(data)), inspection)
     for clearance in bodies:
-        answer.data["collisions"] = clearance.to_json(measurements.postures)
+        answer.data["collisions"] = clearance.too_near(measurements.postures)
         answer.document = answer.document.plus(*clearance.in_words(measurements.postures))
     return answer
 

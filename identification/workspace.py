@@ -38,6 +38,7 @@ class KeepOutCircle:
     forbidden: ClassVar[bool] = True
     center: tuple[float, ...]
     radius: float
+    axis = property(lambda self: (self.center, self.center))
 
     def outlines(self, dimension: int) -> list[Array]:
         """The circle (k, 2), or three of the sphere (k, 3)."""
@@ -47,13 +48,14 @@ class KeepOutCircle:
 
 @dataclass(frozen=True)
 class KeepOutCylinder:
-    """Every link stays outside a cylinder with flat ends [mm]."""
+    """Every link stays outside a cylinder with round ends [mm]: half a ball is on each."""
 
     kind: ClassVar[str] = "keep_out_cylinder"
     forbidden: ClassVar[bool] = True
     start: tuple[float, float, float]
     end: tuple[float, float, float]
     radius: float
+    axis = property(lambda self: (self.start, self.end))
 
     def outlines(self, dimension: int) -> list[Array]:
         """Both ends (k, 3), and lines between them."""

@@ -62,7 +62,7 @@ def best_design(
     listed = column_generation(problem, candidates, runs=runs, tolerance=gap, stop=stop)
     if not problem.sampled or listed.bound is None or stop():
         return listed
-    starts = np.concatenate([listed.plan.postures[:64], *([] if also is None else [also])])  # those of most weight
+    starts = np.concatenate([listed.plan.postures[:16], *([] if also is None else [also])])  # those of most weight
     everything = ContinuousSet(replace(problem, choices=None, sampled=False), listed.prior)
     largest = max(listed.largest, float(everything.best(listed.gradient, starts, stop=stop)[1][0]))
     return listed if stop() else replace(listed, largest=largest, candidates=None, rigorous=False)

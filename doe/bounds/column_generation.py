@@ -28,7 +28,7 @@ from doe.bounds.branch_and_bound import maximum, sensitivity_polynomial, trigono
 from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
 from doe.plan.ascent import PlanAscent
-from doe.problem.constraints import Derivatives, Walls
+from doe.problem.constraints import Derivatives
 from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
 from identification import Array, InputError, JobError, Status, newton_ascent
@@ -92,10 +92,6 @@ class ContinuousSet:
     def _derivatives(self) -> Derivatives:
         return self.problem.jacobian_derivatives(range(self.problem.joints))
 
-    @cached_property
-    def _walls(self) -> Walls:
-        return self.problem.wall_derivatives(range(self.problem.joints))
-
     def sensitivities(self, postures: Array, gradient: Array) -> Array:
         """(m,) tr(G F(q))."""
         return self.prior.sensitivities(self.problem.scaled_jacobians(postures), gradient)
@@ -148,7 +144,7 @@ class ContinuousSet:
     def climb(self, postures: Array, gradient: Array, stop: Stop = never) -> Array:
         """Every posture moved uphill to a local maximum within limits and constraints, of tr(G F(q)) + barrier * sum of
         log margins."""
-        problem, walls, q = self.problem, self._walls, self.problem.clip(postures)
+        problem, walls, q = self.problem, self.problem.walls, self.problem.clip(postures)
         kind, barrier = np.arange(len(q)) % 2, np.zeros(len(q))
 
         def height(postures: Array, rows: NDArray[np.intp]) -> Array:

@@ -113,7 +113,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
         answer.data["collisions_checked"] = bool(looked)
         answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
     for clearance in looked if postures is not None else []:
-        answer.data["collisions"] = clearance.to_json(postures)
+        answer.data["collisions"] = clearance.too_near(postures)
         answer.document = answer.document.plus(*clearance.in_words(postures))
     return answer
 
@@ -128,8 +128,8 @@ def design_files(
     starts: Count | None = None,
     seconds: Seconds | None = None,
     discriminating: bool = False,
-    order: str | None = None,
-    approach: str = "any",
+    order: Literal["given", "travel", "random"] | None = None,
+    approach: Literal["any", "positive", "negative", "alternate"] = "any",
     criterion: CriterionOptions,
     keep: Path | None = None,
     candidates: Path | None = None,
@@ -151,8 +151,8 @@ def design_files(
     starts : Number of starts.
     seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
-    order : given, travel (least joint travel) or random; left out: travel where bodies are known.
-    approach : any, or from where each joint comes to every posture: positive, negative or alternate.
+    order : Of measurement; travel: least joint travel; left out: travel where bodies are known.
+    approach : From where each joint comes to every posture.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.
     repeats : A posture may be measured more than once.
@@ -161,8 +161,7 @@ def design_files(
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import tip_beside_random
-    from doe.plan.driving import check_approach, drive, with_approach
-    from doe.plan.plan import check_order
+    from doe.plan.driving import drive, with_approach
     from doe.problem.uncertain import with_choices
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
@@ -178,8 +177,6 @@ def design_files(
             lacks = "found for an arm without bodies, allowed: with [cell] or bodies in its URDF file"
             raise InputError(f"--clearance-mm: {lacks}")
         loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
-    check_order(order)
-    check_approach(approach)
     if approach != "any" and loaded.chain.instrument.contact:
         raise InputError(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
@@ -245,7 +242,7 @@ def score_files(
     """
     from doe.design import score_plan
     from doe.plan.accuracy import criterion_values, error_at_poses, observability
-    from doe.plan.driving import in_sentences, not_free, unproven
+    from doe.plan.driving import in_sentences, unproven
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import criteria_lines, design_document
@@ -281,7 +278,7 @@ def score_files(
     driven = Plan.load(plan, loaded.joint_types, vias=True).postures
     moves = None if judged.weights is not None else unproven(problem.constraints, driven)
     if moves is not None:
-        data["moves"] = {"not_free": not_free(moves)}
+        data["moves"] = {"not_free": moves}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
     lines = [meant] if judged.fit and not robust else []
     document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
@@ -483,7 +480,7 @@ def program_files(
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
     out : Write the program, which takes the name of the file.
     """
-    from doe.plan.driving import in_sentences, not_free
+    from doe.plan.driving import in_sentences
     from doe.program.program import program
     from identification import Plan, load_arm
 
@@ -499,7 +496,7 @@ def program_files(
     vias = sum(move["kind"] == "via" for move in made.moves)
     runs = len(file) - vias
     data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
-    data["not_free"] = not_free(made.not_free)
+    data["not_free"] = made.not_free
     counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
     sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]

@@ -153,13 +153,11 @@ def discriminate(
     directions = generator.choice(np.array([-1.0, 1.0]), (len(pool), arm.links))
     rivals = RivalPredictions.of(diagnosis, pool, payload, directions)
     chosen = [rivals.best_beside([])]
-    while len(chosen) < runs and not stop():
-        chosen.append(rivals.best_beside(chosen))
-    chosen = [chosen[k % len(chosen)] for k in range(runs)]  # cut: those that are there are taken again, in turn
-    for k in [*range(runs)] * 2:  # effort: two rounds of exchanges after the greedy choice
+    for k in [*range(1, runs), *range(runs), *range(runs)]:  # effort: two rounds of exchanges after the greedy choice
         if stop():
             break
-        chosen[k] = rivals.best_beside(chosen[:k] + chosen[k + 1 :])
+        chosen[k : k + 1] = [rivals.best_beside(chosen[:k] + chosen[k + 1 :])]
+    chosen = [chosen[k % len(chosen)] for k in range(runs)]  # cut: those that are there are taken again, in turn
     squares, _ = rivals.noncentrality(chosen)
     chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
     np.fill_diagonal(chance, 1.0)

@@ -149,31 +149,8 @@ def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float
 
 # -- error of the tip --------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class TipError:
-    """Root mean square distances [mm], infinite where a plan is not enough.
-
-    right : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its machining
-    missing : effects of typical size are missing in the model, which is fitted in the same way; infinite where none
-        are counted
-    with_prior : the same arms, fitted with the effects and their prior (`identify --library-prior`)
-    worst : as `right`, at that of the test poses where it is largest
-    """
-
-    right: float = np.inf
-    missing: float = np.inf
-    with_prior: float = np.inf
-    worst: float = np.inf
-
-    def to_json(self) -> dict[str, float | None]:
-        """Key `tip_error_mm` (identification/files/README.md, "JSON keys"); None where infinite."""
-        errors = {"model_right": self.right, "effects_missing": self.missing, "effects_missing_prior": self.with_prior}
-        errors |= {"model_right_worst": self.worst}
-        return {name: value if np.isfinite(value) else None for name, value in errors.items()}
-
-
-@dataclass(frozen=True)
 class TipErrors:
-    """Expected tip errors of plans.
+    """Expected tip errors of plans: root mean square distances [mm], infinite where a plan is not enough.
 
     problem : of the model as it is, whose parameters may have a prior, as a spatial arm's geometry has
     wide : `robust_problem` of it, whose added parameters come last
@@ -240,17 +217,24 @@ class TipErrors:
         bias = float(squares @ (noise / wide.precisions[p:]))
         return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
 
-    def of_plan(self, postures: Array) -> TipError:
-        """Of a plan (m, n) and the postures measured already; infinite if the model is not identified."""
+    def of_plan(self, postures: Array) -> dict[str, float]:
+        """Of a plan (m, n) and the postures measured already, by the keys of `tip_error_mm`.
+
+        `model_right` : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its
+        machining; `model_right_worst` at that of the test poses where it is largest; `effects_missing` : effects of
+        typical size are missing in the model, which is fitted in the same way; `effects_missing_prior` : the same arms,
+        fitted with the effects and their prior (`identify --library-prior`); infinite where none are counted
+        """
         p = self.problem.parameters
+        errors = dict.fromkeys(("model_right", "effects_missing", "effects_missing_prior", "model_right_worst"), np.inf)
+        if self.wide.parameters > p:
+            errors["effects_missing_prior"] = self.with_prior(postures)
         if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
-            return TipError(with_prior=self.with_prior(postures))
+            return errors
         posterior, targets = self._information(postures)[1], self._points[..., :p]
         right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
-        mean, largest = float(np.sqrt(right.mean())), float(np.sqrt(right.max()))
-        if self.wide.parameters == p:
-            return TipError(mean, worst=largest)
-        return TipError(mean, self.missing(postures), self.with_prior(postures), largest)
+        errors |= {"model_right": float(np.sqrt(right.mean())), "model_right_worst": float(np.sqrt(right.max()))}
+        return errors | ({"effects_missing": self.missing(postures)} if self.wide.parameters > p else {})
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,12 @@ the end, by about a thousandth of a radian, is put inside by Newton's method.
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 
 from doe.criteria import information_matrix
+from doe.problem.postures import INSIDE, put_inside
 from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array
-
-INSIDE = 1e-6  # [rad] constraints are kept by this much: rounding
 
 
 class PlanAscent:
@@ -33,19 +30,7 @@ class PlanAscent:
         self.criterion = problem.criterion.smooth
         self.joints = list(problem.searched_joints)
         self.derivatives = problem.jacobian_derivatives(self.joints)
-        self.walls = problem.wall_derivatives(self.joints)
         self.firmness = 0.0
-
-    @cached_property
-    def steepness(self) -> Array:
-        """(k,) mean slope of each constraint [mm/rad], over all postures: those of a plan may see it only where it is
-        flat, as the height of an upper arm is as long as its shoulder is what is lowest.
-
-        Less than a thousandth of the steepest is no wall, as the height of the base.
-        """
-        drawn = np.random.default_rng(0).uniform(self.problem.lower, self.problem.upper, (256, self.problem.joints))
-        slopes = np.sqrt(np.mean(np.sum(self.walls.first(drawn)[1] ** 2, axis=1), axis=0))
-        return np.maximum(slopes, 1e-3 * slopes.max(initial=0.0))
 
     def rise(self, plan: Array) -> tuple[float, Array]:
         """Value and slopes (k, a) by the joints that matter; -inf and zero where M is singular."""
@@ -59,8 +44,8 @@ class PlanAscent:
         slopes *= 2.0 * runs / k / (runs + self.problem.prior.runs)
         if self.firmness == 0.0:
             return value, slopes
-        forces = self.firmness * np.maximum(0.0, INSIDE - self.walls.values(plan) / self.steepness)
-        slopes += self.walls.slope(plan, forces / self.steepness)
+        forces = self.firmness * np.maximum(0.0, INSIDE - self.problem.walls.values(plan) / self.problem.steepness)
+        slopes += self.problem.walls.slope(plan, forces / self.problem.steepness)
         return value - float(np.sum(forces**2)) / (2.0 * self.firmness), slopes
 
     def __call__(self, plan: Array, tolerance: float | None = None, stop: Stop = never) -> Array:
@@ -81,7 +66,7 @@ class PlanAscent:
             self.firmness = firmness * slope
             # less exact as long as s still grows
             moved = self._climbed(moved, tolerance * (1.0 if firmness == 1000.0 else 10.0), stop)
-        inside = self.put_inside(moved)
+        inside = put_inside(self.problem, moved)
         return np.where(self.problem.feasible(inside)[:, None], inside, plan)
 
     def _climbed(self, plan: Array, tolerance: float, stop: Stop) -> Array:
@@ -113,22 +98,3 @@ class PlanAscent:
         found = minimize(fall, start, jac=True, method="L-BFGS-B", bounds=box, callback=ended, options=options)
         climbed = postures(found.x)
         return climbed if self.rise(climbed)[0] >= self.rise(plan)[0] else plan
-
-    def put_inside(self, postures: Array) -> Array:
-        """(m, n) postures moved by as little as satisfies the constraints that are broken, most of them into all."""
-        inside = np.array(postures)
-        for _ in range(20):  # Newton steps back inside
-            values, slopes = self.walls.first(inside)
-            missing = np.maximum(0.0, 2.0 * INSIDE - values / self.steepness)
-            outside = np.flatnonzero((missing > INSIDE).any(axis=1))
-            if not len(outside):
-                break
-            slopes = np.where(missing[outside, None] > 0.0, slopes[outside] / self.steepness, 0.0)
-            # the shortest steps, by the slopes that are more than rounding
-            steps = (np.linalg.pinv(np.swapaxes(slopes, 1, 2), rcond=1e-6) @ missing[outside, :, None])[..., 0]
-            # the largest change of a joint in one step
-            steps *= np.minimum(1.0, 0.3 / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
-            moved = inside[outside]
-            moved[:, self.joints] += steps
-            inside[outside] = self.problem.clip(moved)
-        return inside

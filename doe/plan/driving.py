@@ -5,7 +5,7 @@ A posture to which no free way leads is replaced by the best, by the criterion, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -14,12 +14,13 @@ import numpy as np
 
 from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
 from doe.plan.plan import shortest_path
+from doe.plan.spacing import values_with
 from doe.problem.clearance import ROUNDING, SIGHT, Clearance
 from doe.problem.constraints import KINDS, Constraint
 from doe.problem.model import turns
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, InputError, JobError, Plan
+from identification import Array, JobError, Plan
 
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (False, False), "positive": (True, False), "negative": (False, True), "alternate": (True, True)}
@@ -33,10 +34,9 @@ class Drive:
     """A plan of measurements in their order, and how they are driven through.
 
     plan : the measurements;  moves : the same with way-points, None: they were not asked for, and nothing is in the way
-    order : of `ORDERS`, None: nobody asked for one;  approach : of `SENSES`
+    order : `given`, `random` or `travel`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
-    unseen : moves on which the tracker loses sight of the reflector
     cut : whether time ended before free moves were found: then it has none
     """
 
@@ -48,7 +48,6 @@ class Drive:
     before: float = 0.0
     shortest: float = 0.0
     replaced: int = 0
-    unseen: int = 0
     cut: bool = False
 
     def to_json(self) -> dict[str, Any]:
@@ -90,9 +89,6 @@ class Drive:
             if self.approach != "any":
                 how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
                 lines.append(f"every joint comes to each posture {how}")
-            if self.unseen:
-                lost = "the tracker loses sight of the reflector, and has to find it again before a measurement"
-                lines.append(f"On {self.unseen} of {len(self.moves or ()) - 1} moves {lost}")
             if self.replaced:
                 were = "1 of the postures was" if self.replaced == 1 else f"{self.replaced} of the postures were"
                 lines.append(f"{were} replaced: no free way led there from the others")
@@ -110,7 +106,7 @@ def drive(
 ) -> Drive:
     """The moves of a plan whose problem may know of bodies, and postures in the place of those that no way leads to.
 
-    order : of `ORDERS`, None: `travel`, where bodies are known, else as given
+    order : `given`, `random` or `travel`, None: `travel`, where bodies are known, else as given
     approach : of `SENSES`;  signs : (n) of each joint as the controller counts it, empty: as the model does
     stop : asked now and then; where it ends the search, the plan has its order and no moves
 
@@ -127,7 +123,13 @@ def drive(
     postures = turn(plan.postures[shuffled])
     senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
-    room = room._replace(margin=_until(stop, room.margin), allows=_until(stop, room.allows))
+
+    def margin(postures: Array) -> Array:
+        if stop():
+            raise TimeoutError
+        return known_margin(postures)
+
+    known_margin, room = room.margin, room._replace(margin=margin)
     try:
         for _ in range(5):
             entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
@@ -156,58 +158,30 @@ def drive(
     shortest = space.length(postures[path])
     moves = None if known is None and approach == "any" else whole
     measured = replace(plan, postures=postures[found.rows])
-    travel, unseen = space.length(whole.postures), out_of_sight(problem.constraints, whole.postures)
-    return Drive(measured, moves, order, approach, travel, before, shortest, len(replaced), unseen)
+    return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
 
 
-def _until(stop: Stop, asked: Callable[[Array], Any]) -> Callable[[Array], Any]:
-    """The function that raises `TimeoutError` once a search is to end."""
-
-    def answer(postures: Array) -> Any:
-        if stop():
-            raise TimeoutError
-        return asked(postures)
-
-    return answer
-
-
-def out_of_sight(constraints: Sequence[Constraint], way: Array, places: int = 50) -> int:
-    """How many of the straight moves along a way (m, n) are out of a tracker's sight, at some of so many places."""
-    shares, steps = np.linspace(0.0, 1.0, places)[:, None], np.diff(way, axis=0)
-    between = (way[:-1, None] + shares * steps[:, None]).reshape(-1, way.shape[1])
-    hidden = np.zeros(len(between), dtype=bool)
-    for each in constraints:
-        sights = [SIGHT in pair for pair in each.pairs] if isinstance(each, Clearance) else []
-        if any(sights) or each.kind == "line_of_sight":
-            apart = each.distance(between)[:, sights] if isinstance(each, Clearance) else each.margin(between)
-            hidden |= np.any(apart < -ROUNDING, axis=1)
-    return int(hidden.reshape(-1, places).any(axis=1).sum())
-
-
-def unproven(constraints: Sequence[Constraint], postures: Array) -> list[tuple[int, tuple[str, str], float]] | None:
-    """Moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads to, the pair of
-    bodies that comes nearest to what is kept, and how near [mm]; None where nothing is known of any body."""
+def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]] | None:
+    """Key `not_free`: moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads
+    to, the bodies that come nearest to what is kept, and how near; None where nothing is known of any body."""
     if (room := room_of(constraints)) is None:
         return None
     clearance = next(each for each in constraints if isinstance(each, Clearance))
     kept = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
-    found, shares = [], np.linspace(0.0, 1.0, 300)[:, None]
+    moves, shares = list[dict[str, Any]](), np.linspace(0.0, 1.0, 300)[:, None]
     for row in np.flatnonzero(~free(postures[:-1], postures[1:], room)).tolist():
         apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
         at, k = divmod(int(np.argmin(apart - kept)), len(kept))
-        found.append((row + 2, clearance.pairs[k], float(apart[at, k])))
-    return found
+        moves.append({"row": row + 2, "bodies": [*clearance.pairs[k]], "distance_mm": float(apart[at, k])})
+    return moves
 
 
-def not_free(moves: Sequence[tuple[int, tuple[str, str], float]]) -> list[dict[str, Any]]:
-    """The same by the keys of files."""
-    return [{"row": row, "bodies": [*pair], "distance_mm": gap} for row, pair, gap in moves]
-
-
-def in_sentences(moves: Sequence[tuple[int, tuple[str, str], float]]) -> list[str]:
-    """What is to be said of moves that are not proven to be free."""
+def in_sentences(moves: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What is to be said of moves that are `unproven`."""
     lines = [f"Moves: {len(moves)} may collide on the way:"] if moves else []
-    return lines + [f"  to row {row}: {one} and {other} come to {gap:.0f} mm" for row, (one, other), gap in moves]
+    return lines + [
+        f"  to row {each['row']}: {' and '.join(each['bodies'])} come to {each['distance_mm']:.0f} mm" for each in moves
+    ]
 
 
 def one_turn(problem: DesignProblem, room: Room, generator: np.random.Generator) -> Callable[[Array], Array]:
@@ -241,8 +215,6 @@ def another(
     space: Space,
     turn: Callable[[Array], Array],
     generator: np.random.Generator,
-    candidates: int = 200,
-    nearest: int = 10,
 ) -> Array:
     """(m, n) postures, in the place of lost rows the best of those that have a free move to one of the nearest others:
     the same with joints turned by whole turns, and random ones."""
@@ -250,9 +222,9 @@ def another(
     whole = np.array([*product((0.0, 1.0, -1.0), repeat=problem.joints)]) * 2.0 * np.pi * turns(problem.model)
     for row in lost:
         if problem.choices is None:
-            drawn = turn(random_postures(problem, candidates, generator))
+            drawn = turn(random_postures(problem, 200, generator))
         else:
-            drawn = generator.permutation(problem.choices)[:candidates]
+            drawn = generator.permutation(problem.choices)[:200]
         if problem.choices is None or problem.sampled:
             turned = np.unique(postures[row] + whole, axis=0)
             drawn = np.concatenate(
@@ -260,13 +232,11 @@ def another(
             )
         others = np.delete(postures, row, axis=0)
         apart = space.travel(drawn[:, None], others).min(axis=1, initial=np.inf)
-        drawn, total = drawn[(apart >= problem.minimum_distance) & room.allows(drawn)], len(others) + problem.prior.runs
-        before = total / (total + 1.0) * problem.information(others)[None]
-        offered = problem.scaled_jacobians(drawn)[None] / np.sqrt(total + 1.0)
-        values = problem.criterion.smooth.values_after_adding(before, offered)[0] if len(drawn) else np.empty(0)
+        drawn = drawn[(apart >= problem.minimum_distance) & room.allows(drawn)]
+        values = values_with(problem, others, drawn) if len(drawn) else np.empty(0)
         best, together = drawn[np.argsort(-values, kind="stable")], 20
         for some in (best[k : k + together] for k in range(0, len(best), together)):
-            near = np.argsort(space.travel(some[:, None], postures[kept]), axis=1)[:, :nearest]
+            near = np.argsort(space.travel(some[:, None], postures[kept]), axis=1)[:, :10]
             ways = free(np.repeat(some, near.shape[1], axis=0), postures[kept][near.ravel()], room)
             led_to = ways.reshape(near.shape).any(axis=1) if len(kept) else np.ones(len(some), dtype=bool)
             if led_to.any():
@@ -303,12 +273,6 @@ def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | Non
     count = margins(np.zeros((1, len(longest))), 0.0).shape[1] - len(solid)
     levers = np.concatenate([clearance.levers()[solid], np.broadcast_to(longest, (count, len(longest)))])
     return Room(lambda q: margins(q, wall), levers, lambda q: np.all(margins(q, 0.0) >= 0.0, axis=1))
-
-
-def check_approach(approach: str) -> None:
-    """Raises `InputError` with the nearest name for an unknown approach."""
-    if approach not in SENSES:
-        raise InputError.unknown("approach: unknown", approach, SENSES)
 
 
 def with_approach(problem: DesignProblem, approach: str, signs: Sequence[int] = ()) -> DesignProblem:

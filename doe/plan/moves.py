@@ -94,53 +94,33 @@ def free(
 class Roadmap:
     """Postures, and moves between them that nothing is known to be in the way of.
 
-    nodes : (M, n);  length : (M, M) [rad] of the moves, inf where there is none
-    proven : (M, M) whether they are proven to be free;  tried : whether anybody has looked
+    nodes : (M, n);  length : (M, M) [rad] of the moves of a node and a later one, inf of those that are seen to
+    collide, NaN where nobody has looked;  proven : (M, M) whether they are proven to be free
     """
 
     def __init__(self, room: Room, space: Space) -> None:
-        self.room, self.space = room, space
-        self.nodes, self.length = np.empty((0, len(space.units))), np.empty((0, 0))
-        self.proven, self.tried = np.empty((0, 0), dtype=bool), np.empty((0, 0), dtype=bool)
+        self.room, self.space, self.nodes = room, space, np.empty((0, len(space.units)))
+        self.length, self.proven = np.empty((0, 0)), np.empty((0, 0), dtype=bool)
 
     def add(self, nodes: Array) -> Numbers:
         """Numbers of new nodes (k, n), without a move to them."""
         old, new = len(self.nodes), (0, len(nodes))
         self.nodes = np.concatenate([self.nodes, nodes])
-        self.length = np.pad(self.length, new, constant_values=np.inf)
-        self.proven, self.tried = np.pad(self.proven, new), np.pad(self.tried, new)
+        self.length, self.proven = np.pad(self.length, new, constant_values=np.nan), np.pad(self.proven, new)
         return np.arange(old, len(self.nodes))
 
-    def connect(self, *pairs: tuple[Numbers, Numbers], levels: int = 2) -> None:
-        """Moves between nodes (e,) and others, but for those that are seen to collide."""
-        low, high = np.sort(np.concatenate([np.stack(each) for each in pairs], axis=1), axis=0)
-        new = (low < high) & ~self.tried[low, high]
-        low, high = np.unique(np.stack([low[new], high[new]]), axis=1)
-        self.tried[low, high] = True
-        good = free(self.nodes[low], self.nodes[high], self.room, levels)
-        self._set(low[good], high[good], self.space.travel(self.nodes[low[good]], self.nodes[high[good]]) + 1e-9)
+    def connect(self, *pairs: tuple[Numbers, Numbers], levels: int | None = 2) -> None:
+        """Looks for moves between nodes (e,) and others, of which nobody has looked.
 
-    def near(self, new: Numbers, count: int = 12) -> tuple[Numbers, Numbers]:
-        """(k * count) nodes, and those that are nearest to each."""
-        apart = self.space.travel(self.nodes[new][:, None], self.nodes)
-        nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : count + 1]
-        return np.repeat(new, nearest.shape[1]), nearest.ravel()
-
-    def prove(self, one: Numbers, other: Numbers) -> None:
-        """Proves moves between nodes, or forgets them."""
-        good = free(self.nodes[one], self.nodes[other], self.room)
-        self.proven[one[good], other[good]] = self.proven[other[good], one[good]] = True
-        self._set(one[~good], other[~good], np.inf)
-
-    def _set(self, one: Numbers, other: Numbers, length: Array | float) -> None:
-        self.length[one, other] = self.length[other, one] = length
-
-    def from_nodes(self, starts: Numbers) -> tuple[Array, Numbers]:
-        """(s, M) [rad] lengths of the shortest ways from each of some nodes to every node, and the nodes before it."""
-        from scipy.sparse.csgraph import dijkstra
-
-        length, before = dijkstra(self.length, directed=False, indices=starts, return_predecessors=True)
-        return length, before
+        levels : as `free` has them; None: proves those that are known, or forgets them
+        """
+        low, high = np.unique(np.sort(np.concatenate([np.stack(each) for each in pairs], axis=1), axis=0), axis=1)
+        wanted = (low < high) & (np.isnan(self.length[low, high]) if levels else ~self.proven[low, high])
+        low, high = low[wanted], high[wanted]
+        starts, ends = self.nodes[low], self.nodes[high]
+        good = free(starts, ends, self.room, levels)
+        self.length[low, high] = np.where(good, self.space.travel(starts, ends) + 1e-9, np.inf)
+        self.proven[low, high] = good & (levels is None)
 
 
 class Route(NamedTuple):
@@ -176,8 +156,7 @@ def route(
     m, generator, road = len(postures), np.random.default_rng(seed), Roadmap(room, space)
     starts = road.add(postures)
     aims = starts if entries is None else road.add(entries)
-    road.proven[starts, aims] = road.proven[aims, starts] = True
-    road.length[starts, aims] = road.length[aims, starts] = space.travel(postures, road.nodes[aims]) + 1e-9
+    road.proven[starts, aims], road.length[starts, aims] = True, space.travel(postures, road.nodes[aims]) + 1e-9
     road.connect((starts[:-1], aims[1:]) if keep_order else (np.repeat(starts, m), np.tile(aims, m)))
     ideal = space.travel(postures[:, None], road.nodes[aims])
     order, ways, missing = settled(road, starts, aims, keep_order)
@@ -192,8 +171,10 @@ def route(
         drawn = generator.uniform(low, high, (spread, len(low)))
         about = road.nodes[generator.choice(missing if len(missing) else aims, spread)]
         drawn[::2] = (about + 0.3 * generator.random((spread, 1)) * (drawn - about))[::2]
-        new = road.add(drawn[room.allows(drawn)])
-        road.connect(road.near(new), road.near(starts), road.near(aims))
+        fresh = np.r_[road.add(drawn[room.allows(drawn)]), starts, aims]
+        apart = space.travel(road.nodes[fresh][:, None], road.nodes)
+        nearest = np.argsort(apart, axis=1, kind="stable")[:, 1:13]  # a dozen of each
+        road.connect((np.repeat(fresh, nearest.shape[1]), nearest.ravel()))
         order, ways, missing = settled(road, starts, aims, keep_order)
         shortest = np.inf
     for share in (0.7, 0.7, 0.5, 0.5):  # of the way from a bend to the straight line
@@ -222,9 +203,12 @@ def settled(
 
     proof : it is the shortest of all orders, not just of many
     """
+    from scipy.sparse.csgraph import dijkstra
+
     m = len(starts)
     while True:
-        length, before = road.from_nodes(starts)
+        # (m, M) of the shortest ways to every node, and the nodes before it
+        length, before = dijkstra(road.length, directed=False, indices=starts, return_predecessors=True)
         cost = length[:, aims]
         reached = np.isfinite(cost)
         order = np.arange(m)
@@ -240,13 +224,13 @@ def settled(
             while reached[one, other] and way[-1] != starts[one]:
                 way.append(int(before[one, way[-1]]))
             ways.append(way[::-1] if reached[one, other] else [int(starts[one]), int(aims[other])])
-        pairs = np.array([pair for way in ways for pair in pairwise(way)], dtype=np.intp).reshape(-1, 2)
-        pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-        one, other = pairs[np.isfinite(road.length[tuple(pairs.T)]) & ~road.proven[tuple(pairs.T)]].T
-        if not len(one):
+        moves = np.array([pair for way in ways for pair in pairwise(way)], dtype=np.intp).reshape(-1, 2)
+        one, other = np.sort(moves, axis=1).T
+        left = np.isfinite(road.length[one, other]) & ~road.proven[one, other]
+        if not left.any():
             label = reached.argmax(axis=1)
             return order, ways, np.flatnonzero(label != np.bincount(label).argmax())
-        road.prove(one, other)
+        road.connect((one[left], other[left]), levels=None)
 
 
 def approaches(

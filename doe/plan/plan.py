@@ -12,16 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Array, InputError
+from identification import Array
 
-ORDERS = ("given", "random", "travel")
 Path = NDArray[np.intp]
-
-
-def check_order(order: str | None) -> None:
-    """Raises `InputError` with the nearest name for an unknown order."""
-    if order is not None and order not in ORDERS:
-        raise InputError.unknown("order: unknown", order, ORDERS)
 
 
 def shortest_path(cost: Array, proof: bool = True) -> Path:

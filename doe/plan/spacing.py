@@ -76,6 +76,14 @@ def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
     return places[problem.feasible(places)] if len(places) else places
 
 
+def values_with(problem: DesignProblem, plan: Array, places: Array) -> Array:
+    """(k,) criterion values of a plan (m, n) with each of the places (k, n) beside it, but for a number of the plan."""
+    runs = len(plan) + problem.prior.runs + 1.0
+    information = (information_matrix(problem.scaled_jacobians(plan)) + problem.prior.total) / runs
+    offered = problem.scaled_jacobians(places) / np.sqrt(runs)
+    return problem.criterion.smooth.values_after_adding(information[None], offered[None])[0]
+
+
 def separated(problem: DesignProblem, postures: Array) -> Array:
     """The same plan with every repeat moved to the best free posture near it; unchanged where there is none."""
     plan, crowded = np.array(postures), too_near(problem, postures)
@@ -84,14 +92,11 @@ def separated(problem: DesignProblem, postures: Array) -> Array:
     steps = [size * unit for unit in units for size in sizes]  # of one joint, and below of two
     steps += [a + b for a, b in product(steps, steps) if np.count_nonzero(a + b) == 2] if len(crowded) else []
     for row in crowded if len(crowded) <= 2000 else ():
-        others = np.vstack([np.delete(plan, row, axis=0), problem.kept])
+        others = np.delete(plan, row, axis=0)
         around = plan[row] + np.array(steps)
         around = around[np.all((around >= problem.lower) & (around <= problem.upper), axis=1)]
-        if len(places := with_room(problem, around, others)):
-            information = information_matrix(problem.scaled_jacobians(others)) / len(others)
-            jacobians = problem.scaled_jacobians(places) / np.sqrt(len(others))
-            values = problem.criterion.smooth.values_after_adding(information[None], jacobians[None])[0]
-            plan[row] = places[np.argmax(values)]
+        if len(places := with_room(problem, around, np.vstack([others, problem.kept]))):
+            plan[row] = places[np.argmax(values_with(problem, others, places))]
     return plan
 
 
@@ -114,16 +119,11 @@ def spread_free_joints(problem: DesignProblem, postures: Array, generator: Gener
 
 def with_additions(problem: DesignProblem, plan: Array, count: int, generator: Generator) -> Array | None:
     """(m + count, n) the plan (m, n) and, one by one, the postures that add most; None where none more is allowed."""
-    total = len(plan) + problem.prior.runs
 
     def best(places: Array) -> Array | None:
         """(n,) the place that the plan gains most by; None where none is allowed beside the plan's postures."""
         places = with_room(problem, places, np.concatenate([longer, problem.kept]))
-        if not len(places):
-            return None
-        before = total / (total + 1.0) * problem.information(longer)[None]
-        offered = problem.scaled_jacobians(places)[None] / np.sqrt(total + 1.0)
-        return np.asarray(places[np.argmax(problem.criterion.smooth.values_after_adding(before, offered)[0])])
+        return np.asarray(places[np.argmax(values_with(problem, longer, places))]) if len(places) else None
 
     longer, listed = np.array(plan), problem.choices
     if listed is not None:
@@ -140,5 +140,5 @@ def with_additions(problem: DesignProblem, plan: Array, count: int, generator: G
             near = problem.clip(posture + moves * 0.5 * (problem.upper - problem.lower))
             better = best(np.concatenate([posture[None], near]))
             posture = posture if better is None else better
-        longer, total = np.concatenate([longer, posture[None]]), total + 1.0
+        longer = np.concatenate([longer, posture[None]])
     return longer

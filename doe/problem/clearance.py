@@ -19,7 +19,7 @@ of a pair that is always near, as both neighbours of a short link, a quarter of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -77,14 +77,14 @@ class Clearance:
         self._frames = np.stack([np.where(joint == tip, 0, joint), joint])  # (2, K) of the ends of each axis
         axes = np.concatenate(capsules)
         self._ends, self._radii = np.stack([axes[:, :3], axes[:, 3:6]]), axes[:, 6]
-        self._boxes, self._floor = np.concatenate(boxes), cell.floor
-        self._last: Seen | None = None
-        # pieces in this order: capsules, boxes, the floor
-        numbers = range(len(names))
+        self._boxes, self._floor = np.concatenate(boxes), cell.floor or 0.0
+        # pieces in this order: capsules, boxes, the floor; of each its joint and its kind
         counts = [*map(len, capsules)], [*map(len, boxes)], [int(name == FLOOR) for name in names]
-        owner = np.concatenate([np.repeat(numbers, each) for each in counts])
+        self._joints = np.concatenate([joint, np.zeros(len(self._boxes) + len(ground), dtype=int)])
+        self._kinds = np.repeat([0, 1, 2], [sum(each) for each in counts])
+        owner = np.concatenate([np.repeat(range(len(names)), each) for each in counts])
         pairs, pieces = list[tuple[str, str]](), list[tuple[int, int, int]]()
-        for one in numbers:
+        for one in range(len(names)):
             for other in range(one):  # which stands still where one does: boxes and the floor come second
                 pair = names[one], names[other]
                 if joints[one] == joints[other] or frozenset(pair) in cell.apart or {*pair} == {SIGHT, FLOOR}:
@@ -93,29 +93,23 @@ class Clearance:
                 pieces += [(len(pairs), a, b) for a in first.tolist() for b in second.tolist()]
                 pairs += [pair] if len(first) and len(second) else []
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
-        self._choose()
-
-    def _choose(self, near: float = 60.0, share: float = 0.25) -> None:
-        """Of all pairs those that are looked at, by 1000 random postures: not those that always touch.
-
-        near : [mm] of pairs that never come farther apart, and touch by their covers, the drawings are compared, at the
-            postures where covers overlap most: covers stick out
-        share : of the largest distance of a pair, seldom postures aside: the clearance that is asked at most
-        """
-        model, bodies = self.model, {body.name: body for body in self.model.cell.bodies}
+        self._last: Seen | None = None
+        # of all pairs those that are looked at, by random postures: not those that always touch
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         apart = self.distance(drawn)
-        largest = np.quantile(apart, 0.98, axis=0)
-        never = (largest < near) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*bodies} for pair in self.pairs]
+        largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
+        # [mm] of pairs that never come farther apart, and touch by their covers, drawings are compared at the postures
+        # where covers overlap most: covers stick out
+        bodies = {body.name: body for body in cell.bodies}
+        never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*bodies} for pair in pairs]
         for k in np.flatnonzero(never):
             worst = self._frames_at(drawn[np.argsort(apart[:, k])[:60]])
-            one, other = (bodies[name] for name in self.pairs[k])
-            never[k] = not drawn_touch(one, other, worst)
+            never[k] = not drawn_touch(bodies[pairs[k][0]], bodies[pairs[k][1]], worst)
         kept = (largest > 0.0) & ~never
-        self.touching = tuple(self.pairs[k] for k in np.flatnonzero(~kept & ~never))
-        self.clear = tuple(self.pairs[k] for k in np.flatnonzero(never))
-        self.pairs = tuple(self.pairs[k] for k in np.flatnonzero(kept))
-        self.asked = np.minimum(self.usual, share * largest)[kept]
+        self.touching, self.clear, self.pairs = (
+            tuple(pairs[k] for k in np.flatnonzero(chosen)) for chosen in (~kept & ~never, never, kept)
+        )
+        self.asked = np.minimum(self.usual, 0.25 * largest)[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
         self._last = None
@@ -131,16 +125,14 @@ class Clearance:
         steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
         along = np.r_[0.0, 0.0, np.cumsum(steps)]  # from joint 1 to each frame
         far = np.max(along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii, axis=0)
-        turning = turns(self.model)
-        joints, (first, second) = np.arange(1, len(turning) + 1), self._pieces[:, 1:].T
-        second = np.where(second < len(far), second, -1)  # boxes and the floor stand still
-        frames, sights = np.r_[self._frames[1], 0], np.r_[self._frames[0] != self._frames[1], False]
-        lengths = np.where(turning, np.maximum(np.r_[far, 0.0][:, None] - along[1:-1], 0.0), 1.0)  # (K + 1, n)
-        lengths *= joints <= frames[:, None]
-        inside = np.where(sights[first][:, None], lengths[second], -np.inf)
-        apart = np.where(joints > frames[second][:, None], lengths[first], lengths[first] * sights[first][:, None])
-        starts = np.searchsorted(self._pieces[:, 0], range(len(self.pairs)))
-        return np.asarray(np.maximum.reduceat(apart + np.maximum(inside, 0.0), starts, axis=0))
+        turning, joints = turns(self.model), np.arange(1, len(steps) + 1)
+        lengths = np.where(turning, np.maximum(far[:, None] - along[1:-1], 0.0), 1.0)  # (K, n)
+        lengths = np.where(joints <= self._joints[: len(far), None], lengths, 0.0)
+        lengths = np.pad(lengths, ((0, len(self._joints) - len(far)), (0, 0)))  # boxes and the floor stand still
+        first, second = self._pieces[:, 1:].T
+        sight, between = self._frames[0, first] != self._joints[first], joints > self._joints[second, None]
+        most = np.where(between | sight[:, None], lengths[first], 0.0) + sight[:, None] * lengths[second]
+        return np.asarray(np.maximum.reduceat(most, self._starts, axis=0))
 
     # -- distances -----------------------------------------------------------------------------------------------------
     def margin(self, postures: Array) -> Array:
@@ -154,15 +146,11 @@ class Clearance:
         parts = [self._seen(rows[k : k + size]).least for k in range(0, len(rows), size)]
         return np.concatenate([np.empty((0, len(self.pairs))), *parts])
 
-    def too_near(self, postures: Array) -> list[tuple[int, tuple[str, str], float]]:
-        """Number of the posture from 1, pair, and distance [mm] wherever a pair is nearer than is asked."""
+    def too_near(self, postures: Array) -> list[dict[str, Any]]:
+        """Key `collisions`: run from 1, bodies, and distance wherever a pair is nearer than is asked."""
         apart = self.distance(postures)
         near = np.argwhere(apart < self.asked - ROUNDING).tolist()
-        return [(run + 1, self.pairs[k], float(apart[run, k])) for run, k in near]
-
-    def to_json(self, postures: Array) -> list[dict[str, Any]]:
-        """`too_near` by the keys of `collisions`."""
-        return [{"run": run, "bodies": [*pair], "distance_mm": gap} for run, pair, gap in self.too_near(postures)]
+        return [{"run": run + 1, "bodies": [*self.pairs[k]], "distance_mm": float(apart[run, k])} for run, k in near]
 
     def in_words(self, postures: Array, most: int = 6) -> list[str]:
         """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs, of
@@ -170,9 +158,9 @@ class Clearance:
         near, lines = self.too_near(postures), list[str]()
         many = len(np.unique(postures, axis=0))  # of data a posture may have many rows
         if near:
-            those = len(np.unique(postures[[run - 1 for run, *_ in near]], axis=0))
+            those = len(np.unique(postures[[each["run"] - 1 for each in near]], axis=0))
             lines.append(f"Collisions: {those} of {many} postures bring bodies too near to each other:")
-        lines += [f"  run {run}: {distance_in_words(pair, gap)}" for run, pair, gap in near]
+        lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in near]
         touching, clear = ([" and ".join(pair) for pair in pairs] for pairs in (self.touching, self.clear))
         few = np.flatnonzero(self.asked < self.usual)
         narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
@@ -188,6 +176,11 @@ class Clearance:
             lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []
         return lines
 
+    @property
+    def _starts(self) -> NDArray[np.intp]:
+        """(k,) the first pair of pieces of each pair."""
+        return np.searchsorted(self._pieces[:, 0], range(len(self.pairs)))
+
     def _seen(self, postures: Array) -> Seen:
         """What there is to see at postures (m, n); kept for the next question about the same ones.
 
@@ -201,36 +194,26 @@ class Clearance:
         if not count:
             return Seen(postures.copy(), frames, placed, np.empty((m, 0)), np.empty((m, 0), dtype=np.intp))
         pair, first, second = self._pieces.T
-        radius, along = self._radii[first], placed[1] - placed[0]
+        along = placed[1] - placed[0]
         middle, half = placed[0] + 0.5 * along, 0.5 * np.sqrt(dot(along, along))
         most, least = np.empty((2, m, len(pair)))
-        kinds = np.digitize(second, [capsules, capsules + len(self._boxes)])
-        axes, walls, floors = (np.flatnonzero(kinds == kind) for kind in range(3))
+        axes, walls, floors = (np.flatnonzero(self._kinds[second] == kind) for kind in range(3))
         points = np.moveaxis(middle, 0, -1)
         square = np.sum(points**2, axis=-1)
         apart = square[:, :, None] + square[:, None] - 2.0 * points @ np.swapaxes(points, 1, 2)
         apart = np.sqrt(np.maximum(apart, 0.0)).reshape(m, -1)[:, first[axes] * capsules + second[axes]]
-        most[:, axes] = apart - (radius[axes] + self._radii[second[axes]])
+        most[:, axes] = apart - (self._radii[first[axes]] + self._radii[second[axes]])
         least[:, axes] = most[:, axes] - half[:, first[axes]] - half[:, second[axes]]
         if len(walls):
-            boxes, size = second[walls] - capsules, self._boxes[second[walls] - capsules, 12:].T
-            most[:, walls] = from_box(self._in_box(middle[..., first[walls]], boxes), size[:, None]) - radius[walls]
-            least[:, walls] = most[:, walls] - half[:, first[walls]]
-        ends = placed[:, 2][..., first[floors]]
-        least[:, floors] = most[:, floors] = ends.min(axis=0) - radius[floors] - (self._floor or 0.0)
-        starts = np.searchsorted(pair, range(count))
-        bound = np.minimum.reduceat(most, starts, axis=1) + ROUNDING
+            boxes, one = second[walls] - capsules, first[walls]
+            most[:, walls] = from_box(self._in_box(middle[..., one], boxes), self._boxes[boxes, 12:].T[:, None])
+            most[:, walls] -= self._radii[one]
+            least[:, walls] = most[:, walls] - half[:, one]
+        one = first[floors]
+        least[:, floors] = most[:, floors] = placed[:, 2][..., one].min(axis=0) - self._radii[one] - self._floor
+        bound = np.minimum.reduceat(most, self._starts, axis=1) + ROUNDING
         run, piece = np.nonzero(least <= bound[:, pair])
-        exact = most[run, piece]
-        chosen = np.flatnonzero(kinds[piece] == 0)
-        at, one, two = run[chosen], first[piece[chosen]], second[piece[chosen]]
-        gap = shortest(*placed[:, :, at, one], *placed[:, :, at, two])[2]
-        exact[chosen] = np.sqrt(dot(gap, gap)) - radius[piece[chosen]] - self._radii[two]
-        if len(chosen := np.flatnonzero(kinds[piece] == 1)):
-            at, one, box = run[chosen], first[piece[chosen]], second[piece[chosen]] - capsules
-            a, b = (self._in_box(end[:, at, one], box) for end in placed)
-            size = self._boxes[box, 12:].T
-            exact[chosen] = from_box(a + nearest_to_box(a, b, size)[0] * (b - a), size) - radius[piece[chosen]]
+        exact = self._witness(placed, run, piece)[0]
         groups = np.flatnonzero(np.diff(run * count + pair[piece], prepend=-1))
         distance = np.minimum.reduceat(exact, groups)
         ranks = np.where(exact == np.repeat(distance, np.diff(groups, append=len(run))), piece, len(pair))
@@ -258,92 +241,95 @@ class Clearance:
         shifted = points - centers.reshape(3, *np.ones(points.ndim - 2, dtype=int), -1)
         return np.einsum("wij,i...w->j...w", turns, shifted)
 
-    # -- derivatives ---------------------------------------------------------------------------------------------------
-    def nearest(self, postures: Array) -> NDArray[np.intp]:
-        """(m, k) numbers of the pairs of pieces that have the distances."""
-        return self._seen(postures).nearest
+    def _witness(self, placed: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+        """(N,) distances of N pairs of pieces, each at one of the postures, (2, N) shares of the way along both axes to
+        the nearest points, and (3, N) the directions in which the first gets away."""
+        first, second = self._pieces[piece, 1:].T
+        kinds, (a, b) = self._kinds[second], placed[:, :, run, first]
+        distance, shares, away = -self._radii[first], np.zeros((2, len(run))), np.zeros((3, len(run)))
+        if len(axes := np.flatnonzero(kinds == 0)):
+            one, (c, d) = (a[:, axes], b[:, axes]), placed[:, :, run[axes], second[axes]]
+            shares[0, axes], shares[1, axes], between = shortest(*one, c, d)
+            length = np.sqrt(dot(between, between))
+            distance[axes] += length - self._radii[second[axes]]
+            if (crossed := length < 1e-6).any():  # the direction across both
+                between[:, crossed] = np.cross(one[1] - one[0], d - c, axis=0)[:, crossed]
+                length = np.sqrt(dot(between, between))
+            away[:, axes] = between / np.maximum(length, TINY)
+        if len(walls := np.flatnonzero(kinds == 1)):
+            box = second[walls] - len(self._radii)
+            start, end, half = self._in_box(a[:, walls], box), self._in_box(b[:, walls], box), self._boxes[box, 12:].T
+            share, along_sides = nearest_to_box(start, end, half)
+            shares[0, walls], distance[walls] = share, distance[walls] + from_box(start + share * (end - start), half)
+            away[:, walls] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), along_sides)
+        floors = np.flatnonzero(kinds == 2)
+        shares[0, floors], away[2, floors] = b[2, floors] < a[2, floors], 1.0
+        distance[floors] += np.minimum(a[2, floors], b[2, floors]) - self._floor
+        return distance, shares, away
 
-    def gradients(self, postures: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> Array:
+    # -- derivatives, as `doe.problem.constraints.Derivatives` has those of expressions --------------------------------
+    @property
+    def count(self) -> int:
+        """k."""
+        return len(self.pairs)
+
+    values = margin
+
+    def first(self, postures: Array) -> tuple[Array, Array]:
+        """(m, k) margins and their derivatives (m, n, k) by the joints."""
+        run, nearest = np.repeat(np.arange(len(postures)), self.count), self._seen(postures).nearest
+        slopes = self._gradients(postures, run, nearest.ravel())
+        return self.margin(postures), np.swapaxes(slopes.reshape(len(postures), self.count, -1), 1, 2)
+
+    def slope(self, postures: Array, weights: Array) -> Array:
+        """(m, n) gradients of the sums with weights (m, k)."""
+        return self._slope_of(self._seen(postures).nearest, postures, weights)
+
+    def bend(self, postures: Array, weights: Array) -> Array:
+        """(m, n, n) Hessians of the sums: differences of the gradients of the same pieces."""
+        steps = 1e-4 * np.eye(postures.shape[1])[:, None]
+        moved, alike = np.concatenate([postures + steps, postures - steps]), (2 * len(steps), 1)
+        pieces = np.tile(self._seen(postures).nearest, alike)
+        slopes = self._slope_of(pieces, moved.reshape(-1, postures.shape[1]), np.tile(weights, alike))
+        ahead, behind = slopes.reshape(2, len(steps), len(postures), len(steps))
+        bend = np.moveaxis(ahead - behind, 0, 1) / 2e-4
+        return np.asarray(0.5 * (bend + np.swapaxes(bend, 1, 2)))
+
+    def _slope_of(self, pieces: NDArray[np.intp], postures: Array, weights: Array) -> Array:
+        """Of the distances of pairs of pieces (m, k)."""
+        run, pair = np.nonzero(weights)
+        slopes, total = self._gradients(postures, run, pieces[run, pair]), np.zeros(postures.shape)
+        np.add.at(total, run, weights[run, pair, None] * slopes)
+        return total
+
+    def _gradients(self, postures: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> Array:
         """(N, n) how the distances of N pairs of pieces, each at one of the postures, change with the joints
         [mm/rad, 1]."""
         last = self._last
         kept = last is not None and np.array_equal(last.postures, postures)
         frames, placed = (last.frames, last.placed) if last is not None and kept else self._placed(postures)
-        first, second = self._pieces[piece, 1:].T
-        capsules, axis = len(self._radii), second < len(self._radii)
-        a, b = placed[:, :, run, first]  # (3, N)
-        other = np.where(axis, second, 0)
-        c, d = placed[:, :, run, other]
-        share, shared, normal = shortest(a, b, c, d)
-        # of axes that cross each other the direction across both
-        normal = np.where(dot(normal, normal) < 1e-12, np.cross(b - a, d - c, axis=0), normal)
-        normal /= np.maximum(np.sqrt(dot(normal, normal)), TINY)
-        share = np.where(axis, share, b[2] < a[2])
-        normal = np.where(axis, normal, np.array([[0.0], [0.0], [1.0]]))
-        if len(wall := np.flatnonzero(~axis & (second < capsules + len(self._boxes)))):
-            box = second[wall] - capsules
-            start, end = self._in_box(a[:, wall], box), self._in_box(b[:, wall], box)
-            share[wall], away = nearest_to_box(start, end, self._boxes[box, 12:].T)
-            normal[:, wall] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), away)
+        _, shares, away = self._witness(placed, run, piece)
         # (m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide
         along, turning = frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], turns(self.model)[:, None]
         moment = np.where(turning, along[..., 0], 0.0)
         force = np.where(turning, np.cross(frames[:, 1:-1, :3, 3], along[..., 0]), along[..., 0])
         slopes, joints = np.zeros((len(run), moment.shape[1])), np.arange(1, moment.shape[1] + 1)
-        still = np.where(axis, self._frames[1, other], 0)
-        for sign, near, far, part, piece, frame in (
-            (1.0, a, b, share, first, self._frames[1, first]),
-            (-1.0, c, d, shared, other, still),
-        ):
-            sight = self._frames[0, piece] < self._frames[1, piece]  # of which only the far end moves
+        for sign, part, side in zip((1.0, -1.0), shares, self._pieces[piece, 1:].T, strict=True):
+            axis = np.minimum(side, len(self._radii) - 1)  # boxes and the floor stand still
+            near, far = placed[:, :, run, axis]
+            sight = self._frames[0, axis] < self._frames[1, axis]  # of which only the far end moves
             point, weight = np.where(sight, far, near + part * (far - near)), np.where(sight, part, 1.0)
-            turned = (moment[run] @ np.cross(point.T, normal.T)[:, :, None])[..., 0]
-            pushed = (force[run] @ normal.T[:, :, None])[..., 0]
-            slopes += (sign * weight)[:, None] * np.where(joints <= frame[:, None], turned + pushed, 0.0)
+            turned = (moment[run] @ np.cross(point.T, away.T)[:, :, None])[..., 0]
+            pushed = (force[run] @ away.T[:, :, None])[..., 0]
+            moves = joints <= self._joints[side, None]
+            slopes += (sign * weight)[:, None] * np.where(moves, turned + pushed, 0.0)
         return slopes
 
 
-class Slopes:
-    """Derivatives of a clearance by some joints, as `doe.problem.constraints.Derivatives` has those of expressions."""
-
-    def __init__(self, clearance: Clearance, joints: Sequence[int]) -> None:
-        self.clearance, self.joints, self.count = clearance, list(joints), len(clearance.pairs)
-
-    def values(self, postures: Array) -> Array:
-        """(m, k) margins."""
-        return self.clearance.margin(postures)
-
-    def first(self, postures: Array) -> tuple[Array, Array]:
-        """(m, k) margins and their derivatives (m, a, k)."""
-        run, nearest = np.repeat(np.arange(len(postures)), self.count), self.clearance.nearest(postures)
-        slopes = self.clearance.gradients(postures, run, nearest.ravel())[:, self.joints]
-        return self.values(postures), np.swapaxes(slopes.reshape(len(postures), self.count, -1), 1, 2)
-
-    def slope(self, postures: Array, weights: Array) -> Array:
-        """(m, a) gradients of the sums with weights (m, k)."""
-        return self._slope_of(self.clearance.nearest(postures), postures, weights)
-
-    def _slope_of(self, pieces: NDArray[np.intp], postures: Array, weights: Array) -> Array:
-        """Of the distances of pairs of pieces (m, k)."""
-        run, pair = np.nonzero(weights)
-        slopes, total = self.clearance.gradients(postures, run, pieces[run, pair]), np.zeros(postures.shape)
-        np.add.at(total, run, weights[run, pair, None] * slopes)
-        return total[:, self.joints]
-
-    def bend(self, postures: Array, weights: Array) -> Array:
-        """(m, a, a) Hessians of the sums: differences of the gradients of the same pieces."""
-        steps = 1e-4 * np.eye(postures.shape[1])[self.joints, None]
-        moved = np.concatenate([postures + steps, postures - steps]).reshape(-1, postures.shape[1])
-        alike = (2 * len(steps), 1)
-        slopes = self._slope_of(np.tile(self.clearance.nearest(postures), alike), moved, np.tile(weights, alike))
-        ahead, behind = slopes.reshape(2, len(steps), len(postures), len(steps))
-        bend = np.moveaxis(ahead - behind, 0, 1) / 2e-4
-        return np.asarray(0.5 * (bend + np.swapaxes(bend, 1, 2)))
-
-
-def distance_in_words(pair: Sequence[str], gap: float) -> str:
-    """Of two bodies;  gap : signed distance [mm]"""
-    return f"{' and '.join(pair)} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
+def distance_in_words(near: Mapping[str, Any]) -> str:
+    """Of two bodies, as `Clearance.too_near` has them."""
+    gap = near["distance_mm"]
+    return f"{' and '.join(near['bodies'])} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
 
 
 def _counted(pairs: int) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from doe.problem.clearance import Clearance, Slopes
+from doe.problem.clearance import Clearance
 from doe.problem.model import PRISMATIC, Offers, offered, offers
 from identification import Array, InputError, design_model, vectorize
 
@@ -102,34 +102,33 @@ class Derivatives:
 
 
 class Walls:
-    """The margins of all constraints, side by side, and their derivatives by some of n joints."""
+    """The margins of all constraints, side by side, and their derivatives by the n joints."""
 
-    def __init__(self, constraints: Sequence[Constraint], n: int, joints: Sequence[int]) -> None:
+    def __init__(self, constraints: Sequence[Constraint], n: int) -> None:
         q, expressions = ca.SX.sym("q", n), [each for each in constraints if isinstance(each, Expression)]
-        self._parts: list[Derivatives | Slopes] = []
+        self._parts: list[Derivatives | Clearance] = [each for each in constraints if isinstance(each, Clearance)]
         if expressions:
             walls = ca.vertcat(*(each.symbolic(q) for each in expressions))
-            self._parts.append(Derivatives(q, walls, joints, (walls.numel(),)))
-        self._parts += [Slopes(each, joints) for each in constraints if isinstance(each, Clearance)]
+            self._parts.insert(0, Derivatives(q, walls, range(n), (walls.numel(),)))
 
     def values(self, postures: Array) -> Array:
         """(m, k) margins."""
         return np.concatenate([part.values(postures) for part in self._parts], axis=1)
 
     def first(self, postures: Array) -> tuple[Array, Array]:
-        """(m, k) margins and their derivatives (m, a, k)."""
+        """(m, k) margins and their derivatives (m, n, k)."""
         values, slopes = zip(*(part.first(postures) for part in self._parts), strict=True)
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
-        """(m, a) gradients of the sums of margins with weights (m, k)."""
+        """(m, n) gradients of the sums of margins with weights (m, k)."""
         return np.sum([part.slope(postures, each) for part, each in self._weighted(weights)], axis=0)
 
     def bend(self, postures: Array, weights: Array) -> Array:
-        """(m, a, a) Hessians of the sums of margins with weights (m, k)."""
+        """(m, n, n) Hessians of the sums of margins with weights (m, k)."""
         return np.sum([part.bend(postures, each) for part, each in self._weighted(weights)], axis=0)
 
-    def _weighted(self, weights: Array) -> Iterator[tuple[Derivatives | Slopes, Array]]:
+    def _weighted(self, weights: Array) -> Iterator[tuple[Derivatives | Clearance, Array]]:
         counts = [part.count for part in self._parts]
         return zip(self._parts, np.split(weights, np.cumsum(counts)[:-1], axis=1), strict=True)
 
@@ -148,10 +147,8 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
     if sights and offers(model, "placed"):
         model = model.placed()  # what is to be seen is where plans assume it, if the arm does not say
     for limit in getattr(model, "constraints", ()):
-        space = offered(model, "space", "constraints")
-        build = {"line_of_sight": in_sight if space == 2 else in_view}.get(limit.kind) or KINDS[limit.kind]
-        if build is in_sight and len(limit.tracker) != space:
-            raise InputError(f"line_of_sight: a tracker in {len(limit.tracker)} dimensions, allowed: in {space}")
+        offered(model, "space", "constraints")
+        build = in_view if limit.kind == "line_of_sight" else KINDS[limit.kind]
         made.append(Expression(partial(build, model, limit), len(model.joint_types), limit.kind))
     if offers(model, "cell") and model.cell.bodies:
         made.append(Clearance(model, sights if model.space == 3 else ()))
@@ -174,53 +171,19 @@ def inside_box(model: Offers, box: Any, q: ca.SX) -> ca.SX:
     return ca.vertcat(*(ca.vertcat(tip[k] - low, high - tip[k]) for k, (low, high) in enumerate(sides)))
 
 
-def outside_sphere(model: Offers, sphere: Any, q: ca.SX) -> ca.SX:
-    """(k - 1,) Every link stays outside the circle of the plane, or the sphere of space."""
-    center = ca.DM(sphere.center)
-    return ca.vertcat(
-        *(_distance(center, center, *link) - sphere.radius for link in pairwise(model.symbolic_points(q)))
-    )
-
-
-def outside_cylinder(model: Offers, cylinder: Any, q: ca.SX) -> ca.SX:
-    """(k - 1,) Every link stays outside a cylinder with flat ends: it is beyond an end, or what lies between the ends
-    is away from the axis."""
-    start, along = ca.DM(cylinder.start), np.subtract(cylinder.end, cylinder.start)
-    length, expressions = float(np.linalg.norm(along)), []
-    axis = ca.DM(along / length)
-    for a, b in pairwise(model.symbolic_points(q)):
-        first, last = ca.dot(a - start, axis), ca.dot(b - start, axis)
-        beyond = ca.fmax(ca.fmin(first, last) - length, -ca.fmax(first, last))
-        rise = ca.if_else(ca.fabs(last - first) < FLAT, FLAT, last - first)
-        ends = _share(-first / rise), _share((length - first) / rise)  # shares of the link at both ends
-        offset, turned = a - start - first * axis, (b - a) - (last - first) * axis
-        nearest = -ca.dot(offset, turned) / ca.fmax(ca.sumsqr(turned), FLAT)
-        share = ca.fmax(ca.fmin(*ends), ca.fmin(ca.fmax(*ends), nearest))
-        expressions.append(ca.fmax(beyond, _root(ca.sumsqr(offset + share * turned)) - cylinder.radius))
-    return ca.vertcat(*expressions)
-
-
-def in_sight(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
-    """(n,) The tracker of a plane sees the tip: inside its cone, no link across the line of sight but the last, which
-    ends there: of two segments one lies on one side of the other's line."""
-    points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)
-    tip = points[-1]
-
-    def side(p: ca.SX | ca.DM, r: ca.SX, other: ca.SX | ca.DM) -> ca.SX:
-        return (r[0] - p[0]) * (other[1] - p[1]) - (r[1] - p[1]) * (other[0] - p[0])
-
-    gaps = []
-    for a, b in pairwise(points[:-1]):
-        across = side(tracker, tip, a) * side(tracker, tip, b) / ca.sumsqr(tip - tracker)
-        along = side(a, b, tracker) * side(a, b, tip) / ca.sumsqr(b - a)
-        gaps.append(ca.fmax(across, along) / ca.sqrt(ca.sumsqr(b - a)))
-    return ca.vertcat(_in_cone(sight, tip), *gaps)
+def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
+    """(k - 1,) Every link stays outside the circle of the plane, the sphere of space, or the cylinder with round ends:
+    away from its center, or its axis."""
+    start, end = map(ca.DM, region.axis)
+    return ca.vertcat(*(_distance(start, end, *link) - region.radius for link in pairwise(model.symbolic_points(q))))
 
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
-    """(k,) The tracker of space sees the reflector: inside its cone and range, not from behind, no link near the line
-    of sight; links have a radius here, and the last, which carries the reflector, is not in the way. Where the model
-    has bodies, these are looked at instead (`Clearance`)."""
+    """(k,) The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight;
+    links have a radius here, and the last, which carries the reflector, is not in the way. Where a model of space has
+    bodies, these are looked at instead (`Clearance`)."""
+    if len(sight.tracker) != model.space:
+        raise InputError(f"line_of_sight: a tracker in {len(sight.tracker)} dimensions, allowed: in {model.space}")
     points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)
     tip = points[-1]
     distance, expressions = ca.norm_2(tip - tracker), [_in_cone(sight, tip)]
@@ -232,7 +195,7 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
         looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
-    solid = offers(model, "cell") and model.cell.bodies
+    solid = model.space == 3 and offers(model, "cell") and model.cell.bodies
     links = [] if solid else [*pairwise(points[:-1])]
     gaps = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
     return ca.vertcat(*expressions, *gaps)
@@ -241,8 +204,8 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
 KINDS: dict[str, Callable[..., ca.SX]] = {
     "joint_limits": within_column,
     "workspace_box": inside_box,
-    "keep_out_circle": outside_sphere,
-    "keep_out_cylinder": outside_cylinder,
+    "keep_out_circle": outside_round,
+    "keep_out_cylinder": outside_round,
 }
 
 

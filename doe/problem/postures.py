@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from doe.problem.problem import DesignProblem
 from identification import Array, InputError
 
+INSIDE = 1e-6  # [rad] by which constraints are kept: rounding
+
 
 # -- random postures ---------------------------------------------------------------------------------------------------
 def random_postures(problem: DesignProblem, count: int, generator: Generator) -> Array:
@@ -45,37 +47,39 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
             feasible = np.concatenate([feasible, part[problem.feasible(part)]])
             if len(feasible) >= count:
                 return feasible[:count]
-    width = problem.upper - problem.lower
     if not len(feasible):
-        feasible = _led_inside(problem, np.concatenate(seen), generator)
+        feasible = _led_inside(problem, np.concatenate(seen))
     near = feasible[generator.integers(len(feasible), size=count)]
-    steps, waiting = generator.standard_normal(near.shape) * width * 0.2, np.arange(count)
-    for k in range(12):  # each moved as far as it stays feasible
-        trial = problem.clip(near[waiting] + steps[waiting] * 0.5**k)
-        fits = problem.feasible(trial)
-        near[waiting[fits]] = trial[fits]
-        waiting = waiting[~fits]
-    return np.concatenate([feasible, near])[:count]
+    steps = generator.standard_normal(near.shape) * 0.2 * (problem.upper - problem.lower)
+    moved = put_inside(problem, problem.clip(near + steps))
+    return np.concatenate([feasible, np.where(problem.feasible(moved)[:, None], moved, near)])[:count]
 
 
-def _led_inside(problem: DesignProblem, postures: Array, generator: Generator) -> Array:
-    """Feasible postures near the least infeasible of many, by random steps that reduce by how much they are so.
+def put_inside(problem: DesignProblem, postures: Array) -> Array:
+    """(m, n) postures moved by as little as satisfies the constraints that are broken, most of them into all."""
+    inside = np.array(postures)
+    for _ in range(20):  # Newton steps back inside
+        values, slopes = problem.walls.first(inside)
+        lacking = np.maximum(0.0, 2.0 * INSIDE - values / problem.steepness)
+        outside = np.flatnonzero((lacking > INSIDE).any(axis=1))
+        if not len(outside):
+            break
+        slopes = np.where(lacking[outside, None] > 0.0, slopes[outside] / problem.steepness, 0.0)
+        # the shortest steps, by the slopes that are more than rounding
+        steps = (np.linalg.pinv(np.swapaxes(slopes, 1, 2), rcond=1e-6) @ lacking[outside, :, None])[..., 0]
+        # the largest change of a joint in one step
+        steps *= np.minimum(1.0, 0.3 / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
+        inside[outside] = problem.clip(inside[outside] + steps)
+    return inside
+
+
+def _led_inside(problem: DesignProblem, postures: Array) -> Array:
+    """Feasible postures near the least infeasible of many.
 
     Raises `InputError` with the constraints that exclude everything where there are none.
     """
-
-    def shortfall(postures: Array) -> Array:
-        """(m,) sum over the constraints of how far a posture is from satisfying them; 0 where it does."""
-        return np.sum([np.maximum(-c.margin(postures), 0.0).sum(axis=1) for c in problem.constraints], axis=0)
-
-    best = postures[np.argsort(shortfall(postures))[:64]]
-    miss, width = shortfall(best), problem.upper - problem.lower
-    for k in range(60):
-        trials = problem.clip(best + generator.standard_normal((16, *best.shape)) * 0.2 * 0.85**k * width)
-        values = shortfall(trials.reshape(-1, problem.joints)).reshape(len(trials), -1)
-        better = values.min(axis=0) < miss
-        best[better] = trials[np.argmin(values, axis=0), np.arange(len(best))][better]
-        miss[better] = values.min(axis=0)[better]
+    lacking = np.maximum(0.0, -problem.walls.values(postures) / problem.steepness).sum(axis=1)
+    best = put_inside(problem, postures[np.argsort(lacking)[:64]])
     if (feasible := problem.feasible(best)).any():
         return best[feasible]
     every = np.concatenate([postures, best])

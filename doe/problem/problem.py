@@ -309,9 +309,21 @@ class DesignProblem:
         jacobian = self.scaled_jacobian_function(q)
         return Derivatives(q, jacobian, joints, jacobian.shape)
 
-    def wall_derivatives(self, joints: Sequence[int]) -> Walls:
-        """Of all constraints' margins (k,), which are kept >= 0, by some joints."""
-        return Walls(self.constraints, self.joints, joints)
+    @cached_property
+    def walls(self) -> Walls:
+        """All constraints' margins (k,), which are kept >= 0, and their derivatives by the joints."""
+        return Walls(self.constraints, self.joints)
+
+    @cached_property
+    def steepness(self) -> Array:
+        """(k,) mean slope of each constraint [mm/rad], over all postures: those of a plan may see it only where it is
+        flat, as the height of an upper arm is as long as its shoulder is what is lowest.
+
+        Less than a thousandth of the steepest is no wall, as the height of the base.
+        """
+        drawn = np.random.default_rng(0).uniform(self.lower, self.upper, (256, self.joints))
+        slopes = np.sqrt(np.mean(np.sum(self.walls.first(drawn)[1] ** 2, axis=1), axis=0))
+        return np.maximum(slopes, 1e-3 * slopes.max())
 
 
 def information_of_each(jacobians: Array) -> Array:

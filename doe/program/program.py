@@ -49,7 +49,7 @@ class Program(NamedTuple):
     moves: list[dict[str, Any]]
     units: tuple[str, ...]
     seconds: float
-    not_free: list[tuple[int, tuple[str, str], float]]
+    not_free: list[dict[str, Any]]
 
 
 def program(
@@ -102,8 +102,8 @@ def program(
     runs = np.where(via, 0, np.cumsum(~via)).tolist()
     labels = [f"run {run}" if run else "via" for run in runs]
     comments = labels.copy()
-    for row, (one, other), _ in not_free:
-        comments[row - 1] += SPECIAL.sub("?", f", may collide: {one} and {other}")
+    for move in not_free:
+        comments[move["row"] - 1] += SPECIAL.sub("?", f", may collide: {' and '.join(move['bodies'])}")
     moves = []
     for k, row in enumerate(columns):
         joints = [decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)]
@@ -145,7 +145,7 @@ def program(
     return Program(text, identifier, listed, plan.units, departures[-1] / 1000.0, not_free)
 
 
-def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[tuple[int, tuple[str, str], float]]:
+def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[dict[str, Any]]:
     """Moves that may collide, as `unproven` has them. Raises `InputError` for the first row that breaks a constraint; a
     way-point need not be seen, and where bodies are known it keeps what moves keep."""
     constraints = constraints_of(arm)

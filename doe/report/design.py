@@ -250,8 +250,8 @@ def plan_steps(
     arm, cells = model.arm, plan.cells
     near: list[list[dict[str, Any]]] = [[] for _ in range(len(plan))]
     for clearance in (each for each in problem.constraints if isinstance(each, Clearance)):
-        for run, pair, gap in clearance.too_near(plan.postures):
-            near[run - 1].append({"bodies": pair, "text": distance_in_words(pair, gap)})
+        for each in clearance.too_near(plan.postures):
+            near[each["run"] - 1].append({"bodies": each["bodies"], "text": distance_in_words(each)})
     if not cells:
         columns = zip(plan.units, plan.displayed.T, strict=True)
         cells = {f"q{j}_{unit}": [repr(float(q)) for q in column] for j, (unit, column) in enumerate(columns, 1)}
@@ -275,12 +275,12 @@ def plan_steps(
 
 
 # -- armcal advise -----------------------------------------------------------------------------------------------------
-# figure of `TipError` -> heading
+# key of `tip_error_mm` -> heading
 TIP_ERRORS = {
-    "right": "model\nright\n[mm]",
-    "worst": "worst\npose\n[mm]",
-    "missing": "effects\nmissing\n[mm]",
-    "with_prior": "library\nprior\n[mm]",
+    "model_right": "model\nright\n[mm]",
+    "model_right_worst": "worst\npose\n[mm]",
+    "effects_missing": "effects\nmissing\n[mm]",
+    "effects_missing_prior": "library\nprior\n[mm]",
 }
 RIGHT = (
     "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
@@ -300,7 +300,9 @@ MISSING = (
 
 def advice_document(advice: Advice) -> Document:
     """The answer in one sentence, a row for each number of runs, and what the figures do not promise."""
-    missing = any(np.isfinite(error.missing) for error in advice.tip_errors)  # as in a model that was not diagnosed
+    missing = any(
+        np.isfinite(error["effects_missing"]) for error in advice.tip_errors
+    )  # as in a model that was not diagnosed
     tips = dict([*TIP_ERRORS.items()][: 4 if missing else 2]) if advice.tip_errors else {}
     of_lengths = not advice.of_tip and any(design.deviations for design in advice.designs)
     headings = ["runs", "efficiency", *(["length\nstd\n[mm]", "angle\nstd\n[deg]"] if of_lengths else [])]
@@ -311,7 +313,7 @@ def advice_document(advice: Advice) -> Document:
         if of_lengths:
             largest = (None, None) if sure is None else (sure.largest("mm"), np.degrees(sure.largest("rad")))
             row += [number(value, 5) for value in largest]
-        rows.append([*row, *(number(getattr(advice.tip_errors[k], key), 4) for key in tips)])
+        rows.append([*row, *(number(advice.tip_errors[k][key], 4) for key in tips)])
     parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40, where="--json has all")]
     parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
     parts += [RIGHT, MISSING if missing else DIAGNOSED] if advice.tip_errors else []
@@ -335,8 +337,10 @@ def advice_sentence(advice: Advice) -> str:
     if smallest is None:
         return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
     of = "at the tip" if advice.of_tip else "in each length"
-    errors = (e for design, e in zip(advice.designs, advice.tip_errors, strict=False) if design is smallest)
-    lacks = (in_a_sentence(e.missing) for e in errors if np.isfinite(e.missing))
+    errors = (
+        e["effects_missing"] for design, e in zip(advice.designs, advice.tip_errors, strict=False) if design is smallest
+    )
+    lacks = (in_a_sentence(e) for e in errors if np.isfinite(e))
     missing = "".join(f"; at the tip {error} mm if effects of typical size are missing" for error in lacks)
     suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
     return f"{suffice} {efficient}"

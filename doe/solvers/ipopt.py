@@ -65,7 +65,7 @@ class Climber:
 
     def __init__(self, problem: DesignProblem, runs: int, budget: Budget) -> None:
         self.problem, self.runs, self.ascent, self.interrupted = problem, runs, PlanAscent(problem), False
-        self.joints, self.walls = self.ascent.joints, self.ascent.walls
+        self.joints, self.walls = self.ascent.joints, problem.walls
         # IPOPT asks one by one
         self.rise = lru_cache(1)(lambda x: self.ascent.rise(self.postures(np.frombuffer(x))))
         self.margins = lru_cache(1)(lambda x: self.walls.values(self.postures(np.frombuffer(x))).ravel())

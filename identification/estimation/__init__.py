@@ -9,11 +9,9 @@ from identification.estimation.estimate import (
     estimate_batch,
     without_outliers,
 )
-from identification.estimation.problem import METHODS
 from identification.estimation.result import Identification
 
 __all__ = [
-    "METHODS",
     "Identification",
     "estimate",
     "estimate_batch",

@@ -19,7 +19,6 @@ from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.estimation.doubts import UNUSUAL, doubts, far_rows
 from identification.estimation.problem import (
-    METHODS,
     Prior,
     Problem,
     check_measurements,
@@ -44,7 +43,6 @@ from identification.sessions import placing
 def estimate(
     model: Model,
     measurements: Measurements,
-    method: str | None = None,
     sigma: ArrayLike | Literal["given", "estimated"] | None = None,
     prior: Prior | None = None,
 ) -> Identification:
@@ -52,8 +50,6 @@ def estimate(
 
     model : a `Model`, or another, of any dimension, with the same parameters, prior, values, joints, effects, sigma,
         reach, closed_form, position and linearize
-    method : `linear` (closed form, the default where the model is linear in its links) or `gauss_newton` (the default
-        for every other model)
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
         same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
         out: as "given" as long as chi2 does not contradict it, else the scatter of the residuals
@@ -67,23 +63,25 @@ def estimate(
     from its drawing, a common multiple of them, and one of the joint zeros', likeliest together with the noise;
     `doubts` say so.
 
-    Raises `InputError` for data that do not fit the model, `JobError` if the method fails.
+    A model that is linear in its links is solved in closed form, every other by Levenberg-Marquardt.
+
+    Raises `InputError` for data that do not fit the model, `JobError` if that fails.
     """
     check_measurements(model, measurements, prior)
     if prior is not None or model.prior:
-        if method not in (None, "gauss_newton"):
-            raise InputError(f"method: {method} for a fit held by a prior, allowed: gauss_newton")
         return _with_prior(model, measurements, prior or Prior({}), sigma)
     placed = placed_model(model, measurements)
     problem = Problem.of(placed, measurements, sigma)
-    chosen = method or ("linear" if problem.exact_form else "gauss_newton")
-    if chosen not in METHODS:
-        raise InputError.unknown("method: unknown name", chosen, METHODS)
+    method = "linear" if problem.exact_form else "gauss_newton"  # Levenberg-Marquardt: the name is historical
     useful = RANK_TOLERANCE
     while True:
-        solution = METHODS[chosen](problem)
+        if (form := problem.exact_form) is None:
+            solution = problem.minimized(starts(problem))
+        else:
+            x, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
+            solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
         if not (status := solution.status[0]).succeeded:
-            raise JobError(f"{chosen}: {status.value}")
+            raise JobError(f"{method}: {status.value}")
         residuals, jacobians = problem.linearize(solution.parameters, np.arange(1))
         decomposed = spectrum(jacobians[0], placed.scales, problem.tolerance)
         if useful > RANK_TOLERANCE:
@@ -96,7 +94,7 @@ def estimate(
         if decomposed.truncated(useful).rank == decomposed.rank:
             break
         problem = replace(problem, tolerance=useful)
-    return _identification(problem, measurements, chosen, solution, decomposed, decomposed.rank)
+    return _identification(problem, measurements, method, solution, decomposed, decomposed.rank)
 
 
 @single_thread()

@@ -1,4 +1,4 @@
-"""The least-squares problem of a fit: data, model and prior, its noise, and the methods that solve it.
+"""The least-squares problem of a fit: data, model and prior, its noise, and where its solution is searched for.
 
 What is known of parameters before the data is a normal distribution, as extra rows of the problem: independent
 parameters of zero mean and standard deviations d_k each add one residual (0 - x_k) / d_k, in units of the noise; an
@@ -10,7 +10,7 @@ linear about its solution; sizes are tried from a few values each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -35,11 +35,9 @@ from identification.levenberg_marquardt import (
     Solution,
     compressed,
     levenberg_marquardt,
-    outcomes,
 )
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
-from identification.running import Status
 
 RELIANCE = ("given", "estimated")
 
@@ -432,24 +430,7 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
     return Contradiction(name, p.file_unit, before, before_std, value, std, instead)
 
 
-# -- the methods -------------------------------------------------------------------------------------------------------
-def linear(problem: Problem) -> Solution:
-    """Exact global minimiser of a model with a closed form. Raises `InputError` for any other model."""
-    form = problem.exact_form
-    if form is None:
-        allowed = "lengths and offsets, nothing known, and no effect but base_offset; use gauss_newton"
-        raise InputError(f"method: linear does not fit this model, allowed: {allowed}")
-    parameters, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
-    status = outcomes(np.isfinite(squares), Status.converged, Status.solver_failed)
-    return Solution(parameters, squares, status)
-
-
-METHODS: Mapping[str, Callable[[Problem], Solution]] = {
-    "linear": linear,
-    "gauss_newton": lambda problem: problem.minimized(starts(problem)),  # Levenberg-Marquardt: the name is historical
-}
-
-
+# -- where a search starts ---------------------------------------------------------------------------------------------
 def starts(problem: Problem) -> Array:
     """(K, p) the closed form of the model without its effects, or the best known values where those fit better.
 

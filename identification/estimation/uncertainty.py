@@ -330,11 +330,10 @@ def quantile_95(freedom: ArrayLike) -> Array:
 
 def freedom_kept(names: Sequence[str], freedom: Array) -> dict[str, Any]:
     """What a calibration's provenance keeps of the degrees of freedom (p,) of its variances: nothing where all are
-    infinite, a number where they are equal, else one for each of the parameters `names`."""
-    if np.all(np.isinf(freedom)):
-        return {}
-    values = [float(f"{value:.6g}") for value in freedom]
-    return {FREEDOM: values[0] if len(set(values)) == 1 else dict(zip(names, values, strict=True))}
+    infinite, a number where they are equal, else one for each of the parameters `names` where it is finite."""
+    each = {n: float(f"{dof:.6g}") for n, dof in zip(names, freedom.tolist(), strict=True) if np.isfinite(dof)}
+    equal = len(each) == len(names) and len(set(each.values())) == 1
+    return {FREEDOM: each[names[0]] if equal else each} if each else {}
 
 
 def freedom_of(calibration: Calibration) -> Array:

@@ -27,7 +27,14 @@ from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
 from identification.files.bodies import Shape, ShapedBodies, pairs_apart, segment
 from identification.files.io import PathLike, named_file, read_toml
-from identification.files.schema import CURVE, EffectTable, PoseTable, validated_arm
+from identification.files.schema import (
+    CURVE,
+    CalibrationTable,
+    EffectTable,
+    PoseTable,
+    validated,
+    validated_arm,
+)
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text, with_origins
 from identification.instruments import KINDS
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
@@ -153,16 +160,13 @@ def described(
     arm: Arm, effects: Sequence[Mapping[str, Any]] | None, calibration: Mapping[str, Any] | None = None
 ) -> Arm:
     """An arm with entries of `[[effects]]`, None: its own, and with a `[calibration]`, None: without any."""
-    kind = "planar" if arm.chain.planar else "spatial"
-    drawing = (
-        {"links_mm": arm.lengths.tolist()} if arm.chain.planar else {"urdf": "-", "base_link": "-", "tip_link": "-"}
-    )
-    tables = {"kind": kind, **drawing, "effects": [*map(dict, effects or ())]}
-    file = validated_arm(tables if calibration is None else {**tables, "calibration": dict(calibration)})
-    built = _built(arm.effects, arm.chain)
+    chain, kind, found = arm.chain, "planar" if arm.chain.planar else "spatial", None
+    built = _built(arm.effects, chain)
     if effects is not None:
-        built = _effects(file.effects, arm.chain, arm.gravity is not None)
-    found = None if calibration is None else _calibration(file.calibration, arm.chain, built, {})[0]
+        entries = [validated(EffectTable, each, f"effects[{k}].", kind) for k, each in enumerate(effects, start=1)]
+        built = _effects(entries, chain, arm.gravity is not None)
+    if calibration is not None:
+        found, _ = _calibration(validated(CalibrationTable, calibration, "calibration.", kind), chain, built, {})
     return replace(arm, effects=tuple(spec for spec, _ in built), calibration=found)
 
 

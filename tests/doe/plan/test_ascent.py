@@ -52,7 +52,7 @@ def test_slopes_by_finite_differences(case: DesignProblem) -> None:
 
 def test_slopes_of_the_penalty_by_finite_differences() -> None:
     climb = PlanAscent(WALLS)
-    climb.firmness, climb.steepness = 30.0, np.full(climb.walls.values(WALLS.lower[None]).shape[1], 500.0)
+    climb.firmness = 30.0
     plan = np.random.default_rng(3).uniform(WALLS.lower, WALLS.upper, (12, 6))  # most of it outside
     value, slopes = climb.rise(plan)
     assert value < WALLS.objective(plan) - 1.0

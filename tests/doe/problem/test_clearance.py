@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from doe import DesignProblem
 from doe.plan.ascent import PlanAscent
-from doe.problem.clearance import FLOOR, SIGHT, Clearance, Slopes, from_box, nearest_to_box, shortest
+from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import random_postures
 from identification import Arm, Array, Model, design_model
@@ -114,7 +114,7 @@ def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: l
 
 def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array) -> None:
     step = 1e-6
-    slopes = Slopes(clearance, range(6)).first(postures)[1]
+    slopes = clearance.first(postures)[1]
     moved = [(clearance.margin(postures + step * e) - clearance.margin(postures - step * e)) for e in np.eye(6)]
     differences = np.stack(moved, axis=1) / (2.0 * step)
     wrong = np.abs(slopes - differences).max(axis=1) > 1e-3 * np.abs(differences).max()
@@ -124,19 +124,19 @@ def test_slopes_are_differences_of_margins(clearance: Clearance, postures: Array
 
 def test_bends_are_differences_of_slopes(clearance: Clearance, postures: Array) -> None:
     weights = np.random.default_rng(3).uniform(size=(POSTURES, len(clearance.pairs)))
-    of_some, joints, step = Slopes(clearance, [1, 4]), np.array([1, 4]), 1e-5
-    bends = of_some.bend(postures, weights)
+    joint, step = 4, 1e-5
+    bends = clearance.bend(postures, weights)
     np.testing.assert_allclose(bends, np.swapaxes(bends, 1, 2))
-    ahead = of_some.slope(postures + step * np.eye(6)[joints[1]], weights)
-    behind = of_some.slope(postures - step * np.eye(6)[joints[1]], weights)
-    wrong = np.abs((ahead - behind) / (2.0 * step) - bends[:, 1]).max(axis=1) > 1e-2 * np.abs(bends).max()
+    ahead = clearance.slope(postures + step * np.eye(6)[joint], weights)
+    behind = clearance.slope(postures - step * np.eye(6)[joint], weights)
+    wrong = np.abs((ahead - behind) / (2.0 * step) - bends[:, joint]).max(axis=1) > 1e-2 * np.abs(bends).max()
     assert wrong.mean() < 0.1  # kinks, where other pieces become the nearest
 
 
 def test_walls_of_bodies_alone(arm: Arm, postures: Array) -> None:
     """Without any expression beside them."""
     (clearance,) = constraints_of(Model(arm))
-    walls = DesignProblem.of(Model(arm)).wall_derivatives([1, 4])
+    walls = DesignProblem.of(Model(arm)).walls
     margins, slopes = walls.first(postures)
     np.testing.assert_allclose(margins, clearance.margin(postures))
     weights = np.ones_like(margins)
@@ -193,7 +193,7 @@ def test_a_planar_arm_and_spheres() -> None:
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))
-    np.testing.assert_allclose(Walls([clearance], 2, [0, 1]).values(postures), clearance.margin(postures))
+    np.testing.assert_allclose(Walls([clearance], 2).values(postures), clearance.margin(postures))
     np.testing.assert_allclose(clearance.margin(postures)[:, 0], 800.0 * np.cos(fold / 2.0) - 60.0, atol=1e-9)
 
 
@@ -215,13 +215,13 @@ def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None
     margins = clearance.margin(postures)
     said = clearance.in_words(postures)
     near = [line for line in said if line.startswith("  run ")]
-    assert len(near) == len(clearance.to_json(postures)) == int(np.sum(margins < -1e-3))
+    assert len(near) == len(clearance.too_near(postures)) == int(np.sum(margins < -1e-3))
     assert f"{int(np.any(margins < -1e-3, axis=1).sum())} of {POSTURES} postures" in said[0]
     free = postures[np.all(margins >= 0.0, axis=1)]
-    assert clearance.to_json(free) == []
+    assert clearance.too_near(free) == []
     for rows in (free, np.repeat(free, 2, axis=0)):  # repeats are no further postures
         assert f"stay 20 mm apart in all {len(free)} postures" in clearance.in_words(rows)[0]
-    first = clearance.to_json(postures)[0]
+    first = clearance.too_near(postures)[0]
     pair = clearance.pairs.index(tuple(first["bodies"]))
     assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]
 

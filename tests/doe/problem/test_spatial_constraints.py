@@ -70,11 +70,10 @@ def test_spheres_see_every_link() -> None:
 
 
 def inside_pillar(points: Array) -> Array:
-    """(k,) whether points are in the cylinder: height and distance from the axis by a cross product."""
+    """(k,) whether points are in the cylinder or the half balls on its ends."""
     start, along = np.array(PILLAR.start), np.subtract(PILLAR.end, PILLAR.start)
-    height = (points - start) @ along / (along @ along)
-    away = np.linalg.norm(np.cross(points - start, along), axis=1) / np.linalg.norm(along)
-    return np.asarray((height > 0) & (height < 1) & (away < PILLAR.radius))
+    height = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - start - height[:, None] * along, axis=1) < PILLAR.radius)
 
 
 def test_cylinders_see_every_link() -> None:
@@ -118,7 +117,7 @@ def test_line_of_sight() -> None:
 
 def test_margins_have_derivatives() -> None:
     for constraint in MADE:
-        walls = replace(DesignProblem.of(Model(ARM)), constraints=(constraint,)).wall_derivatives(range(6))
+        walls = replace(DesignProblem.of(Model(ARM)), constraints=(constraint,)).walls
         values, slopes = walls.first(POSTURES)
         np.testing.assert_allclose(values, constraint.margin(POSTURES), atol=1e-9)
         assert np.all(np.isfinite(slopes))

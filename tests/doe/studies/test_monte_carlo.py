@@ -295,7 +295,7 @@ def test_file_is_read(folder: Path) -> None:
         *(
             (GOOD, *change)
             for change in (
-                ('plans = ["dft"', 'plans = ["dtf"', "did you mean 'dft'"),
+                ('plans = ["dft"', 'plans = ["dftt"', "did you mean 'dft'"),
                 ("replications = 50", "replicatons = 50", "replicatons: unknown key"),
                 ("runs = [5]", "", "runs: is missing"),
                 ('name = "base"', "", "models[1].name: is missing"),

@@ -81,7 +81,7 @@ MODELS = {
 
 
 def same(model: Model, measurements: Measurements, weights: np.ndarray | None = None) -> None:
-    found = estimate(model, measurements, "gauss_newton", None if weights is None else weights**-0.5)
+    found = estimate(model, measurements, None if weights is None else weights**-0.5)
     other = scipy_fit(model, measurements, weights)
     assert found.status is Status.converged
     # both are stationary to 1e-9 of the residuals; scipy's bounded search stops at about 1e-6 mm from a bound
