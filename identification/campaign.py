@@ -1,11 +1,8 @@
-"""Whatever files of a campaign are given, as one document: arms, plans, measurements, joint commands, and output of
-commands with --json."""
+"""Whatever files of a campaign are given, as one document: arms, plans, measurements, joint commands."""
 
 from __future__ import annotations
 
-import json
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -14,16 +11,13 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
-from identification.documents.diagnosis import diagnosis_actions, diagnosis_document, diagnosis_verdict, gap_in_words
 from identification.documents.identification import (
     calibrated_actions,
     command_rows,
     corrected_section,
     dh_sections,
-    identification_verdict,
     identify_command,
     rows_listed,
-    validation_sections,
     validation_verdict,
 )
 from identification.documents.pictures import signed_figures, workspace_arrows
@@ -31,7 +25,6 @@ from identification.errors import InputError
 from identification.estimation.result import corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import Table, read_table
-from identification.files.io import read_text
 from identification.files.measurement import UNITS, Plan
 from identification.instruments import TRACKER
 from identification.kinematics.parameters import REVOLUTE
@@ -41,17 +34,7 @@ from identification.reuse import same_drawing
 from identification.validate import Validation, validate
 from identification.workflow import dh_lines
 
-# a command -> keys that its JSON object alone has
-KEYS = {
-    "diagnose": ("verdict", "candidates", "gap", "probabilities"),
-    "validate": ("refit", "rows", "rms_nominal_mm"),
-    "identify": ("parameters", "rms_before_mm", "rms_after_mm"),
-    "design": ("criterion", "runs", "efficiency", "certified_optimal"),
-}
-ALLOWED = (
-    "arm files (.toml), plans, measurements and joint commands (.csv), what design, score, identify, diagnose or "
-    "validate --json said"
-)
+ALLOWED = "arm files (.toml), plans, measurements and joint commands (.csv)"
 PLACED = (
     "Everything stays as it is in the file but for where the arm stands, which is fitted to each set of measurements; "
     "so it is for the drawing."
@@ -62,21 +45,19 @@ PLACED = (
 class Campaign:
     """Name -> content of the files of each kind, in the order given.
 
-    kinds : of every file, in words;  results : command -> name -> its JSON object
+    kinds : of every file, in words
     tests : measurements -> calibrated arm -> what it leaves of them
     show_plan : the section of a plan of an arm, its name, and what the chosen model leaves of measurements
-    judge : a design in a sentence;  package_dirs : as of `load_arm`
+    package_dirs : as of `load_arm`
     """
 
     show_plan: Callable[..., Section] | None = None
-    judge: Callable[[Mapping[str, Any]], str] | None = None
     package_dirs: Sequence[Path] = ()
     kinds: dict[str, str] = field(default_factory=dict)
     arms: dict[str, Arm] = field(default_factory=dict)
     plans: dict[str, Plan] = field(default_factory=dict)
     measurements: dict[str, Measurements] = field(default_factory=dict)
     commands: dict[str, Table] = field(default_factory=dict)
-    results: dict[str, dict[str, Mapping[str, Any]]] = field(default_factory=lambda: defaultdict(dict))
     tests: dict[str, dict[str, Validation]] = field(default_factory=dict)
 
     @classmethod
@@ -105,16 +86,6 @@ class Campaign:
             if not same_drawing(other, arm):
                 raise InputError(f"{name}: another arm than that of {first}, allowed: files of one arm")
             return "arm with a calibration" if arm.calibration is not None else "arm"
-        if ending == ".json":
-            try:
-                data = json.loads(read_text(path))
-            except (ValueError, RecursionError) as error:
-                raise InputError(f"{path}: not valid JSON: {error}, allowed: what a command said with --json") from None
-            for command, keys in KEYS.items():
-                if isinstance(data, dict) and all(key in data for key in keys):
-                    self.results[command][name] = data
-                    return f"armcal {command} --json"
-            raise InputError(f"{path}: JSON of no command that is known here, allowed: {ALLOWED}")
         if ending not in (".csv", ".tsv", ".txt"):
             raise InputError(f"{name}: ending {path.suffix!r}, allowed: {ALLOWED}")
         if not self.arms:
@@ -164,13 +135,9 @@ class Campaign:
     # -- what is said --------------------------------------------------------------------------------------------------
     @property
     def verdict(self) -> list[str]:
-        """The verdict in sentences: errors on rows that no fit has seen, then the most advanced result first."""
-        model, diagnoses = self.chosen or "", [*self.results["diagnose"].values()]
+        """The verdict in sentences: errors on rows that no fit has seen first."""
+        model = self.chosen or ""
         lines = [validation_verdict(test.to_json(), model, rows) for rows, test in self.elsewhere.items()]
-        lines = lines or [validation_verdict(data) for data in self.results["validate"].values()]
-        lines = lines or [gap_in_words(data) for data in diagnoses if data["confirmation"] is not None]
-        sentences = (sentence for data in diagnoses for sentence in (*diagnosis_verdict(data), gap_in_words(data)))
-        lines += [sentence for sentence in sentences if sentence not in lines]
         seen = (rows for rows in self.tests if rows not in self.elsewhere)  # what other models leave is in the tables
         lines += [validation_verdict(self.tests[rows][model].to_json(), model, rows, seen=True) for rows in seen]
         if len(self.calibrated) > 1:
@@ -178,18 +145,14 @@ class Campaign:
             why = f"it leaves the smallest error on {tested}" if tested else "it is the last given"
             others = " and ".join(name for name in self.calibrated if name != model)
             lines.append(f"Of the calibrations the next steps use {model}: {why}. {others} is shown beside it.")
-        lines += [identification_verdict(data) for data in self.results["identify"].values()]
-        designs = self.results["design"].values()
-        lines += [self.judge(data) for data in designs if self.judge is not None]
-        lines += [f"The plan {name} has {len(p.measured)} runs." for name, p in self.plans.items() if not designs]
+        lines += [f"The plan {name} has {len(plan.measured)} runs." for name, plan in self.plans.items()]
         lines += [commanded_in_words(name, table) for name, table in self.commands.items()]
         return lines or [f"{name}: {kind}." for name, kind in self.kinds.items()]
 
     @property
     def actions(self) -> list[Action]:
         """What to do next, from the farthest step that was reached."""
-        arm = next((name for name, one in self.arms.items() if one.calibration is None), None)
-        arm = arm or next(iter(self.arms), "arm.toml")
+        arm = next((name for name, one in self.arms.items() if one.calibration is None), next(iter(self.arms)))
         seen = {rows: self.fitted(rows) for rows in self.measurements}
         data = sorted(seen, key=lambda rows: (self.chosen not in seen[rows], not seen[rows])) or ["data.csv"]
         if worse := [
@@ -199,20 +162,14 @@ class Campaign:
         ]:
             pooled = " ".join(["armcal diagnose", arm, *data])
             return [*worse, Action("See what all measurements together say, each file as a session:", pooled)]
-        if self.results["diagnose"]:
-            last = [*self.results["diagnose"].values()][-1]
-            model, *rows = last["files"]
-            return diagnosis_actions(last, model, rows)
         look, hold, use = calibrated_actions(arm, data[0], self.chosen or "calibrated.toml")
-        if self.calibrated or self.results["identify"] or self.results["validate"]:
-            done = self.chosen is not None and diagnosed(self.calibrated[self.chosen])
-            tested = bool(self.elsewhere) or bool(self.results["validate"])
-            return [*([] if done else [look]), *([] if tested else [hold]), use]
+        if self.chosen is not None:
+            done = diagnosed(self.calibrated[self.chosen])
+            return [*([] if done else [look]), *([] if self.elsewhere else [hold]), use]
         if self.measurements:
             fit = self.measurements[data[0]].fit
             return [Action("Identify the arm:", identify_command(arm, data[0], fit)), look]
-        fits = [plan.fit for plan in self.plans.values()]
-        fit = next(iter(fits + [design.get("fit") or "" for design in self.results["design"].values()]), "")
+        fit = next((plan.fit for plan in self.plans.values()), "")
         why = ", as the plan is meant: what it promises is of this fit" if fit else ""
         measure = f"Measure the postures of {next(iter(self.plans), 'plan.csv')}, and write the positions beside the"
         return [
@@ -222,25 +179,8 @@ class Campaign:
         ]
 
     def document(self) -> Document:
-        """All of it. Raises `InputError` for JSON that lacks what its command says."""
-        names = [arm.name for arm in self.arms.values() if arm.name]
-        title = f"Calibration report: {names[0]}" if names else "Calibration report"
-        doubtful = [*self.results["diagnose"].values(), *self.results["identify"].values()]
-        try:
-            warnings = [text for data in doubtful for text in data["warnings"]]
-            return Document(title, self.verdict, self.sections(), self.actions, warnings)
-        except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
-            files = ", ".join(name for files_data in self.results.values() for name in files_data)
-            if not files:
-                raise
-            lacks = f"{files}: not as the command writes it ({type(error).__name__} {error})"
-            raise InputError(f"{lacks}, allowed: the whole of its JSON") from error
-
-    def sections(self) -> list[Section]:
-        """The parts of the page."""
-        diagnoses = [diagnosis_document(data).parts for data in self.results["diagnose"].values()]
-        parts = [part for one in diagnoses for part in one if isinstance(part, Section)]
-        sections = [part for part in parts if not part.folded]
+        """All of it."""
+        drawn, sections = next(iter(self.arms.values())), list[Section]()
         for name in sorted(self.calibrated, key=lambda name: name != self.chosen):
             arm, closed = self.calibrated[name], name != self.chosen
             corrected = corrected_values(arm)
@@ -248,27 +188,22 @@ class Campaign:
             sections.append(corrected_section(f"Corrected values: {name}", corrected, folded=closed))
             sections += [Section(part.title, part.parts, closed) for part in dh_sections(rows, places, name)]
         sections += [self.test_section(rows) for rows in self.tests]
-        for drawn in [*self.arms.values()][:1]:
-            show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
-            sections += [show(drawn, plan, name, tests=left) for name, plan in self.plans.items()] if show else []
-            joints = [
-                f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(drawn.joint_types, start=1)
-            ]
-            axes = [f"{axis}_mm" for axis in "xyz"[: drawn.dimension]]
-            for name, table in self.commands.items():
-                targets = np.column_stack([table.floats(key) for key in axes])
-                angles = np.column_stack([table.floats(key, empty=np.nan) for key in joints])
-                commanded = command_rows(targets, angles, table.floats("error_mm", empty=np.nan))
-                reasons = table.frame["message"].fill_null("").to_list() if "message" in table else [""] * len(table)
-                lines = [[*row, str(reason)] for row, reason in zip(commanded, reasons, strict=True)]
-                lead = (
-                    f"{commanded_in_words(name, table)} The miss is the calibrated model's, not the robot's accuracy."
-                )
-                heads = ["row", *axes, *joints, "miss [mm]", "why there is none"]
-                sheet = Sheet(heads, lines, "", 24, "the file has all")
-                sections.append(Section(f"Joint commands: {name}", [lead, sheet]))
-        sections += [part for data in self.results["validate"].values() for part in validation_sections(data)]
-        return sections + [part for part in parts if part.folded]
+        show, left = self.show_plan, {rows: tests[self.chosen or ""] for rows, tests in self.tests.items()}
+        sections += [show(drawn, plan, name, tests=left) for name, plan in self.plans.items()] if show else []
+        joints = [f"q{j}_{'deg' if kind == REVOLUTE else 'mm'}" for j, kind in enumerate(drawn.joint_types, start=1)]
+        axes = [f"{axis}_mm" for axis in "xyz"[: drawn.dimension]]
+        for name, table in self.commands.items():
+            targets = np.column_stack([table.floats(key) for key in axes])
+            angles = np.column_stack([table.floats(key, empty=np.nan) for key in joints])
+            commanded = command_rows(targets, angles, table.floats("error_mm", empty=np.nan))
+            reasons = table.frame["message"].fill_null("").to_list() if "message" in table else [""] * len(table)
+            lines = [[*row, str(reason)] for row, reason in zip(commanded, reasons, strict=True)]
+            lead = f"{commanded_in_words(name, table)} The miss is the calibrated model's, not the robot's accuracy."
+            heads = ["row", *axes, *joints, "miss [mm]", "why there is none"]
+            sheet = Sheet(heads, lines, "", 24, "the file has all")
+            sections.append(Section(f"Joint commands: {name}", [lead, sheet]))
+        title = f"Calibration report: {drawn.name}".removesuffix(": ")
+        return Document(title, self.verdict, sections, self.actions)
 
     def test_section(self, rows: str) -> Section:
         """The error of every model on some measurements, and its sign against each joint."""

@@ -61,7 +61,7 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     """
     options, low = sorted(set(allowed)), word.lower()[:60]  # longer than any name
     spelt = {other.lower(): name for other, name in meant.items() if name in options} | {n.lower(): n for n in options}
-    near = [spelt[other] for other in get_close_matches(low, spelt, n=4, cutoff=0.75)]
+    near = [spelt[other] for other in get_close_matches(low, spelt, n=4, cutoff=0.66 if len(low) == 3 else 0.75)]
     bare = {name: re.sub(r"[^a-z0-9]", "", name.lower()) for name in options}
     part = re.sub(r"[^a-z0-9]", "", low)
     near = near or [n for n in options if (part and part.startswith(bare[n])) or (len(part) > 2 and part in bare[n])]

@@ -54,14 +54,6 @@ def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
     return (q < lower - room[0]) | (q > upper + room[1])
 
 
-def mostly_outside(arm: Arm, postures: Array) -> bool:
-    """Whether more than half of the postures (m, n) are outside the angles of the identification, as far as known, of
-    an arm without several settings of one effect at once, as only the library as a prior has."""
-    several = len({spec.key for spec in arm.effects}) < len(arm.effects)
-    out = outside(arm, postures)
-    return not several and out is not None and 2 * int(out.any(axis=1).sum()) > len(out)
-
-
 def diagnosed(arm: Arm) -> bool:
     """Whether an arm's calibration is that of a diagnosis, or has values of effects beside the place of the base, as a
     diagnosed model has that was identified again."""

@@ -533,15 +533,14 @@ def validate_files(
     """
     from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.origin import check_calibrated, mostly_outside
+    from identification.origin import check_calibrated
     from identification.validate import validate
 
     arm = load_arm(model)
     check_calibrated(arm, str(model))
     validation = validate(arm, load_sessions([data], arm), refit)
-    beyond = not arm.chain.planar and mostly_outside(arm, validation.measurements.postures)
     result = validation.to_json()
-    actions = validation_actions(result, str(model), str(data), beyond=beyond)
+    actions = validation_actions(result, str(model), str(data))
     notes = [f"{data}: {note}" for note in validation.notes]
     return Answer(result, replace(validation.document(), actions=actions), validation, warnings=notes)
 

@@ -19,7 +19,7 @@ import click
 
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
 from identification import InputError, Progress
-from identification.document import Answer, Document, Sheet
+from identification.document import Answer, Document, Sheet, in_a_sentence
 from identification.files.io import write_together
 from identification.workflow import VERBS, Names, Written
 
@@ -245,7 +245,7 @@ def score_files(
     from doe.plan.driving import in_sentences, unproven
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import average_error, with_choices
-    from doe.report.design import criteria_lines, design_document
+    from doe.report.design import design_document
     from identification import Plan, design_model, load_arm
 
     loaded = load_arm(arm, package_dir)
@@ -280,8 +280,14 @@ def score_files(
     if moves is not None:
         data["moves"] = {"not_free": moves}
     meant = f"{plan} is to be fitted by armcal identify --{judged.fit}: {UNLIKE_ROBUST}"
-    lines = [meant] if judged.fit and not robust else []
-    document = design_document(design).plus(*lines, *in_sentences(moves or []), *criteria_lines(data), *tables)
+    lines = [*([meant] if judged.fit and not robust else []), *in_sentences(moves or [])]
+    figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
+    rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
+    of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
+    lines.append(f"every criterion, the larger the better: {figures} ({of})")
+    indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
+    lines.append(f"observability indices: {indices}")
+    document = design_document(design).plus(*lines, *tables)
     return with_collisions(Answer(data, document), problem, judged.postures)
 
 
@@ -589,18 +595,17 @@ def report_files(
 ) -> Answer:
     """One page of a campaign's files.
 
-    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate), and what design,
-    score, identify, diagnose or validate said with --json. The page has the verdict (first the error on rows that no
-    fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped through and
-    edited; it is one file that needs no network.
+    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate). The page has the
+    verdict (first the error on rows that no fit has seen), what to do next, corrected values, errors with their sign,
+    and plans that can be stepped through and edited; it is one file that needs no network.
 
     out : Write the page.
     """
-    from doe.report.design import design_verdict, plan_section
+    from doe.report.design import plan_section
     from doe.report.page import hashes
     from identification import Campaign
 
-    campaign = Campaign.of(files, show_plan=plan_section, judge=design_verdict, package_dirs=package_dir)
+    campaign = Campaign.of(files, show_plan=plan_section, package_dirs=package_dir)
     text = page(campaign.document(), files)
     listed = [
         {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from doe.plan.driving import room_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
-from identification import Arm, Array, InputError, Plan
+from identification import Arm, InputError, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
@@ -87,7 +86,17 @@ def program(
     for row, j in np.argwhere(outside)[:1]:
         place = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
         raise InputError(f"{place}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
-    not_free = check_rows(arm, plan.postures, via)
+    constraints = constraints_of(arm)
+    room = room_of(constraints)
+    for constraint in constraints:
+        # a way-point need not be seen, and where bodies are known it keeps what moves keep
+        exempt = via & (constraint.kind == "line_of_sight" or room is not None)
+        broken = np.any(constraint.margin(plan.postures) < -ROUNDING, axis=1) & ~exempt
+        for row in np.flatnonzero(broken)[:1]:
+            raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
+    for row in [] if room is None else np.flatnonzero(np.any(room.margin(plan.postures) < -ROUNDING, axis=1)):
+        raise InputError(f"row {row + 1}: a way-point in which bodies collide, allowed: one with half the clearance")
+    not_free = unproven(constraints, plan.postures) or []
 
     # the moves: one from where the arm stands at first, which is not known but within the limits, then row to row
     first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
@@ -143,21 +152,6 @@ def program(
     ]
     text = rendered_template(file, template, variables)
     return Program(text, identifier, listed, plan.units, departures[-1] / 1000.0, not_free)
-
-
-def check_rows(arm: Arm, postures: Array, via: NDArray[np.bool_]) -> list[dict[str, Any]]:
-    """Moves that may collide, as `unproven` has them. Raises `InputError` for the first row that breaks a constraint; a
-    way-point need not be seen, and where bodies are known it keeps what moves keep."""
-    constraints = constraints_of(arm)
-    room = room_of(constraints)
-    for constraint in constraints:
-        exempt = via & (constraint.kind == "line_of_sight" or room is not None)
-        broken = np.any(constraint.margin(postures) < -ROUNDING, axis=1) & ~exempt
-        for row in np.flatnonzero(broken)[:1]:
-            raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
-    for row in [] if room is None else np.flatnonzero(np.any(room.margin(postures) < -ROUNDING, axis=1)):
-        raise InputError(f"row {row + 1}: a way-point in which bodies collide, allowed: one with half the clearance")
-    return unproven(constraints, postures) or []
 
 
 def decimal(value: float, unit: float, digits: int) -> str:

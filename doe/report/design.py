@@ -68,9 +68,8 @@ def design_verdict(data: Data) -> str:
     sentence += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
     if error["bound"] is None or data["efficiency"] is None or data.get("outside_limits"):
         return f"{sentence}."  # no bound applies to a plan outside the limits
-    bound = data.get("bound") or {"source": "continuous"}  # which older files do not have
-    kind = "" if bound.get("rigorous", False) else " (a numerical bound)"
-    sentence += f"; no plan from {postures_in_words(bound)} is below {in_a_sentence(error['bound'])} mm{kind}"
+    kind = "" if data["bound"]["rigorous"] else " (a numerical bound)"
+    sentence += f"; no plan from {postures_in_words(data['bound'])} is below {in_a_sentence(error['bound'])} mm{kind}"
     # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
     hope = "Do not expect it near 1: the" if data["efficiency"] < 0.9 else "The"
     judge = f"{hope} bound allows fractions of a run. Judge by the mm."
@@ -174,17 +173,6 @@ def missing_lines(design: Design) -> list[str]:
     elif problem.model.sigma is not None and not any(p.of_effect for p in problem.model.parameters):
         lines.append("The model has no effects, a real arm has: --robust chooses postures with the library's in mind.")
     return lines
-
-
-def criteria_lines(data: Data) -> list[str]:
-    """The value of every criterion, all of which are better the larger they are, and the indices O1 to O5, to compare
-    with published plans;  data : of `armcal score --json`"""
-    values, error = data["criteria"], data["workspace_error_mm"]
-    figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
-    tip = "the tip over the workspace" + ("" if error is None else f", {in_a_sentence(error)} mm RMS")
-    indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
-    every = f"every criterion, the larger the better: {figures} (I: {tip}; Ds: what is in mm)"
-    return [every, f"observability indices: {indices}"]
 
 
 # -- a plan to step through --------------------------------------------------------------------------------------------

@@ -71,23 +71,25 @@ def page(document: Document, *last: Section) -> str:
     style, *scripts = (
         files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", *names, "page.js")
     )
+
+    def picture(figure: Figure) -> str:
+        """As SVG in the page's colours; a wide one scrolls where the page is narrower."""
+        drawn, width = (
+            re.sub("|".join(COLORS), lambda color: COLORS[color[0]], svg(figure)),
+            72.0 * figure.get_figwidth(),
+        )
+        return f'<div class="{"wide" if width > 430.0 else "panel"}" style="--width: {width:.0f}pt">\n{drawn}</div>\n'
+
     environment.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return environment.get_template("page.html.j2").render(
         document=document,
         verdict=[sentence for sentence in document.verdict if sentence],
         sections=sections,
         steps=steps,
-        html=lambda section: section.html(page_picture),
+        html=lambda section: section.html(picture),
         style=style,
         scripts=scripts,
     )
-
-
-def page_picture(figure: Figure) -> str:
-    """A figure as the page has it: SVG in the page's colours; a wide one scrolls where the page is narrower."""
-    drawn = re.sub("|".join(COLORS), lambda color: COLORS[color[0]], svg(figure))
-    width = 72.0 * figure.get_figwidth()
-    return f'<div class="{"wide" if width > 430.0 else "panel"}" style="--width: {width:.0f}pt">\n{drawn}</div>\n'
 
 
 def svg(figure: Figure) -> str:

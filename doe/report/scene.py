@@ -17,14 +17,11 @@ if TYPE_CHECKING:
 WHOLE = np.iinfo(np.uint16).max  # largest whole number of a vertex
 
 
-def scene(
-    model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str, Any], triangles: int = 30_000
-) -> dict[str, Any]:
+def scene(model: Any, postures: Array, via: Sequence[Array], tests: Mapping[str, Any]) -> dict[str, Any]:
     """What scene.js draws of an arm at postures (m, n) [rad, mm], and of measurements.
 
     model : of the arm, as `design_model` gives it;  via : of each posture the (v, n) way-points on the way to it
     tests : name of measurements -> their `Validation`
-    triangles : of all bodies at most: some 400 kB
 
     The chain is a list of n + 1 steps from frame to frame, each a fixed pose and then a motion about or along an
     axis, but for the last one, which leads to the measured point: joint_frames(q) are their products.
@@ -33,7 +30,7 @@ def scene(
     before = np.concatenate([np.eye(4)[None], frames[:-1]])
     moves = [{"axis": joint.axis.tolist(), "type": joint.type} for joint in model.arm.chain.joints]
     bodies = () if model.cell is None else model.cell.bodies
-    most = triangles // max(len(bodies), 1)
+    most = 30_000 // max(len(bodies), 1)  # triangles of each: some 400 kB in all
     return {
         "chain": [
             {"pose": step[:3].ravel().tolist()} | move
@@ -97,14 +94,14 @@ def simplified(triangles: Array, most: int) -> tuple[Array, NDArray[np.uint16]]:
         cells *= 0.9
 
 
-def error_arrows(name: str, test: Any, most: int = 500) -> list[dict[str, Any]]:
+def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
     """What drawing and calibrated arm leave of measurements, as arrows in the frame of the arm's base; none where no
     points are measured.
 
     Measured positions are in the frame of the instrument. The rotation from there to the base is the one that brings
     the measured points nearest to those of the arm, for each session (W. Kabsch, Acta Crystallographica A32, 1976).
 
-    name : of the measurements;  test : their `Validation`;  most : arrows: more only cover each other
+    name : of the measurements;  test : their `Validation`
     """
     arm, measured, residuals = test.arm, test.measurements, (test.nominal_residuals, test.residuals)
     if residuals[0].shape[1] < len("xyz") or not arm.chain.instrument.reads_positions:
@@ -121,7 +118,7 @@ def error_arrows(name: str, test: Any, most: int = 500) -> list[dict[str, Any]]:
         left, _, right = np.linalg.svd(there.T @ here)
         turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0]) @ right
         arrows[:, rows] = [each[rows, :3] @ turn for each in residuals]
-    shown = np.linspace(0, len(at) - 1, min(len(at), most)).astype(int)
+    shown = np.linspace(0, len(at) - 1, min(len(at), 500)).astype(int)  # more only cover each other
     kinds = zip(("before", "after"), ("drawing", "calibrated arm"), residuals, arrows, strict=True)
     models = [
         {"kind": kind, "name": model, "rms": rms_distance(left), "arrows": arrow[shown].round(5).tolist()}

@@ -1,5 +1,4 @@
-"""A diagnosis in words: its verdict, and a document of it, by the JSON object of `armcal diagnose`; with the diagnosis
-itself with pictures and corrected values too."""
+"""A diagnosis in words: its verdict, what follows from it, and a document of it, by its JSON object."""
 
 from __future__ import annotations
 
@@ -184,8 +183,7 @@ def diagnosis_actions(
 
 # -- the document ------------------------------------------------------------------------------------------------------
 def diagnosis_document(
-    data: Data,
-    diagnosis: Diagnosis | None = None,
+    diagnosis: Diagnosis,
     files: Sequence[str] = ("arm.toml", "data.csv"),
     written: Path | None = None,
     nominal: float | None = None,
@@ -195,22 +193,34 @@ def diagnosis_document(
     files : arm and measurements, for the commands of the next steps;  written : the extended model, where it has been
     nominal : RMS distance of the drawing [mm]
     """
-    parts: list[Part] = [Section("What is missing", missing_parts(data, diagnosis))]
+
+    def picture(name: str) -> Pictures:
+        """Of documents/pictures.py, drawn where it is seen: matplotlib takes longer to load than a small diagnosis."""
+
+        def draw() -> Sequence[Any]:
+            drawn = getattr(import_module("identification.documents.pictures"), name)(diagnosis)
+            return drawn if isinstance(drawn, Sequence) else [drawn]
+
+        return Pictures(draw)
+
+    data = diagnosis.to_json()
+    explained = [f"95 % intervals: {diagnosis.named.reliance}."] if data["effects"] else []
+    sections = [Section("What is missing", [*missing_parts(data), *explained])]
     if data["replication"]:
-        parts.append(replication_section(data["replication"]))
-    parts.append(gap_section(data, diagnosis, nominal))
-    if diagnosis is not None:
-        arm = diagnosis.extended_arm(diagnosis.named)
-        unknown = [p.name for p in diagnosis.named.parameters if np.isnan(p.std)]
-        values = corrected_values(arm, diagnosis.named.calibration, unknown=unknown)
-        doubted = data["confirmed"] is False
-        title = "Corrected values, not confirmed" if doubted else "Corrected values"
-        parts.append(corrected_section(title, values, folded=doubted))
-        parts.append(Section("Signed error against each joint", pictures_of(diagnosis, "signed_of")))
-    parts += curve_sections(data, diagnosis)
-    if diagnosis is not None:
-        how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
-        parts.append(Section("Against time and torque", [how, *pictures_of(diagnosis, "against_figure")], folded=True))
+        sections.append(replication_section(data["replication"]))
+    gap = [*gap_parts(data, nominal), picture("gap_figure")]
+    sections.append(Section("The gap, before and after", gap))
+    arm = diagnosis.extended_arm(diagnosis.named)
+    unknown = [p.name for p in diagnosis.named.parameters if np.isnan(p.std)]
+    values = corrected_values(arm, diagnosis.named.calibration, unknown=unknown)
+    doubted = data["confirmed"] is False
+    title = "Corrected values, not confirmed" if doubted else "Corrected values"
+    sections.append(corrected_section(title, values, folded=doubted))
+    sections.append(Section("Signed error against each joint", [picture("signed_of")]))
+    if curves := curve_parts(data):
+        sections.append(Section("Error curves of joints", [*curves, picture("curves_figure")]))
+    how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
+    sections.append(Section("Against time and torque", [how, picture("against_figure")], folded=True))
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
     shown: list[Part] = [
         Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data)),
@@ -219,26 +229,15 @@ def diagnosis_document(
         Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish"),
     ]
     # folded but where nothing is named
-    parts.append(Section("What these postures can and cannot show", shown, folded=bool(data["effects"])))
+    sections.append(Section("What these postures can and cannot show", shown, folded=bool(data["effects"])))
     if notes := [as_sentence(note) for note in data["notes"]]:
-        parts.append(Section("Notes", notes))
-    title = f"Gap report: {(diagnosis.arm.name if diagnosis else '') or 'arm'}"
+        sections.append(Section("Notes", notes))
+    verdict = [*diagnosis_verdict(data), gap_in_words(data)]
     actions = diagnosis_actions(data, files[0], files[1:], written)
-    return Document(title, [*diagnosis_verdict(data), gap_in_words(data)], parts, actions, data["warnings"])
+    return Document(f"Gap report: {diagnosis.arm.name or 'arm'}", verdict, sections, actions, data["warnings"])
 
 
-def pictures_of(diagnosis: Diagnosis | None, name: str) -> list[Part]:
-    """A picture of documents/pictures.py, or several, of a diagnosis, drawn where they are seen: matplotlib takes
-    longer to load than a small diagnosis."""
-
-    def draw() -> Sequence[Any]:
-        drawn = getattr(import_module("identification.documents.pictures"), name)(diagnosis)
-        return drawn if isinstance(drawn, Sequence) else [drawn]
-
-    return [] if diagnosis is None else [Pictures(draw)]
-
-
-def missing_parts(data: Data, diagnosis: Diagnosis | None) -> list[Part]:
+def missing_parts(data: Data) -> list[Part]:
     """What is named, how likely it is, and its values; what is named beside an unknown effect."""
     tests, figures, estimates = tests_of(data), [], list[Part]()
     explanations = (list(data["candidates"]) or [data["named"]]) if data["effects"] else []
@@ -262,8 +261,7 @@ def missing_parts(data: Data, diagnosis: Diagnosis | None) -> list[Part]:
     other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in data["other_sets"])
     parts: list[Part] = [*findings(data), f"Probability{among}: {every}{f' (of that {other})' if other else ''}."]
     parts += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
-    parts += [Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
-    return parts + ([f"95 % intervals: {diagnosis.named.reliance}."] if diagnosis and explanations else [])
+    return [*parts, Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
 
 
 def replication_section(effects: Sequence[Data]) -> Section:
@@ -286,7 +284,7 @@ def replication_section(effects: Sequence[Data]) -> Section:
     return Section("Across sessions", [lead, Sheet(headings, rows)])
 
 
-def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float | None = None) -> Section:
+def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
     """How far model and measurements are apart, before and after: on the data, less outliers, and on rows that no fit
     has seen, and whether the model holds there."""
     gap, rows, out, unit = data["gap"], data.get("rows"), data["outlier_rows"], data.get("reading_unit", "mm")
@@ -316,8 +314,7 @@ def gap_section(data: Data, diagnosis: Diagnosis | None = None, nominal: float |
         f"{noise}; on rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name."
     )
     table = Sheet([f"RMS distance [{unit}]", "rows", "before", "after", "expected", "holds"], shown)
-    parts = [table, about, *sentences, *pictures_of(diagnosis, "gap_figure")]
-    return Section("The gap, before and after", parts)
+    return [table, about, *sentences]
 
 
 def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
@@ -345,7 +342,7 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     return answer, sentence + (f" Another set-up: {refitted} refitted to these rows." if refitted else "")
 
 
-def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Section]:
+def curve_parts(data: Data) -> list[Part]:
     """Error curves of joints, where there are any: over which angles, how large, how sure, and of which shape."""
     text = (
         "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
@@ -360,9 +357,7 @@ def curve_sections(data: Data, diagnosis: Diagnosis | None = None) -> list[Secti
             shape = f"{kind} {orders} ({100.0 * sum(wave['share'] for wave in c['waves']):.0f} %)"
         sizes = (f"{np.sqrt(np.mean(np.square(c[key]))):.2g}" for key in ("error_deg", "std_deg"))
         rows.append([str(c["joint"]), f"{c['angle_deg'][0]:.0f} to {c['angle_deg'][-1]:.0f}", *sizes, shape])
-    table = Sheet(("joint", "angles [deg]", "RMS [deg]", "std [deg]", "shape"), rows)
-    shown = [table, text, *pictures_of(diagnosis, "curves_figure")]
-    return [Section("Error curves of joints", shown)] if rows else []
+    return [Sheet(("joint", "angles [deg]", "RMS [deg]", "std [deg]", "shape"), rows), text] if rows else []
 
 
 def excluded_by_kind(data: Data) -> list[list[str]]:

@@ -237,9 +237,9 @@ def correct(arm: str) -> Action:
     return Action("Correct the robot's commands with it:", f"armcal compensate {arm} targets.csv --out commands.csv")
 
 
-def identify_command(arm: str, rows: str, fit: str = "", out: str = "calibrated.toml") -> str:
+def identify_command(arm: str, rows: str, fit: str = "") -> str:
     """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises"""
-    return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out {out}"
+    return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out calibrated.toml"
 
 
 def identification_actions(data: Data, arm: str, rows: str, written: Path | None, *, diagnosed: bool) -> list[Action]:
@@ -268,17 +268,14 @@ def calibrated_actions(arm: str, rows: str, calibrated: str) -> list[Action]:
     ]
 
 
-def validation_actions(data: Data, model: str, rows: str, *, beyond: bool = False) -> list[Action]:
-    """What to do with a model that predicts other measurements, or does not, by the JSON of `validate`;  beyond : most
-    of them at angles that it has not seen"""
-    why = "Most rows are at angles that the calibration has not seen. A fit that reaches farther from its data:"
-    far = [Action(why, identify_command("arm.toml", "data.csv", "library-prior"))] if beyond else []
+def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
+    """What to do with a model that predicts other measurements, or does not, by the JSON of `validate`."""
     if is_better(data):
-        return [*far, correct(model)]
+        return [correct(model)]
     asked = f"armcal validate {model} {rows} --refit offsets"
     moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
     zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")
-    return [*far, *([] if data["refit"] == "offsets" else [moved]), zeros]
+    return [*([] if data["refit"] == "offsets" else [moved]), zeros]
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from identification.arm import Arm
@@ -76,24 +76,12 @@ def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditio
 
 # -- residuals ---------------------------------------------------------------------------------------------------------
 def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
-    """Residual arrows (m, d) of two models, with their names, at positions (m, d), on one scale."""
-    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
-    columns = draw_workspace(figure, arm, positions, pairs)
-    if len(columns[0]) > 1:  # rows of one scale as high as what they show, and the figure as high as all of them
-        boxes = [axis.dataLim for axis in columns[0]]
-        shares = [float(np.clip(box.height / box.width, 0.25, 1.5)) if box.width else 1.0 for box in boxes]
-        if (grid := columns[0][0].get_gridspec()) is not None:
-            grid.set_height_ratios(shares)
-        figure.set_figheight(0.2 + sum(0.5 + 0.44 * figure.get_figwidth() * share for share in shares))
-    return figure
-
-
-def draw_workspace(figure: Figure | SubFigure, arm: Arm, positions: Array, pairs: Pairs) -> list[list[Axes]]:
-    """Residual arrows of two models in two columns of axes, with one for each projection, on one scale: the largest
-    arrow is an eighth of the reach; and where a planar arm stands."""
+    """Residual arrows (m, d) of two models, with their names, at positions (m, d), in two columns with a row for each
+    projection, on one scale: the largest arrow is an eighth of the reach; and where a planar arm stands."""
     dimension, values = pairs[0][0].shape[1], Model(arm).best_known
     stand = [values.get(name, 0.0) for name in arm.chain.base_shift if not arm.chain.frame_kinds]
     views, unit = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)], reading_unit(arm)  # in space from the side too
+    figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
     scale = 0.12 * arm.reach / (max(float(distances(residuals).max()) for residuals, _ in pairs) or 1.0)
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
@@ -111,7 +99,12 @@ def draw_workspace(figure: Figure | SubFigure, arm: Arm, positions: Array, pairs
             axis.autoscale_view()
             axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [{unit}]", ylabel=f"{'xyz'[up]} [{unit}]")
             axis.plot(*(stand or ([], [])), "ks", ms=5)
-    return [list(column) for column in grid.T]
+    if len(views) > 1:  # rows of one scale as high as what they show, and the figure as high as all of them
+        boxes = [axis.dataLim for axis in grid[:, 0]]
+        shares = [float(np.clip(box.height / box.width, 0.25, 1.5)) if box.width else 1.0 for box in boxes]
+        grid[0, 0].get_gridspec().set_height_ratios(shares)
+        figure.set_figheight(0.2 + sum(0.5 + 0.44 * figure.get_figwidth() * share for share in shares))
+    return figure
 
 
 # -- diagnoses, without outlier rows, which would set the scale --------------------------------------------------------

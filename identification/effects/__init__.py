@@ -16,7 +16,7 @@ from types import MappingProxyType
 from identification.arm import EffectSpec
 from identification.effects import formulas  # it fills the library
 from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
-from identification.effects.chain import Chain
+from identification.effects.chain import Chain, widths
 from identification.errors import InputError, close_names, nearest, suggestion
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import Parameter
@@ -68,8 +68,8 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
 
     tagged : the key includes the settings
 
-    Raises `InputError` for an unknown name, a joint that is missing, not allowed or out of range, an unknown parameter,
-    and an effect not defined for arms of this dimension.
+    Raises `InputError` for an unknown name, an effect without a method of any place, a joint that is missing, not
+    allowed or out of range, an unknown parameter, and an effect not defined for arms of this dimension.
     """
     cls, joint = effect_named(spec.name), spec.joint
     if chain.dimension not in cls.dimensions:
@@ -77,6 +77,8 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
         raise InputError(
             f"effects: {spec.name} is of {others} arms, {nearest(spec.name, of_dimension(chain.dimension))}"
         )
+    if not (cls.scatter or cls.of_commands or any(hasattr(cls, place) for place in widths(chain))):
+        raise InputError(f"effects: {spec.name} adds nothing, allowed: a method named {' or '.join(widths(chain))}")
     allowed = f"allowed: {cls.first_joint} to {len(chain)}"
     if joint is None and cls.per_joint == "required":
         raise InputError(f"effects: {spec.name} needs a joint, {allowed}")

@@ -447,7 +447,7 @@ class Diagnosis(Documented):
         nominal: float | None = None,
     ) -> Document:
         """All of it, with pictures: `documents.diagnosis.diagnosis_document`."""
-        return words.diagnosis_document(self.to_json(), self, files, written, nominal)
+        return words.diagnosis_document(self, files, written, nominal)
 
     def _repr_html_(self) -> str:
         return html(self.document(), picture=None)

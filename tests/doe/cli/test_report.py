@@ -15,26 +15,16 @@ from identification.document import in_a_sentence
 from tests.doe.cli.conftest import Folder
 
 
-def page(folder: Folder, files: str) -> str:
-    """The text of a page of these files."""
-    folder.said(f"report {files} --out page.html --force")
-    return folder.read("page.html")
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Folder:
-    """With data, a calibration, other measurements, and what commands said."""
+    """With data, a calibration, other measurements, and a diagnosis."""
     with pytest.MonkeyPatch.context() as patch:
         folder = Folder(tmp_path_factory.mktemp("campaign"))
         patch.chdir(folder.path)
         folder.simulated()
         folder.write("ident.json", folder.armcal("identify arm.toml data.csv --out cal.toml --json").out)
         folder.simulated("other.csv", seed=5)
-        folder.write("valid.json", folder.armcal("validate cal.toml other.csv --json").out)
-        done = folder.armcal(
-            "diagnose arm.toml data.csv --holdout other.csv --out extended.toml --report gap.html --json"
-        )
-        folder.write("diag.json", done.out)
+        folder.said("diagnose arm.toml data.csv --holdout other.csv --out extended.toml --report gap.html")
     return folder
 
 
@@ -45,14 +35,13 @@ def campaign(made: Folder, monkeypatch: pytest.MonkeyPatch) -> Folder:
 
 
 def test_a_page_of_everything(campaign: Folder) -> None:
-    names = "arm.toml cal.toml plan.csv data.csv other.csv ident.json valid.json"
+    names = "arm.toml cal.toml plan.csv data.csv other.csv"
     found = campaign.said(f"report {names} --out page.html --seed 3 --force")
     kinds = {entry["file"]: entry["kind"] for entry in found["files"]}
     assert list(kinds) == names.split()
     assert kinds["cal.toml"] == "arm with a calibration"
     assert (kinds["plan.csv"], kinds["other.csv"]) == ("plan", "measurements")
-    assert kinds["valid.json"] == "armcal validate --json"
-    assert len(found["verdict"]) == 4  # unseen rows, those of the fit, of the plan
+    assert len(found["verdict"]) == 3  # unseen rows, those of the fit, of the plan
     text = campaign.read("page.html")
     for entry in found["files"]:
         content = (campaign.path / entry["file"]).read_bytes()
@@ -73,20 +62,11 @@ def test_a_plan_of_seatings_is_no_measurement(folder: Folder) -> None:
     assert [entry["kind"] for entry in found["files"]] == ["arm", "plan", "measurements"]
 
 
-def test_the_report_of_a_diagnosis_stands_in_the_page_too(campaign: Folder) -> None:
-    said = json.loads(campaign.read("diag.json"))
+def test_a_page_of_a_diagnosis_names_its_data(campaign: Folder) -> None:
     calibration = load_arm(campaign.path / "extended.toml").calibration
     assert calibration is not None
     assert calibration.provenance["sha256"] == hashlib.sha256((campaign.path / "data.csv").read_bytes()).hexdigest()
-    for text in (campaign.read("gap.html"), page(campaign, "diag.json")):
-        assert f">{said['gap']['rms_before_mm']:.4f}</td>" in text
     assert calibration.provenance["sha256"] in campaign.read("gap.html")
-    # the next step names the file that was diagnosed, whichever other files are given beside the JSON object or not
-    campaign.write("another.json", json.dumps(said | {"files": ["arm.toml", "another.csv"]}))
-    for names in ("another.json", "arm.toml data.csv another.json"):
-        actions = Campaign.of([Path(name) for name in names.split()]).actions
-        commands = " ".join(action.command for action in actions)
-        assert ("another.csv" in commands, "data.csv" in commands) == (True, False)
 
 
 def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
@@ -100,17 +80,12 @@ def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
 
 
 def test_the_headline_is_the_error_on_rows_that_no_fit_has_seen(campaign: Folder) -> None:
-    """Whichever file says it: other measurements, what `validate` said of them, or a diagnosis with rows held out."""
-    valid, diagnosis = (json.loads(campaign.read(name)) for name in ("valid.json", "diag.json"))
-    by_rows, by_diagnosis = valid["rms_mm"], diagnosis["confirmation"]["after_mm"]
-    for names, figure in (
-        ("other.csv", by_rows), ("valid.json", by_rows), ("diag.json", by_diagnosis),
-        ("diag.json other.csv", by_rows), ("ident.json", None),
-    ):  # fmt: skip
-        headline, *rest = Campaign.of([Path(name) for name in f"arm.toml cal.toml data.csv {names}".split()]).verdict
-        assert ("On 12 rows of data.csv" in headline) is (figure is None)
-        assert figure is None or f"to {in_a_sentence(figure)} mm" in headline
-        assert headline not in rest
+    by_rows = campaign.said("validate cal.toml other.csv")["rms_mm"]
+    headline, *rest = Campaign.of([Path(name) for name in ["arm.toml", "cal.toml", "data.csv", "other.csv"]]).verdict
+    assert f"to {in_a_sentence(by_rows)} mm" in headline
+    assert headline not in rest
+    (alone, *_) = Campaign.of([Path(name) for name in ["arm.toml", "cal.toml", "data.csv"]]).verdict
+    assert "On 12 rows of data.csv" in alone
 
 
 def test_every_calibration_is_shown_and_the_one_that_is_used_is_said(folder: Folder) -> None:

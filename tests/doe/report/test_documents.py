@@ -18,7 +18,6 @@ from doe.report.page import origin, page
 from identification import Arm, Calibration, EffectSpec, Measurements, Model, diagnose, estimate
 from identification.compensate import compensate
 from identification.document import Document, Part, Section, Sheet, as_text
-from identification.documents.diagnosis import diagnosis_document
 from identification.documents.identification import entry_document, identification_document, library_document
 from identification.effects.catalogue import entry
 from identification.inspection.inspection import inspect
@@ -50,7 +49,6 @@ def documents() -> Iterator[tuple[str, Document]]:
     yield "inspection", inspect(ARM, data).document()
     yield "identification", identification_document(fit, fit.to_json())
     yield "diagnosis", diagnosis.document()
-    yield "diagnosis by JSON", diagnosis_document(diagnosis.to_json())
     yield "validation", validate(calibrated, fresh).document()
     yield "commands", compensate(calibrated, fresh.positions).document()
     yield "library", library_document([entry("backlash"), entry("outliers")])
@@ -63,7 +61,7 @@ def every() -> dict[str, Document]:
 
 
 NAMES = (
-    *("design", "advice", "weights", "inspection", "identification", "diagnosis", "diagnosis by JSON", "validation"),
+    *("design", "advice", "weights", "inspection", "identification", "diagnosis", "validation"),
     *("commands", "library", "effect"),
 )
 
@@ -115,5 +113,3 @@ def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: 
 
 def test_the_picture_of_a_page_is_not_drawn_for_a_terminal(every: dict[str, Document]) -> None:
     assert "<svg" in page(every["diagnosis"])
-    assert "<svg" not in page(every["diagnosis by JSON"])
-    assert len(every["diagnosis"].parts) > len(every["diagnosis by JSON"].parts)

@@ -39,8 +39,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Folder]:
         folder.write("arm.toml", folder.read("arm.toml").replace('"paper-4-link"', f"'''{NASTY}'''"))
         folder.simulated()
         assert folder.armcal("identify", "arm.toml", "data.csv", "--out", CALIBRATED).code == 0
-        folder.write("said.json", folder.armcal("score arm.toml plan.csv --json").out)
-        words = "report", "arm.toml", CALIBRATED, "plan.csv", "data.csv", "said.json", "--out", "page.html"
+        words = "report", "arm.toml", CALIBRATED, "plan.csv", "data.csv", "--out", "page.html"
         done = folder.armcal(*words)
         assert done.code == 0, done.err
         dh = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\n" for a, alpha, d in ROWS)

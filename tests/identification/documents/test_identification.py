@@ -72,9 +72,6 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
         data = {"rms_mm": 1.0, "rms_nominal_mm": 2.0 if better else 1.0, "refit": how, "notes": []}
         actions = validation_actions(data, "m.toml", "d.csv")
         assert [action.command for action in actions] == expected
-        first, *rest = validation_actions(data, "m.toml", "d.csv", beyond=True)
-        assert "--library-prior" in first.command
-        assert rest == actions
     first = identification_actions({"warnings": []}, "a.toml", "d.csv", None, diagnosed=False)
     assert first[0].text.endswith("add --out calibrated.toml to this command.")
     assert first[1].command.startswith("armcal diagnose a.toml d.csv")

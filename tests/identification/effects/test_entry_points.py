@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from identification import InputError, effects
+from identification import Arm, EffectSpec, InputError, effects
 from identification.effects import base, library
 
 pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
@@ -74,3 +74,10 @@ def test_an_own_effect_may_be_defined_again() -> None:
     base.register(one)
     base.register(other)
     assert base._LIBRARY["mine"] is other
+
+
+def test_an_effect_that_adds_nothing_anywhere_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    bent = type("Bent", (base.Effect,), {"name": "bent", "__module__": "notebook", "deflections": lambda *_: 1.0})
+    monkeypatch.setitem(base._LIBRARY, "bent", bent)
+    with pytest.raises(InputError, match=r"bent adds nothing, allowed: a method named .* joint_shifts"):
+        effects.build(EffectSpec("bent"), Arm([100.0, 100.0]).chain)
