@@ -252,8 +252,12 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
     look, *use = calibrated_actions(arm, rows, calibrated)
     if "prior" not in data:
         return [*keep, *([] if diagnosed else [look]), *use]
-    if not data.get("offered", {"better": True})["better"]:
-        alone = "Leave --library-prior away, since the geometry alone predicts as well:"
+    offered = data.get("offered", {"better": True})
+    if not offered["better"] and offered["rms_mm"] < offered["rms_geometry_mm"]:
+        unsure = "These rows are too few to say that --library-prior helps. The geometry alone, to compare on others:"
+        keep.append(Action(unsure, identify_command(arm, rows, out="geometry.toml")))
+    elif not offered["better"]:
+        alone = "Leave --library-prior away, since the geometry alone predicts no worse:"
         keep, use = [Action(alone, identify_command(arm, rows))], [correct("calibrated.toml")]
     why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
     return [*keep, *use, Action(why, look.command)]

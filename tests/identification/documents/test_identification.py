@@ -94,6 +94,16 @@ def test_what_was_refitted_in_words(refit: str, names: str, words: str) -> None:
     assert refitted_in_words({"refit": refit, "refitted": [{"name": name} for name in names.split()]}) == words
 
 
+def test_a_prior_that_may_help_is_not_advised_against() -> None:
+    """Better by a quarter, but not beyond chance: that the geometry predicts as well would not be so."""
+    for rms, file in ((0.26, "geometry.toml"), (0.36, "calibrated.toml")):
+        offered = {"better": False, "rms_mm": rms, "rms_geometry_mm": 0.35}
+        data = {"warnings": [], "prior": {}, "offered": offered}
+        first, *_ = identification_actions(data, "a.toml", "d.csv", Path("mine.toml"), diagnosed=False)
+        assert first.command == f"armcal identify a.toml d.csv --out {file}"
+        assert ("no worse" in first.text) is (rms > 0.35)
+
+
 def commands(errors: list[float], missed: list[float]) -> Compensation:
     """One joint turned by 0.5 rad for every target."""
     k = len(errors)
