@@ -74,9 +74,8 @@ class Drive:
             return []
         data = self.to_json()
         before, after, saved = (data["travel_deg"][key] for key in ("before", "after", "saved"))
-        lines = [
-            f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({abs(saved):.0%} {'more' if saved < 0.0 else 'saved'})"
-        ]
+        change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
+        lines = [f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({change})"]
         if self.cut:
             lines.append(
                 "Moves: no way from posture to posture was proven free in time; straight moves may collide: armcal "
