@@ -151,7 +151,7 @@ def design_files(
     starts : Number of starts.
     seconds : Time budget [s]; left out: none up to 100 runs, 30 for more.
     discriminating : Also make missing effects distinguishable (costs some D-efficiency).
-    order : Of measurement; travel: least joint travel; left out: travel where bodies are known.
+    order : Of measurement; travel: little joint travel; left out: travel where bodies are known.
     approach : From where each joint comes to every posture.
     keep : Postures already measured; the plan complements them.
     candidates : CSV of allowed postures to choose from.

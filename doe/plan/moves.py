@@ -188,7 +188,6 @@ def route(
         new, before, after, here = road.add(moved[good]), before[good], after[good], here[good]
         road.connect((before, new), (new, after), (before, after), (new[:-1], new[1:]), (new, here))
         order, ways, missing = settled(road, starts, aims, keep_order)
-    order, ways, missing = settled(road, starts, aims, keep_order, proof=True)
     vias = [road.nodes[way[1:-1]] for way in ([0, 0], *ways)]
     if entries is not None:
         vias = [np.vstack([via, entries[row]]) for via, row in zip(vias, order, strict=True)]
@@ -196,13 +195,10 @@ def route(
 
 
 def settled(
-    road: Roadmap, starts: Numbers, aims: Numbers, keep_order: bool, proof: bool = False
+    road: Roadmap, starts: Numbers, aims: Numbers, keep_order: bool
 ) -> tuple[Numbers, list[list[int]], Numbers]:
     """The shortest route from nodes (m,) to nodes (m,) whose moves are all proven: its order, the nodes of each of the
-    m - 1 steps, and which of the m no way leads to from most of the others.
-
-    proof : it is the shortest of all orders, not just of many
-    """
+    m - 1 steps, and which of the m no way leads to from most of the others."""
     from scipy.sparse.csgraph import dijkstra
 
     m = len(starts)
@@ -215,7 +211,7 @@ def settled(
         if not keep_order:
             worst = 1.0 + 2.0 * cost[reached].sum()  # than any order
             cost = np.where(reached, cost, worst)
-            order = shortest_path(np.maximum(cost, cost.T), proof)
+            order = shortest_path(np.maximum(cost, cost.T))
             if starts is not aims and order[0] > order[-1]:  # which way round it is gone matters
                 order = order[::-1]
         ways = []

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, chdtri, fdtrc, ndtri, pdtrc, stdtr, stdtrit
+from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, stdtrit
 
 from identification.arm import Calibration
 from identification.arrays import Array
@@ -431,13 +431,19 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
         for groups in groupings_of:
             sizes, wrong_in_group, x = np.bincount(groups), np.bincount(groups, wrong), 2
             while x <= wrong_in_group.max():
-                from scipy.stats import hypergeom  # deferred: only rows that come together pay for the import
-
-                expected = float(np.sum(hypergeom.sf(x - 1, len(wrong), int(wrong.sum()), sizes)))
+                few = np.arange(x)[:, None]
+                chances = log_choose(wrong.sum(), few) + log_choose(len(wrong) - wrong.sum(), sizes - few)
+                fewer = np.sum(np.exp(chances - log_choose(len(wrong), sizes)), axis=0)
+                expected = float(np.sum(np.maximum(1.0 - fewer, 0.0)))
                 crowds.append((pdtrc(np.sum(wrong_in_group >= x) - 1, expected), (wrong_in_group >= x)[groups]))
                 x = 2 * x - 1
         alike += [rows[to_rows] for p, rows in crowds if p <= 0.5e-3 / len(crowds)]
     return np.any(alike, axis=0) & outlier
+
+
+def log_choose(many: ArrayLike, few: ArrayLike) -> Array:
+    """Log of the number of ways to choose a few of many, -inf where there is none."""
+    return np.asarray(gammaln(np.add(many, 1.0)) - gammaln(np.add(few, 1.0)) - gammaln(np.subtract(many, few) + 1.0))
 
 
 # -- means of rows that are not independent ----------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Plans of five robots judged by pinocchio and coal on their collision meshes: `pytest -m benchmark -s` with this file.
 
-Needs pin and example-robot-data (`pip install pin coal example-robot-data`). Plans
+Needs pin and example-robot-data (`pip install pin coal trimesh example-robot-data`). Plans
 of 30 postures are made by `armcal design` from each robot's URDF, five seeds each (`SEEDS=2`: two); every posture,
 and every straight joint move at 400 places, is looked at for collisions of links that no joint connects.
 """
@@ -27,6 +27,8 @@ from identification import Model, load_arm
 pytestmark = [pytest.mark.benchmark, pytest.mark.filterwarnings("ignore")]  # of pinocchio
 
 pinocchio: Any = pytest.importorskip("pinocchio")
+coal: Any = pytest.importorskip("coal")
+trimesh: Any = pytest.importorskip("trimesh")
 ROBOTS = {  # URDF, its ends
     "UR10": ("ur_description/urdf/ur10_robot.urdf", "base_link", "ee_link"),
     "UR5": ("ur_description/urdf/ur5_robot.urdf", "base_link", "ee_link"),
@@ -38,11 +40,31 @@ SEEDS, RUNS, PLACES = range(int(os.environ.get("SEEDS", "5"))), 30, 400
 TOOL = 40.0, 30.0, 80.0  # [mm]
 BASE = "[measurement]\nsigma_mm = 0.05\n\n[tool]\nx_mm = {}\ny_mm = {}\nz_mm = {}\n".format(*TOOL)
 FLOOR = "\n[cell]\nfloor_z_mm = 0.0\nclearance_mm = 20.0\n"
+TRACKER = 2500.0, 600.0, 900.0  # [mm]
+VIEW = """
+[[constraints]]
+kind = "line_of_sight"
+tracker_mm = [2500.0, 600.0, 900.0]
+half_angle_deg = 40.0
+toward_mm = [0.0, 0.0, 500.0]
+facing = [0.0, 0.0, 1.0]
+acceptance_deg = 45.0
+"""
 
 
 def data() -> Path:
     """The folder in which `package://example-robot-data` is."""
     return Path(pinocchio.__file__).parents[4] / "share"
+
+
+def triangles(drawn: Any) -> np.ndarray:
+    """(t, 3, 3) of a mesh, or a shape [m]."""
+    shape, made = drawn.geometry, trimesh.creation
+    if isinstance(shape, coal.Box):
+        return np.array(made.box(2.0 * shape.halfSide).triangles)
+    if isinstance(shape, coal.Cylinder):
+        return np.array(made.cylinder(shape.radius, 2.0 * shape.halfLength).triangles)
+    return np.array(trimesh.load(drawn.meshPath, force="mesh").triangles * drawn.meshScale)
 
 
 class Judge:
@@ -77,6 +99,28 @@ class Judge:
             full[place : place + size] = [value] if size == 1 else [math.cos(value), math.sin(value)]
         pinocchio.computeCollisions(self.model, self.work, self.geometry, self.found, full, False)
         return np.array([result.isCollision() for result in self.found.collisionResults], dtype=bool)
+
+    def view(self, q: np.ndarray, base: str, tip: str) -> tuple[bool, float]:
+        """Whether a ray from the tracker to the reflector misses all triangles of all meshes, and its angle [deg] to
+        where the reflector looks."""
+        self._pairs(q)
+        pinocchio.updateFramePlacements(self.model, self.work)
+        at, flange = (self.work.oMf[self.model.getFrameId(name)] for name in (base, tip))
+        start, end = at.act(np.array(TRACKER) / 1e3), flange.act(np.array(TOOL) / 1e3)
+        ray, blocked = end - start, False
+        for each, place in zip(self.geometry.geometryObjects, self.found.oMg, strict=True):
+            corners = triangles(each) @ place.rotation.T + place.translation
+            a, b, c = np.moveaxis(corners, 1, 0)
+            across = np.cross(ray, c - a)
+            scale = np.sum((b - a) * across, axis=1)
+            scale = np.where(np.abs(scale) > 1e-15, scale, np.inf)  # parallel
+            turned = np.cross(start - a, b - a)
+            one, other = np.sum((start - a) * across, axis=1) / scale, turned @ ray / scale
+            along = np.sum((c - a) * turned, axis=1) / scale
+            inside = (one >= 0.0) & (other >= 0.0) & (one + other <= 1.0)
+            blocked |= bool(np.any(inside & (along > 0.0) & (along < 1.0)))
+        cosine = -flange.rotation[:, 2] @ ray / np.linalg.norm(ray)
+        return not blocked, math.degrees(math.acos(cosine))
 
     def collides(self, q: np.ndarray) -> bool:
         return bool(self._pairs(q).any())
@@ -149,3 +193,16 @@ def test_no_posture_and_no_move_collides(
         if hits or moves or efficiency < least or longer > 1.3:
             wrong.append(seed)
     assert not wrong
+
+
+@pytest.mark.parametrize("robot", ["UR10", "Panda"], indirect=True)
+def test_the_tracker_sees_the_reflector(robot: tuple[str, Judge, str], tmp_path: Path) -> None:
+    """Of the plan without the constraint some postures are hidden, or look away."""
+    name, judge, head = robot
+    seen = []
+    for view in (VIEW, ""):
+        _, rows, kinds, _ = plan_of(tmp_path, head + FLOOR + view, 0)
+        views = [judge.view(q, *ROBOTS[name][1:]) for q, kind in zip(rows, kinds, strict=True) if kind == "measure"]
+        seen.append(sum(free and angle < 45.01 for free, angle in views))
+    print(f"\n{name}: {seen[0]} of {RUNS} postures are seen, {seen[1]} without the constraint")
+    assert seen[0] == RUNS > seen[1]

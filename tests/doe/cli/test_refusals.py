@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from doe.cli import main
-from doe.cli.verb import LONGEST_LINE, in_one_line
+from doe.cli.verb import LONGEST_LINE, in_one_line, seconds_above_zero, whole_numbers
 from identification import InputError
 from identification.files.csv import read_table
 from tests.doe.cli.conftest import ARM, CALIBRATION, Folder
@@ -196,7 +196,8 @@ def test_what_no_option_takes(folder: Folder, verb: str) -> None:
     """A word where a number or a choice belongs, numbers beyond all ranges, an option that is none."""
     options = [p for p in main.commands[verb].params if isinstance(p, click.Option) and not p.is_flag]
     for option in options:
-        if isinstance(option.type, click.Choice | click.IntRange | click.FloatRange):
+        number = getattr(option.type, "func", None) in (seconds_above_zero, whole_numbers)
+        if number or isinstance(option.type, click.Choice | click.IntRange | click.FloatRange):
             for wrong in ("nothing", "nan", "-99999999999999999999"):
                 folder.refused([verb, f"{option.opts[0]}={wrong}"], option.opts[0], wrong)
     folder.refused([verb, "--colour", "red"], "--colour")

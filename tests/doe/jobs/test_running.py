@@ -276,7 +276,7 @@ def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int, run
 def test_bad_address_is_one_line_at_once(address: str, said: str) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match=f"--cluster.*{said}"):
-        cluster(address, patience=1.0).__enter__()
+        cluster(address, patience=0.2).__enter__()
 
 
 def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
