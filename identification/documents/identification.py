@@ -255,7 +255,7 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
     offered = data.get("offered", {"better": True})
     if not offered["better"] and offered["rms_mm"] < offered["rms_geometry_mm"]:
         unsure = "These rows are too few to say that --library-prior helps. The geometry alone, to compare on others:"
-        keep.append(Action(unsure, identify_command(arm, rows, out="geometry.toml")))
+        keep.append(Action(unsure, f"armcal identify {arm} {rows} --out geometry.toml"))
     elif not offered["better"]:
         alone = "Leave --library-prior away, since the geometry alone predicts no worse:"
         keep, use = [Action(alone, identify_command(arm, rows))], [correct("calibrated.toml")]
@@ -294,7 +294,8 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, 
     figures = f"from {drawing} to {in_a_sentence(data['rms_mm'])} {unit}"
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} {unit}"
     gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
-    worth = "no better than the drawing" if gain <= 0.0 else f"{100.0 * gain:.0f} % of the error is removed"
+    share = f"{100.0 * gain:.{1 if gain >= 0.995 else 0}f}" if gain < 0.9995 else "more than 99.9"
+    worth = "no better than the drawing" if gain <= 0.0 else f"{share} % of the error is removed"
     worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
     worth = "this says nothing about others" if seen else worth
     return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
