@@ -284,8 +284,8 @@ class RankingByTrace(Ranking):
         super().__init__(criterion, information, jacobians)
         self.weight, self.rows = criterion.weight(len(information)), jacobians.reshape(-1, len(information))
         before, seen, inner = _woodbury(information[None], jacobians[None])
-        self.inverse, self.own = before[0], inner[0] - np.eye(jacobians.shape[1])
-        self.error = (seen[0] @ self.weight) @ np.swapaxes(seen[0], -1, -2)
+        self.inverse, self.covariance = before[0], inner[0] - np.eye(jacobians.shape[1])
+        self.spread = (seen[0] @ self.weight) @ np.swapaxes(seen[0], -1, -2)
 
     def _after(self, runs: Array, signs: Array) -> tuple[Array, Array, Array]:
         """M^-1, S and T with runs (r, p) of these signs."""
@@ -299,16 +299,20 @@ class RankingByTrace(Ranking):
         )
         back = core @ np.swapaxes(seen, -1, -2)
         mixed = (errors - 0.5 * seen @ (core @ (right.T @ weighted))) @ back
-        return self.inverse - right @ core @ right.T, self.own - seen @ back, self.error - mixed - mixed.swapaxes(1, 2)
+        return (
+            self.inverse - right @ core @ right.T,
+            self.covariance - seen @ back,
+            self.spread - mixed - mixed.swapaxes(1, 2),
+        )
 
     def instead_of(self, run: Array) -> Array:
         # nearly all of the run: without it M may be singular, and this keeps the ranking right
-        _, own, error = self._after(run, np.full(len(run), 1e-9 - 1.0))
-        return np.trace(np.linalg.solve(np.eye(len(run)) + own, error), axis1=-2, axis2=-1)
+        _, covariance, spread = self._after(run, np.full(len(run), 1e-9 - 1.0))
+        return np.trace(np.linalg.solve(np.eye(len(run)) + covariance, spread), axis1=-2, axis2=-1)
 
     def exchange(self, old: Array, new: Array) -> None:
         signs = np.repeat([-1.0, 1.0], len(old))
-        self.inverse, self.own, self.error = self._after(np.concatenate([old, new]), signs)
+        self.inverse, self.covariance, self.spread = self._after(np.concatenate([old, new]), signs)
 
 
 @dataclass(frozen=True)

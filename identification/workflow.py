@@ -443,12 +443,15 @@ def dh_lines(
     """
     from identification.estimation.result import dh_table
     from identification.files.arm import dh_rows
+    from identification.files.io import read_toml
+    from identification.files.schema import validated_arm
     from identification.kinematics.frames import point_table, pose_table
 
-    if (table := dh_rows(arm)) is None:
+    file = validated_arm(read_toml(arm))
+    if file.dh is None:
         return (), []
     try:
-        rows, places = dh_table(calibrated, *table)
+        rows, places = dh_table(calibrated, *dh_rows(file))
     except InputError:  # prismatic joints, or axes that are one
         return (), []
     lines = []

@@ -113,14 +113,17 @@ def drive(
 
     Raises `JobError` where postures are left that cannot be reached.
     """
-    known, generator = room_of(problem.constraints, 0.02), np.random.default_rng(seed)
-    if known is None and approach == "any" and order is None:
+    bodies, generator = room_of(problem.constraints, 0.02), np.random.default_rng(seed)
+    if bodies is None and approach == "any" and order is None:
         return Drive(plan)
-    room, space = known or nothing(problem.joints), Space(problem.model.lower, problem.model.upper, problem.joint_units)
-    order = order or ("travel" if known is not None and len(plan) <= MANY else "given")
+    room, space = (
+        bodies or nothing(problem.joints),
+        Space(problem.model.lower, problem.model.upper, problem.joint_units),
+    )
+    order = order or ("travel" if bodies is not None and len(plan) <= MANY else "given")
     before = space.length(plan.postures)
     shuffled = np.random.default_rng(seed).permutation(len(plan)) if order == "random" else np.arange(len(plan))
-    turn = (lambda rows: rows) if known is None else one_turn(problem, known, generator)
+    turn = (lambda rows: rows) if bodies is None else one_turn(problem, bodies, generator)
     postures = turn(plan.postures[shuffled])
     senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
@@ -128,16 +131,16 @@ def drive(
     def margin(postures: Array) -> Array:
         if stop():
             raise TimeoutError
-        return known_margin(postures)
+        return kept_margin(postures)
 
-    known_margin, room = room.margin, room._replace(margin=margin)
+    kept_margin, room = room.margin, room._replace(margin=margin)
     try:
         for _ in range(5):
             entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
             lost = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
             if not lost:
-                found = route(postures, room, space, entries=entries, keep_order=order != "travel", seed=seed)
-                lost = found.unreached
+                path = route(postures, room, space, entries=entries, keep_order=order != "travel", seed=seed)
+                lost = path.unreached
             if not lost:
                 break
             postures = another(problem, postures, lost, room, space, turn, generator)
@@ -152,13 +155,13 @@ def drive(
         cut = replace(plan, postures=postures[rows])
         travel = space.length(cut.postures)
         return Drive(cut, None, order, approach, travel, before, travel, cut=True)
-    ways = [np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)]
+    ways = [np.vstack([way, postures[row]]) for way, row in zip(path.vias, path.rows, strict=True)]
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
     whole = replace(plan, postures=np.concatenate(ways), via=via)
-    path = found.rows if len(plan) > MANY else shortest_path(space.travel(postures[:, None], postures))
-    shortest = space.length(postures[path])
-    moves = None if known is None and approach == "any" else whole
-    measured = replace(plan, postures=postures[found.rows])
+    best = path.rows if len(plan) > MANY else shortest_path(space.travel(postures[:, None], postures))
+    shortest = space.length(postures[best])
+    moves = None if bodies is None and approach == "any" else whole
+    measured = replace(plan, postures=postures[path.rows])
     return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
 
 

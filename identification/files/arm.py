@@ -35,7 +35,7 @@ from identification.files.schema import (
     validated,
     validated_arm,
 )
-from identification.files.urdf import METER, Urdf, read_urdf, urdf_text, with_origins
+from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
 from identification.instruments import KINDS
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
 from identification.kinematics.corrected import standing_in
@@ -196,7 +196,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(file.base_link, file.tip_link, limited)
     else:
-        chain = chain_of(*_dh_table(file))
+        chain = chain_of(*dh_rows(file))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -220,7 +220,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     return replace(chain, instrument=instrument)
 
 
-def _dh_table(file: Any) -> tuple[list[DHRow], str]:
+def dh_rows(file: Any) -> tuple[list[DHRow], str]:
     """Rows and convention of `[[dh]]`."""
     rows = [DHRow(*(row.a_mm, row.alpha_deg, row.d_mm, row.offset_deg, row.joint), (-np.pi, np.pi)) for row in file.dh]
     return rows, next((row.convention for row in file.dh if row.convention), STANDARD)
@@ -406,13 +406,7 @@ def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
     file = validated_arm(read_toml(path))
     if (urdf := _urdf(file, Path(path).parent)) is None:
         return urdf_text(chain, file.name)
-    return with_origins(urdf, file.base_link, file.tip_link, [joint.origin for joint in chain.joints])
-
-
-def dh_rows(path: PathLike) -> tuple[list[DHRow], str] | None:
-    """Rows and convention of the `[[dh]]` table of an arm file; None where it has none."""
-    file = validated_arm(read_toml(path))
-    return None if file.dh is None else _dh_table(file)
+    return urdf.with_origins(file.base_link, file.tip_link, [joint.origin for joint in chain.joints])
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------

@@ -214,16 +214,14 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
             raise InputError(f"{path}: column {name!r} is there {header.count(name)} times, allowed: once")
     columns = dict[str, Sequence[str]]()
     for k, (name, column) in enumerate(zip(header, zip(*rows[1:], strict=True), strict=False), start=1):
-        if name:
-            columns[name] = column if separator == "," else [_with_point(cell) for cell in column]
+        if name and separator == ",":
+            columns[name] = column
+        elif name:  # numbers may have a decimal comma
+            decimal = re.compile(r"\s*[-+]?\d*,\d*([eE][-+]?\d+)?\s*")
+            columns[name] = [cell.replace(",", ".") if decimal.fullmatch(cell) else cell for cell in column]
         elif any(cell.strip() for cell in column):  # empty ones are what spreadsheets leave behind
             raise InputError(f"{path}: column {k} has no name in line {lines[0]}, allowed: a name")
     return Table.of(str(path), columns, lines[1:], sha256=sha256, fit=fit).measured(vias)
-
-
-def _with_point(cell: str) -> str:
-    """A number with a decimal comma with a point."""
-    return cell.replace(",", ".") if re.fullmatch(r"\s*[-+]?\d*,\d*([eE][-+]?\d+)?\s*", cell) else cell
 
 
 def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: bool = False) -> Table:

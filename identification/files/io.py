@@ -84,7 +84,14 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
 
     Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable.
     """
-    targets = {_checked_target(path, force): _in_bytes(path, content) for path, content in contents.items()}
+    targets: dict[Path, bytes] = {}
+    for path, content in contents.items():
+        target = _checked_target(path, force)
+        if not isinstance(content, str | bytes):
+            picture, buffer = _picture_format(path), io.BytesIO()
+            (content() if callable(content) else content).savefig(buffer, format=picture, dpi=150)
+            content = buffer.getvalue()
+        targets[target] = content.encode() if isinstance(content, str) else content
     staged = {target: target.with_name(f".{secrets.token_hex(8)}.tmp") for target in targets}
     try:
         for target, new in staged.items():
@@ -119,14 +126,6 @@ def _picture_format(path: PathLike) -> str:
     if (ending := Path(path).suffix).lower() not in (".png", ".svg", ".pdf"):
         raise InputError(f"{path}: ending {ending!r}, allowed: .png, .svg, .pdf")
     return ending.lower().removeprefix(".")
-
-
-def _in_bytes(path: PathLike, content: Content) -> bytes:
-    if isinstance(content, str | bytes):
-        return content.encode() if isinstance(content, str) else content
-    picture, buffer = _picture_format(path), io.BytesIO()
-    (content() if callable(content) else content).savefig(buffer, format=picture, dpi=150)
-    return buffer.getvalue()
 
 
 def _checked_target(path: PathLike, force: bool) -> Path:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, NoReturn, TypeVar, get_args
+from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -234,16 +234,6 @@ def _together(file: Any) -> Any:
     return file
 
 
-def _curve(table: Any) -> Any:
-    """Keys of an error curve: all of them, and for nothing else."""
-    for key in ("from_deg", "to_deg", "values_deg", "geometry"):
-        if table.name != CURVE and getattr(table, key) is not None:
-            _refuse(key, f"unknown key of {table.name}, allowed: for {CURVE} only")
-        if table.name == CURVE and getattr(table, key) is None and key != "geometry":
-            _refuse(key, "is missing, allowed: as `armcal diagnose --out` writes it")
-    return table
-
-
 def _by_marker(table: Any) -> Any:
     """Tables of markers by name; the table of an arm with a single marker under an empty name."""
     several = isinstance(table, dict) and table and all(isinstance(value, dict) for value in table.values())
@@ -261,7 +251,16 @@ class EffectTable(BaseModel):
     to_deg: Angle | None = None
     values_deg: list[Angle] | None = None
     geometry: dict[str, float] | None = None
-    _check = model_validator(mode="after")(_curve)
+
+    @model_validator(mode="after")
+    def _keys_of_a_curve(self) -> Self:
+        """All of them for an error curve, and for nothing else."""
+        for key in ("from_deg", "to_deg", "values_deg", "geometry"):
+            if self.name != CURVE and getattr(self, key) is not None:
+                _refuse(key, f"unknown key of {self.name}, allowed: for {CURVE} only")
+            if self.name == CURVE and getattr(self, key) is None and key != "geometry":
+                _refuse(key, "is missing, allowed: as `armcal diagnose --out` writes it")
+        return self
 
 
 class ProvenanceTable(BaseModel):

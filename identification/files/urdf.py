@@ -162,6 +162,28 @@ class Urdf:
             raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
         return KinematicChain(tuple(joints), before)
 
+    def with_origins(self, base: str, tip: str, origins: Sequence[Array]) -> str:
+        """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its
+        own; comments stay.
+
+        origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
+        """
+        above = re.match(r"(\s*(<\?.*?\?>|<!--.*?-->))*\s*", self.text, re.DOTALL)
+        parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+        robot = ElementTree.fromstring(self.text.lstrip(), parser)
+        joints = {joint.get("name"): joint for joint in robot.findall("joint")}
+        remaining, fixed = list(origins), np.eye(4)
+        for element in self.elements(base, tip):
+            if element.get("type") == FIXED:
+                fixed = fixed @ self.origin(element)
+                continue
+            joint = joints[element.get("name")]
+            origin = joint.find("origin")
+            place = _origin(np.linalg.inv(fixed) @ remaining.pop(0), self.angles(element))
+            (ElementTree.SubElement(joint, "origin") if origin is None else origin).attrib.update(place)
+            fixed = np.eye(4)
+        return (above[0] if above else "") + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
     def _joint(self, element: ElementTree.Element, origin: Array, limited: Collection[str]) -> Joint:
         name, kind = str(element.get("name")), str(element.get("type"))
         axis = self._numbers(element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
@@ -264,29 +286,6 @@ def xml_root(text: str, path: PathLike, what: str) -> ElementTree.Element:
         return ElementTree.fromstring(text.lstrip())  # nothing may be before the declaration of XML
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: not XML: {error}, allowed: {what}") from None
-
-
-def with_origins(urdf: Urdf, base: str, tip: str, origins: Sequence[Array]) -> str:
-    """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its own;
-    comments stay.
-
-    origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
-    """
-    above = re.match(r"(\s*(<\?.*?\?>|<!--.*?-->))*\s*", urdf.text, re.DOTALL)
-    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    robot = ElementTree.fromstring(urdf.text.lstrip(), parser)
-    joints = {joint.get("name"): joint for joint in robot.findall("joint")}
-    remaining, fixed = list(origins), np.eye(4)
-    for element in urdf.elements(base, tip):
-        if element.get("type") == FIXED:
-            fixed = fixed @ urdf.origin(element)
-            continue
-        joint = joints[element.get("name")]
-        origin = joint.find("origin")
-        place = _origin(np.linalg.inv(fixed) @ remaining.pop(0), urdf.angles(element))
-        (ElementTree.SubElement(joint, "origin") if origin is None else origin).attrib.update(place)
-        fixed = np.eye(4)
-    return (above[0] if above else "") + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
 def urdf_text(chain: KinematicChain, name: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification import Array, InputError
-from identification.files.urdf import read_urdf, with_origins
+from identification.files.urdf import read_urdf
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 
 URDF = Path(__file__).parents[2] / "data" / "spatial" / "six_axis.urdf"
@@ -37,7 +37,7 @@ def test_corrected_origins_come_back_and_nothing_else_changes(tmp_path: Path, la
     """A joint without an origin gets one."""
     path, origins = tmp_path / "a.urdf", corrected(1)
     path.write_text(plain := URDF.read_text().replace(lacking, ""))
-    text = with_origins(read_urdf(path), *ENDS, origins)
+    text = read_urdf(path).with_origins(*ENDS, origins)
     path.write_text(text)
     for joint, origin in zip(read_urdf(path).chain(*ENDS).joints, origins, strict=True):
         np.testing.assert_allclose(joint.origin, origin, atol=1e-9)
@@ -57,7 +57,7 @@ def test_angles_are_the_nearest_to_those_drawn(tmp_path: Path, drawn: tuple[floa
     origins = [joint.origin for joint in urdf.chain(*ENDS).joints]
     for more in (0.0, 1e-3):
         origins[1] = origins[1] @ pose(rotation=from_roll_pitch_yaw(more, 0.0, 0.0))
-        (found,) = re.findall(number, with_origins(urdf, *ENDS, origins), flags=re.DOTALL)
+        (found,) = re.findall(number, urdf.with_origins(*ENDS, origins), flags=re.DOTALL)
         written = np.array(found[1].split(), dtype=float)
         np.testing.assert_allclose(written, drawn, rtol=0, atol=more + 1e-9)
 
@@ -68,7 +68,7 @@ def test_blank_lines_and_comments_stay(tmp_path: Path) -> None:
     (tmp_path / "a.urdf").write_text("\n" + text)
     read = read_urdf(tmp_path / "a.urdf")
     assert [joint.name for joint in read.chain(*ENDS).joints][:2] == ["slide", "pan"]
-    written = with_origins(read, *ENDS, corrected(3))
+    written = read.with_origins(*ENDS, corrected(3))
     assert written.startswith('\n<?xml version="1.0"?>\n<!-- ours -->')
     assert "<!-- end --></robot>" in written
 
