@@ -37,7 +37,9 @@ def criterion(
         raise InputError.unknown("criterion: unknown name", name, NAMES)
     if name == "I":
         if test_jacobians is None or not len(test_jacobians):
-            raise InputError("criterion: I needs test poses, none are given, allowed: at least one posture")
+            raise InputError(
+                "criterion: I needs test poses, none are given, allowed: at least one posture (--test-poses)"
+            )
         return I(test_jacobians)
     if name == "Ds":
         if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):

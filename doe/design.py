@@ -116,10 +116,10 @@ class Design:
     @property
     def optimality(self) -> str | None:
         """What `certified_optimal` rests on: `proven`, a theorem, or `numerical`, a search for the bound; `best known`
-        for another plan that a solver chose; None for one that was given."""
+        for another plan that a solver chose; None for one that was given or drawn at random."""
         if self.certified_optimal:
             return PROVEN if self.bound is not None and self.bound.rigorous else NUMERICAL
-        return None if self.solver is None else BEST_KNOWN
+        return None if self.solver in (None, "random") else BEST_KNOWN
 
     @cached_property
     def table_1_max_residual(self) -> float | None:

@@ -132,7 +132,7 @@ class Validation(Documented):
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
         notes = [note for note in self.notes if BY_CHANCE not in note and note != FITTED]
-        parts = validation_sections(data, ", measured points" if TOOL in self.arm.chain.frame_kinds else "")
+        parts = validation_sections(data)
         return Document("Validation", [validation_verdict(data), *notes], parts)
 
 

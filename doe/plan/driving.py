@@ -74,7 +74,8 @@ class Drive:
             return []
         data = self.to_json()
         before, after, saved = (data["travel_deg"][key] for key in ("before", "after", "saved"))
-        lines = [f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({saved:.0%} saved)"]
+        change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
+        lines = [f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({change})"]
         if self.cut:
             lines.append(
                 "Moves: no way from posture to posture was proven free in time; straight moves may collide: armcal "
@@ -88,7 +89,7 @@ class Drive:
             )
             if self.approach != "any":
                 how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
-                lines.append(f"every joint comes to each posture {how}")
+                lines.append(f"every joint comes to each posture {how}; plan and bound leave room for it at the limits")
             if self.replaced:
                 were = "1 of the postures was" if self.replaced == 1 else f"{self.replaced} of the postures were"
                 lines.append(f"{were} replaced: no free way led there from the others")

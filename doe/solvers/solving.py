@@ -184,6 +184,8 @@ def solve(
             best_bound = bound_that_holds(problem, best_bound, best, problem.objective(best), whole.ended)
         plan = Plan(best, joint_types=problem.model.joint_types, fit=problem.fit)
         design = Design(problem, plan, best_bound, status, best_name, done, perf_counter() - began)
+        if design.certified_optimal and status is not Status.interrupted:  # by a bound that came after the search, say
+            design = replace(design, status=Status.bound_reached)
     if not np.isfinite(design.value):
         if throw:
             raise JobError(_reason(design))
@@ -260,4 +262,6 @@ def _reason(design: Design) -> str:
     if aliases and problem.choices is not None:
         return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
     message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
-    return f"{message}; {NEUTRAL}: {'; '.join(aliases)}" if aliases else message
+    placed = any("base." in alias and "tool[" in alias for alias in aliases)  # the axes of a SCARA are parallel
+    message += f"; {NEUTRAL}: {'; '.join(aliases)}" if aliases else ""
+    return message + "; add [tool] or [base] to the arm file" * placed

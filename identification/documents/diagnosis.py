@@ -23,7 +23,14 @@ from identification.document import (
     of_joints,
     unit_or_dash,
 )
-from identification.documents.identification import DRAWN, correct, corrected_section, hardly_better, identify_command
+from identification.documents.identification import (
+    ALONE,
+    DRAWN,
+    correct,
+    corrected_section,
+    hardly_better,
+    identify_command,
+)
 from identification.effects import library
 from identification.estimation.result import corrected_values
 
@@ -63,10 +70,13 @@ def diagnosis_verdict(data: Data) -> list[str]:
     elif verdict == "ambiguous" and len(sets) == 1:
         lines.append(f"Likeliest, but less likely than not: {effects_in_words(effects)}.")
     elif verdict == "ambiguous":
-        lines.append(f"{len(sets)} explanations fit about equally well.")
-        lines.append(as_sentence("; or ".join([effects_in_words(c["effects"]) or "nothing" for c in sets][:MOST])))
+        lines.append(
+            f"{len(sets)} explanations remain, the likeliest with probability {number(sets[0]['probability'], 2)}."
+        )
+        spelt = [effects_in_words(c["effects"]) or "nothing" for c in sets[:MOST]]
+        lines.append(as_sentence("; or ".join([*spelt, *([f"{len(sets) - MOST} more"] if len(sets) > MOST else [])])))
     else:
-        lines.append(f"Something that the library does not have is missing, at {place_in_words(data)}.")
+        lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
         if is_described(data):
             curves = sorted(curve["joint"] for curve in data["curves"])
             words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
@@ -134,8 +144,9 @@ def is_described(data: Data) -> bool:
 
 
 def place_in_words(data: Data) -> str:
-    """`joint 3`, `time`."""
-    return str(data["where"] or "a place that is not known").replace(":", " ")
+    """`at joint 3`, `in time`."""
+    where = str(data["where"] or "a place that is not known").replace(":", " ")
+    return {"time": "in time", "workspace": "in the workspace"}.get(where, f"at {where}")
 
 
 def tests_of(data: Data) -> list[Data]:
@@ -149,7 +160,9 @@ def diagnosis_actions(
 ) -> list[Action]:
     """What follows from a diagnosis of these files;  written : the extended model, where it has been."""
     called = " ".join(["armcal diagnose", arm, *rows])
-    alone = identify_command(arm, rows[0]) if len(rows) == 1 else f"{called} --out calibrated.toml"  # takes one file
+    alone = (
+        identify_command(arm, rows[0], ALONE) if len(rows) == 1 else f"{called} --out calibrated.toml"
+    )  # takes one file
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{called} --holdout other.csv",
@@ -165,13 +178,13 @@ def diagnosis_actions(
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
     if not is_offered(data):
-        use = Action("Use the calibration of the geometry, which predicts as well:", alone)
+        use = Action("Use the calibration of the geometry, unless other rows show that it is worse:", alone)
         return [use, correct("calibrated.toml"), confirm]
     actions = [] if data["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
         part = "the error curves, within the angles measured," if is_described(data) else "the named part"
         meanwhile = f"; {part} may be used meanwhile" if data["effects"] or is_described(data) else ""
-        actions.insert(0, Action(f"Look for a cause at {place_in_words(data)}{meanwhile}."))
+        actions.insert(0, Action(f"Look for a cause {place_in_words(data)}{meanwhile}."))
     if written is None:
         actions.append(Action("Keep the extended model:", f"{called} --out extended.toml"))
     return [*actions, correct(str(written or "extended.toml"))]
@@ -323,8 +336,9 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
         answer, sentence = "too few rows", f"The rows are too few to say whether the model holds for {where}."
     elif confirmed and not test["as_predicted"]:  # whether as far as expected stays open
         figures = f"{number(test['after_mm'])} {unit}, where {number(test['predicted_mm'])} {unit} was expected"
-        unsure = f"{groups} are too few to say whether the difference is chance"
-        answer, sentence = "shrinks", f"The error shrinks on rows not fitted ({how}{which}), to {figures}; {unsure}."
+        if test["after_mm"] > test["predicted_mm"]:
+            figures += f"; {groups} are too few to say whether the difference is chance"
+        answer, sentence = "shrinks", f"The error shrinks on rows not fitted ({how}{which}), to {figures}."
     elif confirmed:
         answer, sentence = "yes", f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
     elif test["shrinks"]:

@@ -3,6 +3,7 @@ commands; what to do next; and the library of effects."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
 MOST_HELD = 24  # parameters of effects that are listed without intervals; --library-prior has hundreds of them
+ALONE = "no-library-prior"  # option of `identify`: the geometry without what else may be missing
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
     "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
@@ -170,9 +172,9 @@ def hardly_better(offered: Data) -> str:
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
-    return (
-        f"This model predicts {sure} than the geometry alone: {model} against {geometry} in rows that no fit has seen."
-    )
+    placed = ", each with the arm placed anew" if offered["by"] == "holdout" else ""
+    seen = f"in rows that no fit has seen{placed}"
+    return f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."
 
 
 def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
@@ -237,7 +239,8 @@ def correct(arm: str) -> Action:
 
 
 def identify_command(arm: str, rows: str, fit: str = "") -> str:
-    """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises"""
+    """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises, or
+    `ALONE`, since without an option the fit is the one that the measurements ask for"""
     return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out calibrated.toml"
 
 
@@ -251,9 +254,13 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
     look, *use = calibrated_actions(arm, rows, calibrated)
     if "prior" not in data:
         return [*keep, *([] if diagnosed else [look]), *use]
-    if not data.get("offered", {"better": True})["better"]:
-        alone = "Leave --library-prior away, since the geometry alone predicts as well:"
-        keep, use = [Action(alone, identify_command(arm, rows))], [correct("calibrated.toml")]
+    offered = data.get("offered", {"better": True})
+    if not offered["better"] and offered["rms_mm"] < offered["rms_geometry_mm"]:
+        unsure = "These rows are too few to say that --library-prior helps. The geometry alone, to compare on others:"
+        keep.append(Action(unsure, f"armcal identify {arm} {rows} --{ALONE} --out geometry.toml"))
+    elif not offered["better"]:
+        alone = "Leave --library-prior away, since the geometry alone predicts no worse:"
+        keep, use = [Action(alone, identify_command(arm, rows, ALONE))], [correct("calibrated.toml")]
     why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
     return [*keep, *use, Action(why, look.command)]
 
@@ -289,7 +296,8 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, 
     figures = f"from {drawing} to {in_a_sentence(data['rms_mm'])} {unit}"
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} {unit}"
     gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
-    worth = "no better than the drawing" if gain <= 0.0 else f"{100.0 * gain:.0f} % of the error is removed"
+    share = f"{100.0 * gain:.{1 if gain >= 0.995 else 0}f}" if gain < 0.9995 else "more than 99.9"
+    worth = "no better than the drawing" if gain <= 0.0 else f"{share} % of the error is removed"
     worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
     worth = "this says nothing about others" if seen else worth
     return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
@@ -300,16 +308,26 @@ def is_better(data: Data) -> bool:
     return data["rms_mm"] < data["rms_nominal_mm"] and not any(BY_CHANCE in note for note in data["notes"])
 
 
-def validation_sections(data: Data, points: str = "") -> list[Section]:
-    """Drawing and model over all rows, and block by block;  points : what is refitted of a spatial arm beside"""
+def refitted_in_words(data: Data) -> str:
+    """`position and rotation of the base, measured points`: what of a model was fitted to the rows; or empty."""
+    names = {str(one["name"]) for one in data["refitted"]}
+    kinds = {re.split(r"[.:[]", name)[0] for name in names}
+    turned = any(name.startswith("base.r") for name in names) or (data["refit"] == "base" and "joint_offset:1" in names)
+    words = ["joint offsets"] if data["refit"] == "offsets" else []
+    words += [f"position{' and rotation' * turned} of the base"] if kinds & {"base", "base_offset"} else []
+    words += ["measured points"] if "tool" in kinds else []
+    return ", ".join(
+        [*words, *(f"{kind}s" for kind in sorted(kinds - {"base", "base_offset", "joint_offset", "tool"}))]
+    )
+
+
+def validation_sections(data: Data) -> list[Section]:
+    """Drawing and model over all rows, and block by block."""
     keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
-    what = {"base": "position and rotation of the base", "offsets": "joint offsets, position of the base"}
     summary = f"{data['rows']} rows, nothing refitted"
-    if data["refit"] != "none":
+    if what := refitted_in_words(data):
         sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
-        summary = (
-            f"{data['rows']} rows, refitted{sessions}: {what[data['refit']]}{points}; everything else as in the file"
-        )
+        summary = f"{data['rows']} rows, refitted{sessions}: {what}; everything else as in the file"
     figures = ("RMS", "mean", "95 %\nbelow", "largest")
     rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
     rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])

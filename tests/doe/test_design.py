@@ -127,6 +127,7 @@ def test_what_is_called_optimal_says_by_what() -> None:
     best = solve(problem(FOUR), 5, seed=1, starts=1)
     assert (best.certified_optimal, best.optimality) == (False, "best known")
     assert score(best.problem, best.plan, best.bound).optimality is None  # a plan that was given
+    assert solve(best.problem, 8, "random").optimality is None
     choices = np.random.default_rng(0).uniform(-3.0, 3.0, (3, 2))
     listed = solve(problem(Arm([300.0, 200.0]), choices=choices), 3, seed=1)
     judged = replace(listed, bound=Bound(listed.value, "grid", rigorous=True, candidates=3))

@@ -63,6 +63,8 @@ def test_a_controller_that_counts_otherwise(folder: Folder, columns: dict[str, p
     assert found["better_reading"]["arm_file"].splitlines() == ["[joints]", *lines]
     printed = [line.strip() for line in folder.armcal("check arm.toml data.csv").out.splitlines()]
     assert printed[printed.index("[joints]") + 1] == lines[0]
+    folder.write("wide.toml", ARM.replace("links_mm", "link_width_mm = 20.0\nlinks_mm", 1))
+    assert "read wrongly" in folder.armcal("check wide.toml data.csv").out.splitlines()[-1]  # and no list of collisions
     head, _, rest = ARM.partition("[joint_limits_deg]")  # these are the controller's then: of another column here
     folder.write("arm.toml", "\n".join([head, "[joints]", *lines, rest[rest.index("\n[") :]]))
     assert folder.said("check arm.toml data.csv")["ok"]

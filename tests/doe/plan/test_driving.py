@@ -121,6 +121,7 @@ def test_joints_come_from_the_side_that_is_asked_for(approach: str) -> None:
         rows = [int(np.flatnonzero((postures == q).all(axis=1))[0]) for q in found.plan.postures]
         wanted = {"positive": [1] * 6, "negative": [-1] * 6, "alternate": [1 - 2 * (row % 2) for row in rows]}
         assert come[:, 0].tolist() == wanted[approach]
+        assert any("plan and bound leave room for it at the limits" in line for line in found.in_words())
         if problem.constraints:
             assert inside(problem, found.moves.postures)
         else:

@@ -12,9 +12,10 @@ import pytest
 
 from doe import score_plan
 from doe.bounds.certificate import Bound
+from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
-from identification import EffectSpec, InputError, JobError, Status
+from identification import Arm, DHRow, EffectSpec, InputError, JobError, Status, chain_of
 from tests.doe.arms import FIVE, FOUR, OFFSET, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 
@@ -107,6 +108,13 @@ GIVEN = Bound(complex_log_det(POOR), "continuous")
         ([Offer(POOR, 1), KeyboardInterrupt()], {}, Status.interrupted, 1),
         ([Offer(POOR, 1)] * 10, {"seconds": 1e-9}, Status.time_limit, 1),
         ([Offer(POOR, 1)] * 3, {"bound": GIVEN}, Status.bound_reached, 1),
+        # certified at the end of the search: more starts are of no use
+        (
+            [Offer(POOR, 1)] * 3,
+            {"bound": Bound(GIVEN.value + 1e-7, "continuous"), "starts": 3},
+            Status.bound_reached,
+            3,
+        ),
     ],
 )
 def test_a_search_that_ends_early_has_the_best_so_far(
@@ -151,6 +159,14 @@ def test_candidates_that_cannot_identify_are_no_plan() -> None:
         with pytest.raises(JobError, match="1 candidates cannot identify all 8 parameters"):
             solve(case, 8, starts=5)
     assert solve(case, 8, starts=5, throw=False).status is Status.not_identifiable
+
+
+@pytest.mark.filterwarnings("ignore:tool. the measured point is not known")
+def test_a_scara_whose_height_no_posture_tells_is_asked_for_its_tool() -> None:
+    table = [DHRow(325.0, 0.0, 400.0), DHRow(275.0, np.pi, 0.0), DHRow(0.0, 0.0, 20.0), DHRow(0.0, 0.0, 30.0)]
+    scara = Arm(chain_of(table), sigma=0.02)
+    with pytest.raises(JobError, match=r"base.z - tool\[1\].z; add \[tool\] or \[base\] to the arm file"):
+        solve(DesignProblem.of(scara), 16, "random")
 
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ PLACE = "Something that the library does not have is missing, at joint 3."
 
 def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int = 1) -> dict[str, Any]:
     """The JSON object of a diagnosis, as far as verdict and actions need it."""
-    candidates = [{"effects": [name]} for name in effects[:sets]]
+    candidates = [{"effects": [name], "probability": 0.4} for name in effects[:sets]]
     found = {"verdict": verdict, "effects": list(effects), "candidates": candidates, "where": "joint:3", "gap": GAP}
     found |= {"shape": None, "curves": []}
     return found | {"confirmed": confirmed, "confirmation": None if confirmed is None else TEST}
@@ -52,11 +52,15 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
 @pytest.mark.parametrize(
     ("data", "first", "command"),
     [
-        (said("none"), "Nothing is missing", "identify arm.toml data.csv --out calibrated.toml"),
+        (said("none"), "Nothing is missing", "identify arm.toml data.csv --no-library-prior --out calibrated.toml"),
         (said("named", "backlash:2", confirmed=True), f"Missing from the model: {PLAY}", "--out extended.toml"),
         (said("named", "backlash:2"), f"Missing from the model: {PLAY}", "--holdout other.csv"),
         (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
-        (said("ambiguous", "backlash:2", "axes_skew", sets=2), "2 explanations fit", "discriminate arm.toml data.csv"),
+        (
+            said("ambiguous", "backlash:2", "axes_skew", sets=2),
+            "2 explanations remain, the likeliest with probability 0.40.",
+            "discriminate arm.toml data.csv",
+        ),
         (said("ambiguous", "backlash:2"), f"Likeliest, but less likely than not: {PLAY}.", "discriminate arm.toml"),
         (said("unknown"), PLACE, ""),
         (said("unknown", "backlash:2"), f"{PLACE} Beside it: {PLAY}.", ""),
@@ -78,16 +82,33 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
 def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: str) -> None:
     """It is said before what was named, and the commands of the robot are to come from the geometry."""
     offered = {"rms_mm": rms, "max_mm": 3.07, "rms_geometry_mm": 0.275, "max_geometry_mm": 1.81, "better": False}
+    offered |= {"by": "holdout"}
     data = said("named", "backlash:2") | {"offered": offered}
     first = diagnosis_verdict(data)[0]
     assert first.startswith(f"This model predicts {word} the geometry alone: {rms:g}")
     assert "(largest 3.07) against" in first
+    assert first.endswith("in rows that no fit has seen, each with the arm placed anew.")
     commands = [action.command for action in diagnosis_actions(data, written=Path("extended.toml"))]
-    assert commands[0] == "armcal identify arm.toml data.csv --out calibrated.toml"
+    assert commands[0] == "armcal identify arm.toml data.csv --no-library-prior --out calibrated.toml"
     assert commands[1].startswith("armcal compensate calibrated.toml ")
     assert not any("extended.toml" in command for command in commands)
     good = diagnosis_actions(data | {"offered": offered | {"better": True}}, written=Path("extended.toml"))
     assert good[-1].command.startswith("armcal compensate extended.toml ")
+
+
+@pytest.mark.parametrize(
+    ("where", "words"), [("joint:3", "at joint 3"), ("time", "in time"), (None, "at a place that is not known")]
+)
+def test_where_something_unknown_is(where: str | None, words: str) -> None:
+    assert diagnosis_verdict(said("unknown") | {"where": where})[0].endswith(f"is missing, {words}.")
+
+
+def test_many_explanations_are_counted_and_the_first_spelt_out() -> None:
+    joints = [f"backlash:{j}" for j in range(1, 7)]
+    count, spelt = diagnosis_verdict(said("ambiguous", *joints, sets=6))
+    assert count == "6 explanations remain, the likeliest with probability 0.40."
+    assert "(backlash:4); or 2 more." in spelt
+    assert "backlash:5" not in spelt
 
 
 @pytest.mark.parametrize("verdict", ["none", "named", "ambiguous", "unknown"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from identification.compensate import Compensation
 from identification.document import Sheet
@@ -12,6 +13,7 @@ from identification.documents.identification import (
     corrected_section,
     identification_actions,
     identification_verdict,
+    refitted_in_words,
     validation_actions,
     validation_verdict,
 )
@@ -75,6 +77,31 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
     assert first[1].command.startswith("armcal diagnose a.toml d.csv")
     kept = identification_actions({"warnings": []}, "a.toml", "d.csv", Path("mine.toml"), diagnosed=True)
     assert [action.command.split()[1:3] for action in kept] == [["validate", "mine.toml"], ["compensate", "mine.toml"]]
+
+
+@pytest.mark.parametrize(
+    ("refit", "names", "words"),
+    [
+        ("base", "base_offset.x0 base_offset.y0 joint_offset:1", "position and rotation of the base"),
+        ("base", "base.x base.rz tool[A].x", "position and rotation of the base, measured points"),
+        ("base", "base.x base.y tool[1].z", "position of the base, measured points"),  # distances show no rotation
+        ("base", "tool[1].x cup[A].x cup[B].z", "measured points, cups"),
+        ("offsets", "base_offset.x0 joint_offset:1 joint_offset:2", "joint offsets, position of the base"),
+        ("none", "", ""),
+    ],
+)
+def test_what_was_refitted_in_words(refit: str, names: str, words: str) -> None:
+    assert refitted_in_words({"refit": refit, "refitted": [{"name": name} for name in names.split()]}) == words
+
+
+def test_a_prior_that_may_help_is_not_advised_against() -> None:
+    """Better by a quarter, but not beyond chance: that the geometry predicts as well would not be so."""
+    for rms, file in ((0.26, "geometry.toml"), (0.36, "calibrated.toml")):
+        offered = {"better": False, "rms_mm": rms, "rms_geometry_mm": 0.35}
+        data = {"warnings": [], "prior": {}, "offered": offered}
+        first, *_ = identification_actions(data, "a.toml", "d.csv", Path("mine.toml"), diagnosed=False)
+        assert first.command == f"armcal identify a.toml d.csv --no-library-prior --out {file}"
+        assert ("no worse" in first.text) is (rms > 0.35)
 
 
 def commands(errors: list[float], missed: list[float]) -> Compensation:

@@ -98,6 +98,6 @@ def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
             count = len(found.candidates)
             assert count >= 2 or "less likely than not" in told
             assert count == 1 or f"{count} explanations" in told
-        line = next(part for part in missing_parts(said, None) if str(part).startswith("Probability"))
+        line = next(part for part in missing_parts(said) if str(part).startswith("Probability"))
         for title, p in found.probability.items():
             assert p < 0.005 or f"{title} {p:.2f}" in str(line)
