@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
-from identification.arrays import Array, as_frame, readonly
+from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
@@ -434,11 +434,6 @@ class Diagnosis(Documented):
             **unit_key(self.arm),
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
-
-    def to_frame(self) -> Any:
-        """Data frame with a row for each parameter of each candidate."""
-        sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
-        return as_frame([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters])
 
     def document(
         self,
