@@ -14,7 +14,7 @@ from identification.arm import EffectSpec
 from identification.arrays import Array
 from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import WAVES, around, slope_by_angle, waves_around
+from identification.gap.blocks import WAVES, around, curve_waves, slope_by_angle
 from identification.gap.fit import At, Fit
 from identification.gap.likelihood import Index, Key, mixed
 from identification.gap.search import Posterior
@@ -107,7 +107,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         joint, start, stop = span = curve.span or (0, 0.0, 0.0)
         slopes = {b.label: slope_by_angle(b.effect, joint, library.base) for b in kept if b.effect is not None}
         functions = {label: slope for label, slope in slopes.items() if slope is not None}
-        of_curves.append((span, {curve.label: partial(waves_around, start=start, stop=stop), **functions}))
+        of_curves.append((span, {curve.label: partial(curve_waves, start=start, stop=stop), **functions}))
     absorbed = [label for _, functions in of_curves for label in functions]
     members = [b for b in kept if b.spec is not None and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)

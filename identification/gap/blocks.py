@@ -334,10 +334,10 @@ def slope_by_angle(effect: Effect, joint: int, model: Model) -> Callable[[Array]
 # -- outside the library ----------------------------------------------------------------------------------------------
 def curve_waves(angles: Array, start: float, stop: float) -> Array:
     """(m, K) cosine transform of a cubic spline basis between two angles [rad], scaled to the prior of a random walk;
-    at a node the sum of its functions is the value there."""
+    at a node the sum of its functions is the value there.  angles : (m,), which may be whole turns away"""
     count, k = WAVES + 1, np.arange(1, WAVES + 1)
     cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
-    place, parts = local_splines(angles, start, stop, count)
+    place, parts = local_splines(around(angles, start, stop), start, stop, count)
     splines = np.zeros((len(place), count + 6))
     np.put_along_axis(splines, place + 3, parts, axis=1)
     return np.asarray(splines[:, 3:-3] @ (cosines / np.sin(0.5 * np.pi * k / count)))
@@ -363,11 +363,6 @@ def around(angles: Array, start: float, stop: float) -> Array:
     rounding = 1e-9  # of an angle that is the first or the last
     outside = (angles < start - rounding) | (angles > stop + rounding)
     return np.where(outside, start - rounding + np.mod(angles - start + rounding, 2.0 * np.pi), angles)
-
-
-def waves_around(angles: Array, start: float, stop: float) -> Array:
-    """`curve_waves` of angles that may be whole turns away."""
-    return curve_waves(around(angles, start, stop), start, stop)
 
 
 def times(columns: Array, functions: Array) -> Array:
@@ -400,7 +395,7 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
         place, lever, angle, weight = f"joint:{j + 1}", at.levers[:, :, j, None], q[:, j], n**-0.5
         if j + 1 not in curved:
             start, stop = measured_range(angle, turns=chain.joints[j].type == REVOLUTE)
-            waves = times(lever, waves_around(angle, start, stop))
+            waves = times(lever, curve_waves(angle, start, stop))
             yield Block(f"curve:{j + 1}", place, OUTSIDE * weight, span=(j, start, stop)), waves
         for other in (k for k in turning if k != j):
             one, two = ((q[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))

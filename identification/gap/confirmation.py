@@ -235,23 +235,22 @@ class Placed(NamedTuple):
             left = turned(by).reshape(left.shape)
         return count, left * np.sqrt(left.size / max(left.size - count, 1.0)) if count else left
 
-
-def set_up_of(rows: Placed, fresh: tuple[str, ...], elsewhere: bool) -> tuple[bool, tuple[str, ...]]:
-    """The least that has to be refitted, whether the base and which points: points of names that the data do not have,
-    and where rows may be of another set-up (`elsewhere`) what makes the RMS fall by `FALL`."""
-    every, options = tuple(dict.fromkeys(rows.names.tolist())), list[tuple[bool, tuple[str, ...]]]([(False, ())])
-    if rows.axes is None:
-        options += [(True, ())] * (elsewhere and rows.points.shape[1] == 2)
-    elif fresh:
-        options = [(False, fresh), (True, fresh)]
-    elif elsewhere:
-        options += [(False, every), (True, ()), (True, every)]
-    tried = [(option, *rows.refitted(*option)) for option in options]
-    squares = {option: float(np.sum(left**2)) for option, count, left in tried if left.size > 2 * count}
-    if not squares or squares.get(options[0], 0.0) <= FALL**2 * (least := [*squares.values()][-1]):
-        return options[0]
-    # one more set of parameters must save a tenth of the RMS error
-    return next(option for option, left in squares.items() if left <= 1.25 * least)
+    def set_up(self, fresh: tuple[str, ...], elsewhere: bool) -> tuple[bool, tuple[str, ...]]:
+        """The least that has to be refitted, whether the base and which points: points of names that the data do not
+        have, and where rows may be of another set-up (`elsewhere`) what makes the RMS fall by `FALL`."""
+        every, options = tuple(dict.fromkeys(self.names.tolist())), list[tuple[bool, tuple[str, ...]]]([(False, ())])
+        if self.axes is None:
+            options += [(True, ())] * (elsewhere and self.points.shape[1] == 2)
+        elif fresh:
+            options = [(False, fresh), (True, fresh)]
+        elif elsewhere:
+            options += [(False, every), (True, ()), (True, every)]
+        tried = [(option, *self.refitted(*option)) for option in options]
+        squares = {option: float(np.sum(left**2)) for option, count, left in tried if left.size > 2 * count}
+        if not squares or squares.get(options[0], 0.0) <= FALL**2 * (least := [*squares.values()][-1]):
+            return options[0]
+        # one more set of parameters must save a tenth of the RMS error
+        return next(option for option, left in squares.items() if left <= 1.25 * least)
 
 
 def placed_residuals(
@@ -271,7 +270,7 @@ def placed_residuals(
         names = np.full(len(holdout), "") if holdout.marker is None else np.asarray(holdout.marker)
         measured = holdout.positions[:, POINT]
         both.append(Placed(measured - left, axes, measured, names))
-    base_moved, points = set_up_of(both[1], fresh, elsewhere)
+    base_moved, points = both[1].set_up(fresh, elsewhere)
     words = ("base",) * base_moved + tuple(f"reflector {name}" if name else "reflector" for name in points)
     before, after = (one.refitted(base_moved, points)[1] for one in both)
     return before, after, words

@@ -16,7 +16,6 @@ from unittest.mock import patch
 
 import pytest
 
-from identification import effects
 from identification.effects import base
 
 if TYPE_CHECKING:  # deferred: they take more than a second to load, in every process that collects tests
@@ -87,20 +86,19 @@ def test_all_nine_are_here() -> None:
 
 @by_notebook
 @patch.dict("os.environ")  # notebook 9 changes it
+@patch.dict(base._LIBRARY)  # notebook 7 registers an effect
 def test_notebook_runs_with_smaller_settings(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from IPython.core.interactiveshell import InteractiveShell
     from IPython.utils.capture import capture_output
 
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))  # not the user's
     monkeypatch.setitem(sys.modules, "__main__", sys.modules["__main__"])  # the shell puts its own there
-    notebook, shell, kept = read(path), InteractiveShell.instance(), dict(base._LIBRARY)
+    notebook, shell = read(path), InteractiveShell.instance()
     sys.modules["__main__"] = shell.user_module
     for shown, instead in SMALLER.get(path.name[0], ()):
         (cell,) = (cell for cell in code_cells(notebook) if shown in cell.source)
         cell.source = cell.source.replace(shown, instead)
     monkeypatch.chdir(path.parent)
-    for place in (effects, base):  # notebook 7 registers an effect
-        monkeypatch.setattr(place, "_LIBRARY", kept)
     shell.reset(new_session=False)
     for source in (IN_PROCESS, *(cell.source for cell in code_cells(notebook))):
         with capture_output() as printed:

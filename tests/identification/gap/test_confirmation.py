@@ -20,7 +20,6 @@ from identification.gap.confirmation import (
     held_out_conditions,
     point_names,
     predicted_from_others,
-    set_up_of,
     transfer_of,
 )
 from identification.gap.fit import Rows
@@ -238,12 +237,12 @@ def test_the_least_that_explains_it_is_refitted(
     base: bool, moved: tuple[str, ...], fresh: tuple[str, ...], dimension: int
 ) -> None:
     rows = predicted(1, base, {name: OTHER if name == "A" else -OTHER for name in moved}, dimension)
-    found = set_up_of(rows, fresh, elsewhere=not fresh)
+    found = rows.set_up(fresh, elsewhere=not fresh)
     assert found == (base, moved)
     left = rows.refitted(*found)[1]
     # of 120 coordinates or more: 6 % is the standard deviation of such an estimate; the values fitted cost nothing
     assert np.sqrt(np.mean(left**2)) == pytest.approx(NOISE, rel=0.15)
-    assert fresh or set_up_of(rows, (), elsewhere=False) == (False, ())
+    assert fresh or rows.set_up((), elsewhere=False) == (False, ())
 
 
 def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
