@@ -15,7 +15,7 @@ from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, postures_in_words
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
-from doe.plan.accuracy import ExpectedDeviations, error_at_poses, expected_deviations, plan_jacobians
+from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians
 from doe.problem.model import turns
 from doe.problem.problem import DesignProblem
 from identification import Array, InputError, Plan, Status, spectrum
@@ -130,7 +130,7 @@ class Design:
     @cached_property
     def deviations(self) -> ExpectedDeviations | None:
         """Expected standard deviations with the arm's sigma."""
-        return expected_deviations(self.problem, self.plan.postures, self.plan.weights)
+        return ExpectedDeviations.of(self.problem, self.plan.postures, self.plan.weights)
 
     @property
     def expected_error(self) -> dict[str, float | None] | None:

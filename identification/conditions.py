@@ -110,12 +110,6 @@ def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]
     return slices(sizes | {name: size for name, size in others.items() if name in further})
 
 
-def session_time(order: Array) -> Array:
-    """`order` or time stamps scaled to -0.5..0.5 (identification/README.md, "Effects"); 0 if all are equal."""
-    low, high = float(np.min(order)), float(np.max(order))
-    return (order - low) / (high - low) - 0.5 if high > low else np.zeros_like(order)
-
-
 def gaps_of(order: Array) -> NDArray[np.bool_]:
     """(m,) True where numbers are left out of an `order` that counts measurements: the row before is missing.
 

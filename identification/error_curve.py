@@ -7,7 +7,7 @@ that was turned once around is where it was: encoder and gear repeat themselves 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -92,18 +92,6 @@ class ErrorCurve(ByValue):
         beyond = np.where(inside | (self.stop - self.start >= turn), 0.0, np.minimum(above, below))
         left = 1.0 - np.minimum(beyond / (2.0 * self.spacing), 1.0)
         return np.asarray(left**2 * (3.0 - 2.0 * left))
-
-
-def all_hold(curves: Iterable[tuple[int, ErrorCurve]], postures: Array) -> Array:
-    """(...) whether all curves, each with its joint from 0, hold at postures (..., n): 1, 0, or between.
-
-    A curve takes up other effects, too, as they are at the postures measured: beyond the angles of one joint the curves
-    of the others are worth no more than its own (identification/README.md, "One posterior").
-    """
-    hold = np.ones(postures.shape[:-1])
-    for joint, curve in curves:
-        hold *= curve.holds(postures[..., joint])
-    return hold
 
 
 def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple[NDArray[np.int64], Array]:

@@ -155,10 +155,6 @@ def _squares(residuals: Array) -> Array:
     return np.einsum("kn,kn->k", residuals, residuals)
 
 
-def _lengths(jacobians: Array) -> Array:
-    return np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians))
-
-
 def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
     """Residuals (k, q) and Jacobians (k, q, p), q = p + 1, of the same least-squares problems as tall (k, N) and
     (k, N, p), by QR, which changes neither sums of squares nor products of columns (A. Bjorck, "Numerical Methods for
@@ -174,7 +170,8 @@ def _steps(problem: LeastSquares, points: Points) -> tuple[Array, NDArray[np.boo
     """(k, p) damped steps inside the bounds; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm
     that a step explains; (k,) stiffness, see `damped_steps`."""
     x, damping, norms = points.parameters, points.damping, np.sqrt(points.squares)
-    lengths, zero = column_lengths(_lengths(points.jacobians), problem.scales)
+    squares = np.einsum("knp,knp->kp", points.jacobians, points.jacobians)
+    lengths, zero = column_lengths(np.sqrt(squares), problem.scales)
     if problem.metric is not None:
         lengths = np.broadcast_to(problem.metric, lengths.shape)
     columns = points.jacobians / lengths[:, None, :]

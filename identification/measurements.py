@@ -26,7 +26,6 @@ from identification.conditions import (
     Conditions,
     directions_from_order,
     past_from_order,
-    session_time,
 )
 from identification.errors import InputError
 from identification.kinematics.parameters import MAX_LINKS
@@ -42,7 +41,6 @@ __all__ = [
     "load_measurements",
     "past_from_order",
     "rms_distance",
-    "session_time",
 ]
 
 # [rad] repeats of one posture agree to some thousandths or hundredths of a degree, as the encoders were read. Within
@@ -271,8 +269,9 @@ class Measurements(ByValue):
     def conditions(self) -> Conditions:
         """Conditions for the model: time and directions follow, in each session, from the order where not given."""
         order, time = self._order, np.empty(len(self))
-        for rows in self.session_rows:
-            time[rows] = session_time(order[rows])
+        for rows in self.session_rows:  # -0.5 to 0.5 (identification/README.md, "Effects"); 0 if all are equal
+            first, length = order[rows].min(), np.ptp(order[rows])
+            time[rows] = (order[rows] - first) / length - 0.5 if length > 0.0 else 0.0
         directions = np.nan_to_num(self._directions, nan=0.0)
         temperature = None if self.temperature is None else self.temperature - self.reference_temperature
         numbers = (self._session_numbers, self.marker_numbers)

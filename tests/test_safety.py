@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from doe.report.page import page
-from doe.studies.monte_carlo import load_study
+from doe.studies.monte_carlo import Study
 from identification import InputError, load_arm
 from identification.document import Document, Section, Sheet
 from identification.files.first_files import urdf_files
@@ -141,6 +141,6 @@ def test_files_named_in_files_stay_in_their_folder(tmp_path: Path, name: str) ->
             continue
         (folder / "study.toml").write_text(f"arms = {arms}\nplans = {plans}\nruns = [8]\n")
         with pytest.raises(InputError, match="outside the folder of the study file"):
-            load_study(folder / "study.toml")
+            Study.load(folder / "study.toml")
     (folder / "study.toml").write_text('arms = ["below/arm.toml"]\nplans = ["random"]\nruns = [8]\n')
-    assert len(load_study(folder / "study.toml").arms) == 1
+    assert len(Study.load(folder / "study.toml").arms) == 1

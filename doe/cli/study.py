@@ -90,9 +90,9 @@ def study_files(
             data = {"out": folder, "passed": passed, **rows}
             return Answer(data, Document(parts=shown), exit_code=0 if passed else 1)
         from doe.report.studies import monte_carlo_parts
-        from doe.studies.monte_carlo import load_study, run_study
+        from doe.studies.monte_carlo import Study, run_study
 
-        tables = run_study(load_study(Path(study), replications), folder, job.where(), **options)
+        tables = run_study(Study.load(Path(study), replications), folder, job.where(), **options)
         made, blocks = tables["cells"], tables["blocks"]
         if "done" not in blocks["status"]:
             reason = re.sub(r"\b[A-Z]\w*Error: ", "", blocks["error"][0])  # users need no exception types

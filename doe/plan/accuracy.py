@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,24 @@ class ExpectedDeviations:
     parameters: ParameterSet
     values: Array
     orientation: Array
+
+    @classmethod
+    def of(cls, problem: DesignProblem, postures: Array, weights: Array | None = None) -> Self | None:
+        """What the plan will give with the model's sigma; None without one or if the plan is not enough.
+
+        weights : (m,) of an approximate design, for m runs shared out by them; None: one run per posture
+        """
+        parameters, sigma = problem.model.parameters, problem.model.sigma
+        decomposed = spectrum(plan_jacobians(problem, postures, weights), np.ones(len(parameters)))
+        if sigma is None or decomposed.rank < len(parameters):
+            return None
+        per_scale = sigma / parameters.scales
+        matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
+        offsets, orientation = parameters.joint_offsets.tolist(), np.zeros(problem.joints)
+        sums = np.tri(len(offsets))  # dtheta_j = dq_1 + ... + dq_j
+        turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
+        orientation[[(parameters[j].joint or 0) - 1 for j in offsets]] = np.sqrt(np.diag(turned))
+        return cls(parameters, np.sqrt(np.diag(matrix)), orientation)
 
     def of_joints(self, places: NDArray[np.int64]) -> Array:
         """(n,) of the parameters at these places, by joint."""
@@ -98,26 +116,6 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
     rows = np.zeros((-(-len(informed) // d) * d, p))
     rows[range(len(informed)), informed] = np.sqrt(problem.precisions[informed])
     return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept), rows.reshape(-1, d, p)])
-
-
-def expected_deviations(
-    problem: DesignProblem, postures: Array, weights: Array | None = None
-) -> ExpectedDeviations | None:
-    """What the plan will give with the model's sigma; None without one or if the plan is not enough.
-
-    weights : (m,) of an approximate design, for m runs shared out by them; None: one run per posture
-    """
-    parameters, sigma = problem.model.parameters, problem.model.sigma
-    decomposed = spectrum(plan_jacobians(problem, postures, weights), np.ones(len(parameters)))
-    if sigma is None or decomposed.rank < len(parameters):
-        return None
-    per_scale = sigma / parameters.scales
-    matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
-    offsets, orientation = parameters.joint_offsets.tolist(), np.zeros(problem.joints)
-    sums = np.tri(len(offsets))  # dtheta_j = dq_1 + ... + dq_j
-    turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
-    orientation[[(parameters[j].joint or 0) - 1 for j in offsets]] = np.sqrt(np.diag(turned))
-    return ExpectedDeviations(parameters, np.sqrt(np.diag(matrix)), orientation)
 
 
 def observability(problem: DesignProblem, postures: Array) -> dict[str, float]:

@@ -185,8 +185,10 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     if len(sight.tracker) != model.space:
         raise InputError(f"line_of_sight: a tracker in {len(sight.tracker)} dimensions, allowed: in {model.space}")
     points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)
-    tip = points[-1]
-    distance, expressions = ca.norm_2(tip - tracker), [_in_cone(sight, tip)]
+    tip, axis = points[-1], np.subtract(sight.toward, sight.tracker)
+    view, distance = tip - tracker, ca.norm_2(tip - tracker)
+    # |view| (cos of the angle to the cone's axis - cos of half the cone's)
+    expressions = [ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(sight.half_angle) * distance]
     if sight.reach is not None:
         expressions += [distance - sight.reach[0], sight.reach[1] - distance]
     if sight.facing is not None:
@@ -210,12 +212,6 @@ KINDS: dict[str, Callable[..., ca.SX]] = {
 
 
 # -- geometry ----------------------------------------------------------------------------------------------------------
-def _in_cone(sight: Any, tip: ca.SX) -> ca.SX:
-    """|view| (cos of the angle to the cone's axis - cos of half the cone's)."""
-    axis, view = np.subtract(sight.toward, sight.tracker), tip - ca.DM(sight.tracker)
-    return ca.dot(view, ca.DM(axis / np.linalg.norm(axis))) - np.cos(sight.half_angle) * ca.norm_2(view)
-
-
 def _distance(a: ca.SX | ca.DM, b: ca.SX | ca.DM, c: ca.SX, d: ca.SX) -> ca.SX:
     """Distance of the segments a-b and c-d (C. Ericson, Real-Time Collision Detection, 2005, 5.1.9)."""
     one, other, between = b - a, d - c, a - c

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import polars as pl
@@ -45,7 +45,7 @@ class Study:
     asked: StudyFile
 
     @classmethod
-    def of(cls, arms: Sequence[Arm], plans: Sequence[str] | Mapping[str, Plan | None], **others: Any) -> Study:
+    def of(cls, arms: Sequence[Arm], plans: Sequence[str] | Mapping[str, Plan | None], **others: Any) -> Self:
         """others : as in a study file, `runs`, `sigma_mm`, ... Raises `InputError` for all that can be said before work
         starts."""
         plans = plans if isinstance(plans, Mapping) else dict.fromkeys(plans)
@@ -75,19 +75,19 @@ class Study:
             raise InputError(f"runs: found {most}, allowed: at least {min(least)}, an equation for every parameter")
         return cls(arms, plans, asked)
 
+    @classmethod
+    def load(cls, path: Path | str, replications: int | None = None) -> Self:
+        """The study that a TOML file describes; names of files in it are beside it.
 
-def load_study(path: Path | str, replications: int | None = None) -> Study:
-    """The study that a TOML file describes; names of files in it are beside it.
+        Its keys: identification/files/README.md, "Study file".  replications : instead of the file's
 
-    Its keys: identification/files/README.md, "Study file".  replications : instead of the file's
-
-    Raises `InputError`, one line naming file, key, what was found and what is allowed.
-    """
-    try:
-        arms, plans, others = StudyFile.read(path, replications)
-        return Study.of(arms, plans, **others)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        Raises `InputError`, one line naming file, key, what was found and what is allowed.
+        """
+        try:
+            arms, plans, others = StudyFile.read(path, replications)
+            return cls.of(arms, plans, **others)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
 
 
 # -- the run -----------------------------------------------------------------------------------------------------------

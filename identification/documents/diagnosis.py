@@ -23,7 +23,14 @@ from identification.document import (
     of_joints,
     unit_or_dash,
 )
-from identification.documents.identification import DRAWN, correct, corrected_section, hardly_better, identify_command
+from identification.documents.identification import (
+    ALONE,
+    DRAWN,
+    correct,
+    corrected_section,
+    hardly_better,
+    identify_command,
+)
 from identification.effects import library
 from identification.estimation.result import corrected_values
 
@@ -153,7 +160,9 @@ def diagnosis_actions(
 ) -> list[Action]:
     """What follows from a diagnosis of these files;  written : the extended model, where it has been."""
     called = " ".join(["armcal diagnose", arm, *rows])
-    alone = identify_command(arm, rows[0]) if len(rows) == 1 else f"{called} --out calibrated.toml"  # takes one file
+    alone = (
+        identify_command(arm, rows[0], ALONE) if len(rows) == 1 else f"{called} --out calibrated.toml"
+    )  # takes one file
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{called} --holdout other.csv",
@@ -169,7 +178,7 @@ def diagnosis_actions(
         again = Action("Add the new rows to the data, and diagnose again:", called)
         return [Action("Measure the postures that tell the explanations apart:", apart), again]
     if not is_offered(data):
-        use = Action("Use the calibration of the geometry, which predicts as well:", alone)
+        use = Action("Use the calibration of the geometry, unless other rows show that it is worse:", alone)
         return [use, correct("calibrated.toml"), confirm]
     actions = [] if data["confirmed"] else [confirm]
     if data["verdict"] == "unknown":

@@ -33,6 +33,7 @@ Data = Mapping[str, Any]  # what a command says with --json
 
 MISFIT = "misfit: the residuals scatter"  # the beginning of that sentence
 MOST_HELD = 24  # parameters of effects that are listed without intervals; --library-prior has hundreds of them
+ALONE = "no-library-prior"  # option of `identify`: the geometry without what else may be missing
 COLUMNS = ("value", "std", "low_95", "high_95")  # figures of a parameter
 UNFINISHED = (
     "the fit stopped at the limit of iterations before it converged: values that the measurements hardly determine may "
@@ -238,7 +239,8 @@ def correct(arm: str) -> Action:
 
 
 def identify_command(arm: str, rows: str, fit: str = "") -> str:
-    """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises"""
+    """The command that fits measurements;  fit : of `Plan`, without which it does not keep what the plan promises, or
+    `ALONE`, since without an option the fit is the one that the measurements ask for"""
     return f"armcal identify {arm} {rows}{f' --{fit}' if fit else ''} --out calibrated.toml"
 
 
@@ -255,10 +257,10 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
     offered = data.get("offered", {"better": True})
     if not offered["better"] and offered["rms_mm"] < offered["rms_geometry_mm"]:
         unsure = "These rows are too few to say that --library-prior helps. The geometry alone, to compare on others:"
-        keep.append(Action(unsure, f"armcal identify {arm} {rows} --out geometry.toml"))
+        keep.append(Action(unsure, f"armcal identify {arm} {rows} --{ALONE} --out geometry.toml"))
     elif not offered["better"]:
         alone = "Leave --library-prior away, since the geometry alone predicts no worse:"
-        keep, use = [Action(alone, identify_command(arm, rows))], [correct("calibrated.toml")]
+        keep, use = [Action(alone, identify_command(arm, rows, ALONE))], [correct("calibrated.toml")]
     why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
     return [*keep, *use, Action(why, look.command)]
 

@@ -24,16 +24,12 @@ from identification.running import additions
 
 
 @cache
-def _load_entry_points() -> None:
+def library() -> Mapping[str, type[Effect]]:
+    """Name -> class of every registered effect, those of installed packages and the user's own included."""
     for _, where, effect in additions("armcal.effects"):
         if not (isinstance(effect, type) and issubclass(effect, Effect)):
             raise InputError(f"{where}, allowed: a class under Effect")
         register(effect)
-
-
-def library() -> Mapping[str, type[Effect]]:
-    """Name -> class of every registered effect, the user's own included."""
-    _load_entry_points()
     return MappingProxyType(_LIBRARY)
 
 

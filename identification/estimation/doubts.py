@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -12,12 +11,11 @@ from scipy.special import fdtrc
 
 from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
-from identification.estimation.problem import Contradiction, Problem
+from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, spectrum
 from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import (
-    BASE,
     ROTATION_ERROR,
     TOOL,
     TRANSLATION_ERROR,
@@ -30,7 +28,6 @@ from identification.kinematics.parameters import (
     JOINT_UNITS,
     LENGTH_ERROR,
     REVOLUTE,
-    Parameter,
 )
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
@@ -241,21 +238,6 @@ def copied_rows(measurements: Measurements) -> list[str]:
     no = "it is no measurement of its own" if rows.size == 1 else "they are no measurements of their own"
     seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
     return [f"{seen}: {no}, which identify and diagnose do not count"]
-
-
-# -- an earlier calibration that the measurements contradict -----------------------------------------------------------
-def contradiction_warning(one: Contradiction, without_prior: Sequence[Parameter]) -> str:
-    """In words;  without_prior : parameters without a prior."""
-    by_each = (
-        f"{one.name} is {one.prior:.4g} +- {one.prior_std:.2g} {one.unit} in the earlier calibration, {one.value:.4g} "
-        f"+- {one.std:.2g} by these measurements"
-    )
-    instead = f" (or instead {', '.join(one.instead)}: they do not tell)" if one.instead else ""
-    words = [one.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
-    sentence = f"the measurements contradict the prior: {by_each}{instead} (others as there)"
-    do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
-    lacks = "the model lacks what differs between both measurements: armcal diagnose"
-    return f"{sentence}. The fit is right for neither. Either it changed and is to be estimated again: {do}; or {lacks}"
 
 
 # -- the covariance of the parameters, at the tip ----------------------------------------------------------------------

@@ -10,7 +10,7 @@ linear about its solution; sizes are tried from a few values each.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -25,8 +25,8 @@ from identification.arm import Calibration
 from identification.arrays import Array, ByValue
 from identification.errors import InputError
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
-from identification.kinematics.chain import PlanarClosedForm
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
+from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
 from identification.levenberg_marquardt import (
     ITERATIONS,
     Index,
@@ -376,6 +376,18 @@ class Contradiction(NamedTuple):
     value: float
     std: float
     instead: tuple[str, ...] = ()
+
+    def warning(self, without_prior: Sequence[Parameter]) -> str:
+        """In words;  without_prior : parameters without a prior."""
+        before = f"{self.prior:.4g} +- {self.prior_std:.2g} {self.unit} in the earlier calibration"
+        by_each = f"{self.name} is {before}, {self.value:.4g} +- {self.std:.2g} by these measurements"
+        instead = f" (or instead {', '.join(self.instead)}: they do not tell)" if self.instead else ""
+        words = [self.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
+        sentence = f"the measurements contradict the prior: {by_each}{instead} (others as there)"
+        do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
+        lacks = "the model lacks what differs between both measurements: armcal diagnose"
+        either = f"Either it changed and is to be estimated again: {do}; or {lacks}"
+        return f"{sentence}. The fit is right for neither. {either}"
 
 
 def released_drops(problem: Problem, earlier: Calibration, x: Array) -> dict[str, float]:

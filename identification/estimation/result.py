@@ -21,7 +21,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
-from identification.estimation.doubts import contradiction_warning, hardly_determined, tip_of
+from identification.estimation.doubts import hardly_determined, tip_of
 from identification.estimation.problem import Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
@@ -171,7 +171,7 @@ class Identification(Documented):
         """Warnings to be read before the results."""
         prior = () if self.prior is None else self.prior.names
         without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
-        misfit = [contradiction_warning(self.contradiction, without_prior)] if self.contradiction else []
+        misfit = [self.contradiction.warning(without_prior)] if self.contradiction else []
         misfit += [self.misfit] if self.misfit else []
         doubts = (*self.doubts, *hardly_determined(self))
         if self.status is Status.iteration_limit:

@@ -396,13 +396,9 @@ def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], held_ro
     inverse = product_inverse(flat.T @ flat + held_rows.T @ held_rows)
     off = inside - kept_blocks @ (inverse @ (flat.T @ inside.reshape(-1) + moment))
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)
-    squares[kept] = robust_squares(np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0]), d)
+    each = np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0])
+    squares[kept] = each / max(np.median(each) / chdtri(d, 0.5), 1e-300)  # the median of chi-square is kept
     return squares
-
-
-def robust_squares(squares: Array, d: int) -> Array:
-    """Squared distances (m,) of d coordinates in units of their robust variance: the median of chi-square is kept."""
-    return np.asarray(squares / max(np.median(squares) / chdtri(d, 0.5), 1e-300))
 
 
 def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> NDArray[np.bool_]:

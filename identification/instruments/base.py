@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments.search import Placement, Unplaced, random_bases, searched
-from identification.kinematics.frames import to_angles
+from identification.instruments.search import Placement, Unplaced, searched
+from identification.kinematics.frames import from_quaternions, to_angles
 from identification.kinematics.parameters import AXES, Parameter
 from identification.vectorized import vectorize
 
@@ -132,7 +132,11 @@ class Instrument:
     # -- where a fit starts ----------------------------------------------------------------------------------------
     def place(self, rows: Unplaced) -> Placement:
         """Base and measured point that explain readings best, from nothing."""
-        return searched(self, rows, random_bases(rows.reach))
+        # bases turned anyhow, within three times the reach along each axis
+        generator, bases = np.random.default_rng(0), np.tile(np.eye(4), (3000, 1, 1))  # effort
+        bases[:, :3, :3] = from_quaternions(generator.standard_normal((len(bases), 4)))
+        bases[:, :3, 3] = 3.0 * rows.reach * generator.uniform(-1.0, 1.0, (len(bases), 3))
+        return searched(self, rows, bases)
 
     def with_targets(
         self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]

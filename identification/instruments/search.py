@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.kinematics.frames import Frame, from_angles, from_quaternions, nearest_rotation, pose
+from identification.kinematics.frames import Frame, from_angles, nearest_rotation, pose
 from identification.kinematics.parameters import error_names
 from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.vectorized import Evaluate, vectorize
@@ -63,14 +63,6 @@ class Unplaced(NamedTuple):
     def points(self) -> Array:
         """(s, m, 3) measured points in the base for these tools."""
         return self.frames[:, :3, 3] + np.tensordot(self.tools, self.frames[:, :3, :3], (1, 2))
-
-
-def random_bases(reach: float) -> Array:
-    """(3000, 4, 4) turned anyhow, within three times the reach [mm] along each axis."""
-    generator, bases = np.random.default_rng(0), np.tile(np.eye(4), (3000, 1, 1))  # effort
-    bases[:, :3, :3] = from_quaternions(generator.standard_normal((len(bases), 4)))
-    bases[:, :3, 3] = 3.0 * reach * generator.uniform(-1.0, 1.0, (len(bases), 3))
-    return bases
 
 
 def searched(instrument: Instrument, rows: Unplaced, bases: Array) -> Placement:

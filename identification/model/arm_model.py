@@ -29,7 +29,7 @@ from identification.arrays import Array, slices
 from identification.conditions import Conditions, condition_columns
 from identification.effects import Chain, Effect, build_all
 from identification.effects.chain import position_and_state, widths
-from identification.error_curve import ErrorCurve, all_hold
+from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
@@ -339,7 +339,11 @@ class Model:
             axes = self.expressions._orientation(postures, marker, values)[0]
             table[..., at["orientation"]] = axes.reshape(*axes.shape[:-2], 9)
         if "errors" in at:
-            hold = all_hold(self._curves, postures) if self._tied else np.ones(postures.shape[:-1])
+            # 1, 0, or between. A curve takes up other effects, too, as they are at the postures measured: beyond the
+            # angles of one joint the curves of the others are worth no more than its own
+            hold = np.ones(postures.shape[:-1])
+            for joint, curve in self._curves if self._tied else ():
+                hold *= curve.holds(postures[..., joint])
             for joint, curve in self._curves:  # they hold together
                 table[..., at["errors"].start + joint] = hold * curve.at(postures[..., joint])
             table[..., at["off"]] = 1.0 - hold[..., None]  # the share of their geometry that is off

@@ -296,14 +296,14 @@ joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
 
 def study(bar: float, replications: int) -> tuple[float, str]:
     """Simulation, fits and tables against one general fit at a time."""
-    from doe.studies.monte_carlo import load_study, run_study
+    from doe.studies.monte_carlo import Study, run_study
 
     with TemporaryDirectory() as folder:
         Path(folder, "arm.toml").write_text(PAPER)
         studies = []
         for count in (10, replications):
             Path(folder, "study.toml").write_text(GRID.format(count=count))
-            studies.append(load_study(Path(folder, "study.toml")))
+            studies.append(Study.load(Path(folder, "study.toml")))
     run_study(studies[0])  # imports
     _, q, positions = data_sets((), np.zeros(0), SOME)
     general = loop(q, positions, "lm")[1]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from doe.studies.monte_carlo import load_study
+from doe.studies.monte_carlo import Study
 from identification import Arm, InputError, Plan, load_arm, load_measurements
 from identification.files.csv import read_table
 from identification.files.measurement import load_targets
@@ -52,7 +52,7 @@ READERS = {
     "plan": (plans, lambda path, types: Plan.load(path, types)),
     "measurements": (measurements, load_measurements),
     "targets": (targets, lambda path, links: load_targets(path, Arm(np.ones(links)))),
-    "study": (studies, lambda path, _: load_study(path)),
+    "study": (studies, lambda path, _: Study.load(path)),
     "table": (measurements, lambda path, _: read_table(path)),
 }
 

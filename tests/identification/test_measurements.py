@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from identification import InputError
 from identification.conditions import REMEMBERED, condition_columns, past_from_order
-from identification.measurements import Measurements, directions_from_order, session_time
+from identification.measurements import Measurements, directions_from_order
 
 
 @given(st.integers(0, 2**32), st.integers(1, 15), st.booleans())
@@ -35,8 +35,9 @@ def test_directions_are_the_last_motion(seed: int, m: int, shuffled: bool) -> No
 
 
 def test_session_time_runs_from_minus_to_plus_a_half() -> None:
-    np.testing.assert_allclose(session_time(np.array([10.0, 20.0, 15.0])), [-0.5, 0.5, 0.0])
-    np.testing.assert_array_equal(session_time(np.array([3.0, 3.0])), [0.0, 0.0])
+    for order, time in (([10.0, 20.0, 15.0], [-0.5, 0.5, 0.0]), ([3.0], [0.0])):
+        rows = Measurements(Q[: len(order)], X[: len(order)], order=np.array(order))
+        np.testing.assert_allclose(rows.conditions.time, time)
 
 
 Q = np.random.default_rng(5).uniform(-2.0, 2.0, (20, 4))

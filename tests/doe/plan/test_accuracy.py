@@ -12,10 +12,10 @@ from doe import DesignProblem, score
 from doe.bounds.certificate import Bound
 from doe.criteria import E
 from doe.plan.accuracy import (
+    ExpectedDeviations,
     TipErrors,
     criterion_values,
     error_at_poses,
-    expected_deviations,
     observability,
     tip_beside_random,
 )
@@ -34,7 +34,7 @@ def fourier(runs: int, links: int) -> np.ndarray:
 def test_optimal_plan(runs: int) -> None:
     sigma = 0.1
     arm = Arm(FOUR.lengths, sigma=sigma)
-    found = expected_deviations(problem(arm), fourier(runs, 4))
+    found = ExpectedDeviations.of(problem(arm), fourier(runs, 4))
     lengths = arm.lengths
     np.testing.assert_allclose(found.length, sigma / np.sqrt(runs))  # eq. 24, corrected
     np.testing.assert_allclose(found.orientation, sigma / np.sqrt(runs) / lengths)
@@ -53,7 +53,7 @@ def test_agrees_with_simulated_least_squares_on_any_plan() -> None:
     jacobian = case.model.jacobian(plan).reshape(18, 10)
     estimates = (np.linalg.pinv(jacobian) @ generator.normal(0.0, 0.1, (18, 20_000))).T
     offsets = estimates[:, 4:8]
-    found = expected_deviations(case, plan)
+    found = ExpectedDeviations.of(case, plan)
     # relative standard error of a standard deviation from 20,000 samples is 0.5 %; alert 3, fail 6 of it
     np.testing.assert_allclose(found.length, estimates[:, :4].std(axis=0), rtol=0.03)
     np.testing.assert_allclose(found.joint_offset, offsets.std(axis=0), rtol=0.03)
@@ -80,8 +80,8 @@ def test_value_of_criterion_i_in_mm() -> None:
 def test_weights_share_the_runs_out() -> None:
     plan = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (6, 4))
     weights = np.array([3, 1, 1, 1, 1, 1]) / 8
-    shared = expected_deviations(problem(FOUR), plan, weights)
-    repeated = expected_deviations(problem(FOUR), plan[[0, 0, 0, 1, 2, 3, 4, 5]])
+    shared = ExpectedDeviations.of(problem(FOUR), plan, weights)
+    repeated = ExpectedDeviations.of(problem(FOUR), plan[[0, 0, 0, 1, 2, 3, 4, 5]])
     # six runs instead of eight, shared out in the same way
     np.testing.assert_allclose(shared.length, repeated.length * np.sqrt(8 / 6))
     np.testing.assert_allclose(shared.joint_offset, repeated.joint_offset * np.sqrt(8 / 6))
@@ -91,9 +91,9 @@ def test_none_where_only_rounding_makes_the_information_regular() -> None:
     # two angles half a turn apart tell an eccentric encoder from a joint offset by rounding only, yet numpy inverts M
     half_turn = (-1.2, np.pi - 1.2)
     plan = np.array(list(product((-1.0, 1.0), half_turn, (-1.0, 1.0), (-1.0, 0.5))))
-    assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1), ECCENTRICITY), plan) is None
-    assert expected_deviations(problem(Arm(FOUR.lengths, sigma=0.1)), plan) is not None
-    assert expected_deviations(problem(Arm(FOUR.lengths)), fourier(4, 4)) is None  # no sigma
+    assert ExpectedDeviations.of(problem(Arm(FOUR.lengths, sigma=0.1), ECCENTRICITY), plan) is None
+    assert ExpectedDeviations.of(problem(Arm(FOUR.lengths, sigma=0.1)), plan) is not None
+    assert ExpectedDeviations.of(problem(Arm(FOUR.lengths)), fourier(4, 4)) is None  # no sigma
 
 
 # -- observability -----------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from doe.cli import main
 from doe.jobs import frame_of, seed_of
 from doe.problem.postures import random_postures
 from doe.report.studies import monte_carlo_parts
-from doe.studies.monte_carlo import Study, load_study, pooled_rows, run_study
+from doe.studies.monte_carlo import Study, pooled_rows, run_study
 from identification import Arm, Calibration, Conditions, DHRow, InputError, Model, Plan, chain_of, without_prior
 from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox
@@ -277,7 +277,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_file_is_read(folder: Path) -> None:
-    study = load_study(folder / "study.toml", 40)
+    study = Study.load(folder / "study.toml", 40)
     true = study.asked.truths[0].of(study.arms[0])
     assert true.effects[0].values == pytest.approx({"a": np.radians(0.03), "b": np.radians(-0.01)})
     assert true.calibration is not None
@@ -285,7 +285,7 @@ def test_file_is_read(folder: Path) -> None:
     assert study.asked.models[0].of(true) == replace(study.arms[0], effects=())
     assert (study.plans["dft"], len(study.plans["plan.csv"] or ()), study.asked.replications) == (None, 7, 40)
     (folder / "study.toml").write_text(SPATIAL)
-    cells = run_study(load_study(folder / "study.toml"))["cells"]
+    cells = run_study(Study.load(folder / "study.toml"))["cells"]
     assert cells["fits"].to_list() == [5] * len(Model(without_prior(ELBOW)).names)
 
 
@@ -323,7 +323,7 @@ def test_bad_file_is_one_line(folder: Path, text: str, old: str, new: str, found
     assert old in text
     (folder / "study.toml").write_text(text.replace(old, new))
     with pytest.raises(InputError) as caught:
-        load_study(folder / "study.toml")
+        Study.load(folder / "study.toml")
     assert found in str(caught.value)
     assert "study.toml" in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -52,7 +52,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
 @pytest.mark.parametrize(
     ("data", "first", "command"),
     [
-        (said("none"), "Nothing is missing", "identify arm.toml data.csv --out calibrated.toml"),
+        (said("none"), "Nothing is missing", "identify arm.toml data.csv --no-library-prior --out calibrated.toml"),
         (said("named", "backlash:2", confirmed=True), f"Missing from the model: {PLAY}", "--out extended.toml"),
         (said("named", "backlash:2"), f"Missing from the model: {PLAY}", "--holdout other.csv"),
         (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
@@ -89,7 +89,7 @@ def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: st
     assert "(largest 3.07) against" in first
     assert first.endswith("in rows that no fit has seen, each with the arm placed anew.")
     commands = [action.command for action in diagnosis_actions(data, written=Path("extended.toml"))]
-    assert commands[0] == "armcal identify arm.toml data.csv --out calibrated.toml"
+    assert commands[0] == "armcal identify arm.toml data.csv --no-library-prior --out calibrated.toml"
     assert commands[1].startswith("armcal compensate calibrated.toml ")
     assert not any("extended.toml" in command for command in commands)
     good = diagnosis_actions(data | {"offered": offered | {"better": True}}, written=Path("extended.toml"))

@@ -100,7 +100,7 @@ def test_a_prior_that_may_help_is_not_advised_against() -> None:
         offered = {"better": False, "rms_mm": rms, "rms_geometry_mm": 0.35}
         data = {"warnings": [], "prior": {}, "offered": offered}
         first, *_ = identification_actions(data, "a.toml", "d.csv", Path("mine.toml"), diagnosed=False)
-        assert first.command == f"armcal identify a.toml d.csv --out {file}"
+        assert first.command == f"armcal identify a.toml d.csv --no-library-prior --out {file}"
         assert ("no worse" in first.text) is (rms > 0.35)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
+from unittest.mock import patch
 
 import pytest
 
@@ -25,12 +26,11 @@ class Bump(Effect):
 
 
 @pytest.fixture(autouse=True)
-def forget(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(base, "_LIBRARY", kept := dict(base._LIBRARY))
-    monkeypatch.setattr(effects, "_LIBRARY", kept)
-    effects._load_entry_points.cache_clear()
-    yield
-    effects._load_entry_points.cache_clear()
+def forget() -> Iterator[None]:
+    effects.library.cache_clear()
+    with patch.dict(base._LIBRARY):
+        yield
+    effects.library.cache_clear()
 
 
 def install(monkeypatch: pytest.MonkeyPatch, value: str) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -105,13 +106,12 @@ def installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]
     """The user's own effects, found by their entry points and forgotten afterwards."""
     (tmp_path / "effects_of_a_user.py").write_text(SOURCE)
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(base, "_LIBRARY", kept := dict(base._LIBRARY))
-    monkeypatch.setattr(effects, "_LIBRARY", kept)
     points = [EntryPoint(name, f"effects_of_a_user:{cls}", "armcal.effects") for name, cls in NAMES.items()]
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
-    effects._load_entry_points.cache_clear()
-    yield
-    effects._load_entry_points.cache_clear()
+    effects.library.cache_clear()
+    with patch.dict(base._LIBRARY):
+        yield
+    effects.library.cache_clear()
 
 
 def rows() -> Rows:
