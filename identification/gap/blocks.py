@@ -25,7 +25,7 @@ from identification.conditions import BY_ORDER, FOLLOWING, condition_columns
 from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.chain import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
-from identification.error_curve import local_splines
+from identification.error_curve import spline_table
 from identification.gap.fit import At, Rows
 from identification.gap.likelihood import SIZES, Products, orthonormal
 from identification.information import RANK_TOLERANCE, VISIBLE, column_space
@@ -341,10 +341,8 @@ def curve_waves(angles: Array, start: float, stop: float) -> Array:
     at angles (m,) that may be whole turns away; at a node the sum of its functions is the value there."""
     count, k = WAVES + 1, np.arange(1, WAVES + 1)
     cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
-    place, parts = local_splines(around(angles, start, stop), start, stop, count)
-    splines = np.zeros((len(place), count + 6))
-    np.put_along_axis(splines, place + 3, parts, axis=1)
-    return np.asarray(splines[:, 3:-3] @ (cosines / np.sin(0.5 * np.pi * k / count)))
+    splines = spline_table(around(angles, start, stop), start, stop, count)
+    return np.asarray(splines @ (cosines / np.sin(0.5 * np.pi * k / count)))
 
 
 def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:

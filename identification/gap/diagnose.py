@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -150,11 +149,9 @@ def diagnose(
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in shown.outside if b.place == place)
     shape = next(filter(None, kinds), None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
-    of_noise = defaultdict[str, float](float)  # properties of the noise that are likelier than not
-    for one in posterior.explanations:
-        of_noise[posterior.noises[one.noise].name] += one.probability
-    sizes = {noise.name: noise.size for noise in posterior.noises}
-    scatter = [Finding(name, 1.0 - p, sizes[name]) for name, p in of_noise.items() if name and p >= 0.5]
+    # properties of the noise that are likelier than not
+    of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
+    scatter = [Finding(noise.name, 1.0 - p, noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
     here = fitted.on(rows)
     error, jacobian = rows.whiten(here.left).reshape(before.shape), here.linearized[1] / fitted.model.scales
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
