@@ -158,8 +158,9 @@ def drive(
     ways = [np.vstack([way, postures[row]]) for way, row in zip(path.vias, path.rows, strict=True)]
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
     whole = replace(plan, postures=np.concatenate(ways), via=via)
-    best = path.rows if len(plan) > MANY else shortest_path(space.travel(postures[:, None], postures))
-    shortest = space.length(postures[best])
+    shortest = space.length(postures[path.rows])
+    if len(plan) <= MANY:
+        shortest = min(shortest, space.length(postures[shortest_path(space.travel(postures[:, None], postures))]))
     moves = None if bodies is None and approach == "any" else whole
     measured = replace(plan, postures=postures[path.rows])
     return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
-from identification.arrays import Array, as_frame, readonly
+from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
@@ -82,9 +82,14 @@ class Probabilities:
         return credible_sets
 
     @cached_property
+    def ranked(self) -> list[Names]:
+        """Sets of names, likeliest first."""
+        return sorted(self.sets, key=lambda names: (round(self.sets[names], 9), names), reverse=True)
+
+    @property
     def best(self) -> Names:
         """The likeliest set of names, empty without any."""
-        return max(self.sets, key=lambda n: (round(self.sets[n], 9), n), default=())
+        return self.ranked[0] if self.ranked else ()
 
     @property
     def verdict(self) -> str:
@@ -93,15 +98,13 @@ class Probabilities:
         likeliest = max(totals, key=lambda kind: round(totals[kind], 9))
         return "ambiguous" if likeliest == "named" and self.sets[self.best] < 0.5 else likeliest
 
-    @cached_property
+    @property
     def rivals(self) -> list[Names]:
         """Candidates: sets of names that are not much less likely than the likeliest, this first."""
         if self.verdict not in ("named", "ambiguous"):
             return []
-        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != self.best, n))
-        least = self.sets[self.best] * LEVEL
-        many = min(MOST, sum(self.sets[names] >= least for names in order))
-        return order[: max(2 if self.verdict == "ambiguous" else 1, many)]
+        many = sum(p >= LEVEL * self.sets[self.best] for p in self.sets.values())
+        return self.ranked[: max(2 if self.verdict == "ambiguous" else 1, min(MOST, many))]
 
     @property
     def place(self) -> str | None:
@@ -343,13 +346,6 @@ class Diagnosis(Documented):
         return shares | ({"other sets": rest} if rest > 1e-9 else {})
 
     @property
-    def other_sets(self) -> dict[str, float]:
-        """Title -> probability of further sets of effects that are not negligible, most probable first."""
-        listed = {tuple(sorted(c.keys)) for c in self.candidates}
-        rest = [(n, p) for n, p in self.probabilities.sets.items() if p >= NEGLIGIBLE and n not in listed]
-        return {self.probabilities.title(names): p for names, p in sorted(rest, key=lambda pair: -pair[1])}
-
-    @property
     def confirmed(self) -> bool | None:
         """Whether the hold-out confirms the verdict; None if it has too few rows.
 
@@ -360,9 +356,22 @@ class Diagnosis(Documented):
         return False if any(test.confirmed is False for test in self.cross_validation) else None
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
-        """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it."""
-        chosen = candidate or self.predicting
-        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=self.calibration_of(chosen))
+        """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,
+        with the verdict, its rivals and its confirmation as provenance."""
+        chosen, chain = candidate or self.predicting, self.arm.chain
+        entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
+        better = None if self.offered is None else self.offered["better"]
+        optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
+        entries |= {name: value for name, value in optional.items() if value is not None}
+        entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
+        entries["probability"] = self.probability
+        provenance = MappingProxyType({**chosen.calibration.provenance, **entries})
+        # with the values that a fit of a `practical` spatial arm took as they were, and where base and points are
+        kept = {} if self.arm.calibration is None else self.arm.calibration.values
+        values = {name: kept.get(name, 0.0) for name in sorted(chain.fixed)} | dict(chosen.calibration.values)
+        places = CorrectedGeometry(chain, values).places
+        calibration = replace(chosen.calibration, provenance=provenance, values=values, **places)
+        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=calibration)
 
     def predictions(
         self, postures: Array, payload: Array, directions: Array
@@ -384,29 +393,12 @@ class Diagnosis(Documented):
         """What the effects of all candidates need of arm and data."""
         return frozenset().union(*(Model(self.extended_arm(one)).needs for one in self.candidates))
 
-    @property
-    def calibration(self) -> Calibration:
-        """All estimates of the predicting model."""
-        return self.calibration_of(self.predicting)
-
-    def calibration_of(self, chosen: Candidate) -> Calibration:
-        """All estimates of a model, with the verdict, its rivals and its confirmation as provenance."""
-        entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
-        better = None if self.offered is None else self.offered["better"]
-        optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
-        entries |= {name: value for name, value in optional.items() if value is not None}
-        entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
-        entries["probability"] = self.probability
-        named = chosen.calibration
-        named = replace(named, provenance=MappingProxyType({**named.provenance, **entries}))
-        # with the values that a fit of a `practical` spatial arm took as they were, and where base and points are
-        chain = self.arm.chain
-        kept = {} if self.arm.calibration is None else self.arm.calibration.values
-        values = {name: kept.get(name, 0.0) for name in sorted(chain.fixed)} | dict(named.values)
-        return replace(named, values=values, **CorrectedGeometry(chain, values).places)
-
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
+        # further sets of effects that are not negligible
+        listed, likely = {tuple(sorted(c.keys)) for c in self.candidates}, self.probabilities
+        others = {names: p for names, p in likely.sets.items() if p >= NEGLIGIBLE and names not in listed}
+        others = dict(sorted(others.items(), key=lambda pair: -pair[1]))
         lists = ("warnings", "effects", "outlier_rows", "unexplained_rows", "notes")
         data: dict[str, Any] = {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
         data |= {name: list(getattr(self, name)) for name in lists}
@@ -414,8 +406,8 @@ class Diagnosis(Documented):
             "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
             "probabilities": self.probability,
-            "credible_set": [self.probabilities.title(names) for names in self.probabilities.credible],
-            "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
+            "credible_set": [likely.title(names) for names in likely.credible],
+            "other_sets": [{"effects": likely.title(n).split(" + "), "probability": p} for n, p in others.items()],
             "classes": list(self.named.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
             "replication": [effect.to_json() for effect in self.replication],
@@ -434,11 +426,6 @@ class Diagnosis(Documented):
             **unit_key(self.arm),
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
-
-    def to_frame(self) -> Any:
-        """Data frame with a row for each parameter of each candidate."""
-        sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
-        return as_frame([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters])
 
     def document(
         self,

@@ -14,6 +14,7 @@ from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import lgamma
 
 import numpy as np
@@ -270,6 +271,12 @@ class Posterior:
     def best(self) -> Explanation:
         """The likeliest."""
         return self.explanations[0]
+
+    @cached_property
+    def shares(self) -> Array:
+        """(K,) probability of each noise model."""
+        noises, probabilities = zip(*((one.noise, one.probability) for one in self.explanations), strict=True)
+        return np.bincount(noises, probabilities, len(self.noises)).astype(float)
 
 
 def posterior_of(
