@@ -27,7 +27,6 @@ from identification.gap.result import (
     Diagnosis,
     Residuals,
     as_calibration,
-    candidate_of,
     keys_of,
     probabilities,
 )
@@ -124,7 +123,7 @@ def diagnose(
     for one in sets:
         noise = posterior.noises[one.noise]
         fits.append(fit(library.model(one.effects), noise.rows.pick(kept), posterior.at.by_name))
-        made = candidate_of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
+        made = Candidate.of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
         made = replace(made, f=products.f_of([whole.numbers[block.label] for block in one.effects]))
         if not unknown:
             share, highest = (max(likely.of(keys), 1e-300) for keys in ([b.key for b in one.effects], likely.best))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -175,6 +175,37 @@ class Candidate:
     probability: float | None = None
     delta_bic: float = 0.0
 
+    @classmethod
+    def of(cls, fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Self:
+        """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
+
+        given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
+        """
+        model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
+        jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
+        tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
+        repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
+        table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
+        parts = spectrum(jacobian, model.scales)
+        sure = uncertainty(table, parts, sigma_given=sigma is not None, doubtful=doubtful)
+        effects = model.effects[len(model.effects) - added :]  # the arm's own come first
+        names = {p.name for effect in effects for p in effect.parameters}
+        deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
+        deviations = np.where(parts.identifiable, deviations, np.nan)  # gravity has no moment about a vertical axis
+        values = np.where(parts.identifiable, fitted.values, np.nan)
+        limits = limits_95(model.parameters, values, deviations, sure.freedom)
+        figures = zip(model.parameters, np.column_stack([values, deviations, limits]), strict=True)
+        return cls(
+            tuple(effect.label for effect in effects),
+            tuple(sorted({effect.family for effect in effects})),
+            model.arm.effects[len(model.arm.effects) - added :],
+            as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
+            tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
+            tuple(sure.freedom.tolist()),
+            sure.kind,
+            sure.sentence,
+        )
+
     @property
     def title(self) -> str:
         """All effects with their settings: `axes_skew + transmission_ripple:2[k=18]`."""
@@ -200,38 +231,6 @@ class Candidate:
             "parameters": [p._asdict() for p in self.parameters],
             "settings": settings,
         }
-
-
-def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Candidate:
-    """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
-
-    given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
-    """
-    model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
-    jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
-    tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
-    repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
-    table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
-    parts = spectrum(jacobian, model.scales)
-    sure = uncertainty(table, parts, sigma_given=sigma is not None, doubtful=doubtful)
-    effects = model.effects[len(model.effects) - added :]  # the arm's own come first
-    names = {p.name for effect in effects for p in effect.parameters}
-    deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
-    deviations = np.where(parts.identifiable, deviations, np.nan)  # gravity has no moment about a vertical axis
-    values = np.where(parts.identifiable, fitted.values, np.nan)
-    limits = limits_95(model.parameters, values, deviations, sure.freedom)
-    figures = zip(model.parameters, np.column_stack([values, deviations, limits]), strict=True)
-    return Candidate(
-        tuple(effect.label for effect in effects),
-        tuple(sorted({effect.family for effect in effects})),
-        model.arm.effects[len(model.arm.effects) - added :],
-        as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
-        tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
-        dict(zip(model.names, map(tuple, limits.tolist()), strict=True)),
-        tuple(sure.freedom.tolist()),
-        sure.kind,
-        sure.sentence,
-    )
 
 
 def as_calibration(fitted: Fit | PredictingModel, covariance: Array, freedom: Array, postures: Array) -> Calibration:
