@@ -201,6 +201,7 @@ class Candidate:
             model.arm.effects[len(model.arm.effects) - added :],
             as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
             tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
+            dict(zip(model.names, map(tuple, limits.tolist()), strict=True)),
             tuple(sure.freedom.tolist()),
             sure.kind,
             sure.sentence,
