@@ -380,6 +380,12 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -
     `status` : "done", "failed" (it raised), "timeout" (killed) or "crashed" (the process died), where the value is None
     `error` : one line on what went wrong;  `seconds` : of the call itself, without starting the process
     """
+
+    def silenced() -> Any:  # in the new process: solvers print banners
+        for stream in (1, 2):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+        return function(*arguments)
+
     value, status, error = None, "done", None
     with _pool(1) as process:
         began = time.monotonic()
@@ -387,7 +393,7 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -
             # a minute to start and import, which is not part of the limit on the call itself
             process.submit(id, function).result(60.0)  # its module is imported by now
             began = time.monotonic()
-            value = process.submit(_silenced, function, arguments).result(seconds)
+            value = process.submit(silenced).result(seconds)
         except TimeoutError:
             status, error = "timeout", f"killed after {seconds or 60.0:g} s"
         except BrokenExecutor as lost:  # loky says how in its message
@@ -396,10 +402,3 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -
         except Exception as raised:  # noqa: BLE001 - every failure becomes a row
             status, error = "failed", one_line(raised)
         return value, {"status": status, "error": error, "seconds": time.monotonic() - began}
-
-
-def _silenced(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """The call, in the new process; what it prints goes nowhere: solvers print banners."""
-    for stream in (1, 2):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
-    return function(*arguments)

@@ -49,13 +49,12 @@ class ErrorCurve(ByValue):
     ) -> ErrorCurve:
         """The curve with so many nodes through values (a,) at angles (a,) [rad]; where none are near, the one whose
         steps from node to node are smallest, as those of a random walk are."""
-        place, parts = local_splines(angles, start, stop, count)
-        table = np.zeros((len(angles), count + 6))
-        np.put_along_axis(table, place + 3, parts, axis=1)
         # numerical: a thousandth of the weight of a value; less than that changes no wave of eight nodes or more
         steps = np.sqrt(1e-3) * np.diff(np.eye(count), axis=0)
         target = np.concatenate([values, np.zeros(count - 1)])
-        coefficients = np.linalg.lstsq(np.concatenate([table[:, 3:-3], steps]), target, rcond=None)[0]
+        coefficients = np.linalg.lstsq(
+            np.concatenate([spline_table(angles, start, stop, count), steps]), target, rcond=None
+        )[0]
         padded = np.pad(coefficients, 1)
         at_nodes = (padded[:-2] + 4.0 * padded[1:-1] + padded[2:]) / 6.0
         return cls(start, stop, np.radians(np.round(np.degrees(at_nodes), 7)), geometry)
@@ -104,3 +103,11 @@ def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple
     place = first[:, None] + np.arange(4)
     t = np.abs(x[:, None] - place)  # from the middle of the spline, in nodes
     return place, (np.maximum(2.0 - t, 0.0) ** 3 - 4.0 * np.maximum(1.0 - t, 0.0) ** 3) / 6.0
+
+
+def spline_table(angles: Array, start: float, stop: float, count: int) -> Array:
+    """(m, count) values at angles (m,) of the splines that exist."""
+    place, parts = local_splines(angles, start, stop, count)
+    table = np.zeros((len(angles), count + 6))
+    np.put_along_axis(table, place + 3, parts, axis=1)
+    return table[:, 3:-3]

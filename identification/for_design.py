@@ -212,7 +212,8 @@ class ArmModel(Model):
 
         arm = without_prior(self.arm)
         members = hypotheses(arm, frozenset()).members
-        common = [(b, b.effect, b.spec) for b in members if b.plain and b.effect and b.spec and b.effect.prior == 1.0]
+        usual = [b for b in members if b.effect and b.effect.prior == 1.0 and not b.effect.chosen and not b.through]
+        common = [(b, b.effect, b.spec) for b in usual if b.effect and b.spec]
         shown = [each for each in common if not each[1].needs & BY_ORDER]
         model = Model(arm.with_effects(*arm.effects, *(spec for _, _, spec in shown)))
         base, bases = len(Model(arm).parameters), []

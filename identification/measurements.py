@@ -362,6 +362,15 @@ class Shared(NamedTuple):
     measurements: float
     calibration: float
 
+    @classmethod
+    def of(cls, text: str, postures: Array, positions: Array) -> Self:
+        """How many rows two sets share: one of digests, and postures (m, n) with positions (m, d)."""
+        kept, digests = digests_in(text), row_digests(postures, positions)
+        if len(kept) >= KEPT:  # of these rows alone it can be told
+            digests = {digest for digest in digests if digest <= max(kept)}
+        shared = len(digests & kept)
+        return cls(shared / max(len(digests), 1), shared / max(len(kept), 1))
+
 
 def row_digests(postures: Array, positions: Array) -> set[bytes]:
     """Of postures (m, n) [rad, mm] and positions (m, d) [mm] to the nearest 1e-3 rad or mm: those written with three
@@ -382,12 +391,3 @@ def digests_in(text: str) -> set[bytes]:
     except ValueError:
         return set()
     return {joined[k : k + BYTES] for k in range(0, len(joined) - BYTES + 1, BYTES)}
-
-
-def rows_shared(text: str, postures: Array, positions: Array) -> Shared:
-    """How many rows two sets share: one of digests, and postures (m, n) with positions (m, d)."""
-    kept, digests = digests_in(text), row_digests(postures, positions)
-    if len(kept) >= KEPT:  # of these rows alone it can be told
-        digests = {digest for digest in digests if digest <= max(kept)}
-    shared = len(digests & kept)
-    return Shared(shared / max(len(digests), 1), shared / max(len(kept), 1))

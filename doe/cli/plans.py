@@ -160,7 +160,7 @@ def design_files(
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     """
-    from doe.plan.accuracy import tip_beside_random
+    from doe.plan.accuracy import ExpectedTip
     from doe.plan.driving import drive, with_approach
     from doe.problem.uncertain import with_choices
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
@@ -204,7 +204,7 @@ def design_files(
 
     driven = drive(design.problem, design.plan, order, approach, signs, seed, late)
     design = replace(design, plan=driven.plan)
-    expected = tip_beside_random(design.problem, design.plan.postures, seed)
+    expected = ExpectedTip.of(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
     data |= driven.to_json()

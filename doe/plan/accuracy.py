@@ -247,6 +247,36 @@ class ExpectedTip:
     random: Array
     fit: str
 
+    @classmethod
+    def of(cls, problem: DesignProblem, postures: Array, seed: int = 0) -> Self | None:
+        """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted, and for
+        more runs than 2000, of which random plans are all alike.
+
+        problem : that the plan was chosen for, robust or not
+        """
+        plans, most = 50, 2000  # random plans that it is compared with, postures that they are drawn from
+        m = len(postures)
+        if m > most:
+            return None
+        errors: TipErrors | None
+        anywhere = replace(problem, choices=None) if problem.sampled else problem
+        if problem.missing:
+            at = problem.criterion
+            targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(anywhere))
+            errors = TipErrors(problem, problem, targets if targets.ndim == 4 else targets[:, None])
+        else:
+            errors = TipErrors.of(problem)
+        if errors is None or not errors.wide.missing:
+            return None
+        judge = errors.with_prior if problem.fit else errors.missing
+        generator = np.random.default_rng([seed, m])
+        if anywhere.choices is not None:
+            pool = listed_candidates(problem, anywhere.choices)
+        else:
+            pool = random_postures(problem, min(plans * m, most), generator)
+        rows = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]
+        return cls(judge(postures), np.array([judge(pool[chosen]) for chosen in rows]), problem.fit)
+
     better = property(lambda self: float(np.mean(self.random > self.plan)))
     median = property(lambda self: float(np.median(self.random)))
 
@@ -269,32 +299,3 @@ class ExpectedTip:
             return f"{where}: {figures}; {share}."
         instead = "" if self.fit else " armcal design --robust chooses postures for that."
         return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"
-
-
-def tip_beside_random(problem: DesignProblem, postures: Array, seed: int = 0) -> ExpectedTip | None:
-    """What a plan (m, n) promises beside random ones; None where no sizes are known or none are counted, and for more
-    runs than 2000, of which random plans are all alike.
-
-    problem : that the plan was chosen for, robust or not
-    """
-    plans, most, m = 50, 2000, len(postures)  # random plans that it is compared with, postures that they are drawn from
-    if m > most:
-        return None
-    errors: TipErrors | None
-    anywhere = replace(problem, choices=None) if problem.sampled else problem
-    if problem.missing:
-        at = problem.criterion
-        targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(anywhere))
-        errors = TipErrors(problem, problem, targets if targets.ndim == 4 else targets[:, None])
-    else:
-        errors = TipErrors.of(problem)
-    if errors is None or not errors.wide.missing:
-        return None
-    judge = errors.with_prior if problem.fit else errors.missing
-    generator = np.random.default_rng([seed, m])
-    if anywhere.choices is not None:
-        pool = listed_candidates(problem, anywhere.choices)
-    else:
-        pool = random_postures(problem, min(plans * m, most), generator)
-    rows = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]
-    return ExpectedTip(judge(postures), np.array([judge(pool[chosen]) for chosen in rows]), problem.fit)

@@ -28,18 +28,16 @@ def shortest_path(cost: Array) -> Path:
             path.append(int(np.argmin(np.where(left, cost[path[-1]], np.inf))))
             left[path[-1]] = False
         starts.append(np.array(path))
-    return min((_two_opt(padded, start) for start in starts), key=lambda path: float(cost[path[:-1], path[1:]].sum()))
-
-
-def _two_opt(padded: Array, path: Path) -> Path:
-    """2-opt on an open path: stretches are reversed as long as that shortens it."""
-    tour = np.append(path, len(path))
-    while True:
-        a, b = tour, np.roll(tour, -1)
-        gain = padded[a, b][:, None] + padded[a, b] - padded[np.ix_(a, a)] - padded[np.ix_(b, b)]
-        i, k = np.unravel_index(np.argmax(np.triu(gain, 1)), gain.shape)
-        if gain[i, k] <= 1e-12 * (1.0 + padded.max()) or i >= k:
-            break
-        tour[i + 1 : k + 1] = tour[i + 1 : k + 1][::-1]
-    end = int(np.flatnonzero(tour == len(path))[0])
-    return np.concatenate([tour[end + 1 :], tour[:end]])
+    ends = []
+    for start in starts:  # 2-opt: stretches are reversed as long as that shortens the tour
+        tour = np.append(start, m)
+        while True:
+            a, b = tour, np.roll(tour, -1)
+            gain = padded[a, b][:, None] + padded[a, b] - padded[np.ix_(a, a)] - padded[np.ix_(b, b)]
+            i, k = np.unravel_index(np.argmax(np.triu(gain, 1)), gain.shape)
+            if gain[i, k] <= 1e-12 * (1.0 + padded.max()) or i >= k:
+                break
+            tour[i + 1 : k + 1] = tour[i + 1 : k + 1][::-1]
+        dummy = int(np.flatnonzero(tour == m)[0])
+        ends.append(np.concatenate([tour[dummy + 1 :], tour[:dummy]]))
+    return min(ends, key=lambda path: float(cost[path[:-1], path[1:]].sum()))

@@ -40,6 +40,20 @@ class Scope:
     postures: Array | None = None  # (m, n) [rad], None without data
     conditions: Conditions = field(default_factory=Conditions)  # of these rows
 
+    def step_times(self) -> list[float]:
+        """Times to try for a step: between rows, evenly spaced, and between sessions."""
+        time = self.conditions.time
+        if time is None or np.ptp(time) == 0.0:
+            return list(np.linspace(-0.5, 0.5, 40)[2:-2])
+        sessions = np.zeros(len(time)) if self.conditions.session is None else self.conditions.session
+        values = np.unique(clock(time, sessions))
+        between = 0.5 * (values[1:] + values[:-1])
+        first = int(np.ceil(0.05 * len(between)))  # at either end a step would be a few rows
+        inner = between[first : len(between) - first] if 2 * first < len(between) else between
+        count = 100 if len(between) <= 400 else 40  # effort: of many rows fewer
+        spread = inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))]
+        return [*spread, *((np.unique(sessions)[1:] - 0.5) * SESSION)]
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -75,21 +89,6 @@ def clock(time: Any, session: Any) -> Any:
     time, session : numbers, arrays or CasADi symbols
     """
     return time + SESSION * session
-
-
-def step_times(scope: Scope) -> list[float]:
-    """Times to try for a step: between rows, evenly spaced, and between sessions."""
-    time = scope.conditions.time
-    if time is None or np.ptp(time) == 0.0:
-        return list(np.linspace(-0.5, 0.5, 40)[2:-2])
-    sessions = np.zeros(len(time)) if scope.conditions.session is None else scope.conditions.session
-    values = np.unique(clock(time, sessions))
-    between = 0.5 * (values[1:] + values[:-1])
-    first = int(np.ceil(0.05 * len(between)))  # at either end a step would be a few rows
-    inner = between[first : len(between) - first] if 2 * first < len(between) else between
-    count = 100 if len(between) <= 400 else 40  # effort: of many rows fewer
-    spread = inner[np.unique(np.linspace(0, len(inner) - 1, count).round().astype(int))]
-    return [*spread, *((np.unique(sessions)[1:] - 0.5) * SESSION)]
 
 
 class Number(NamedTuple):

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, add_effect, clock, step_times
+from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, add_effect, clock
 from identification.effects.chain import Chain
 from identification.instruments import distance_to_center
 from identification.kinematics.frames import rotation_to_z
@@ -24,7 +24,7 @@ from identification.kinematics.frames import rotation_to_z
 RARE = 0.2  # prior beside a common effect
 TORQUE = 100.0  # [N m] order of magnitude, for scales only
 PLANE, SPACE = (2,), (3,)
-STEP = Setting(-0.5, 1000.0, step_times)  # time of a step, see `clock`
+STEP = Setting(-0.5, 1000.0, Scope.step_times)  # time of a step, see `clock`
 
 of_gravity = partial(add_effect, needs=frozenset({"gravity"}), family="gravity")
 # acts through the effects of gravity in the arm's model, and modifies all of them

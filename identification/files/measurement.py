@@ -452,22 +452,22 @@ class Targets(NamedTuple):
     postures: Array | None
     orientations: Array | None = None
 
+    @classmethod
+    def load(cls, path: PathLike, arm: Arm) -> Self:
+        """The targets of a CSV file with `x_mm, y_mm` (or `x_m, y_m`), or with `q1_deg..qn_deg` of nominal postures; of
+        a spatial arm with `z_mm` too, and with orientations where these matter.
 
-def load_targets(path: PathLike, arm: Arm) -> Targets:
-    """The targets of a CSV file with `x_mm, y_mm` (or `x_m, y_m`), or with `q1_deg..qn_deg` of nominal postures; of a
-    spatial arm with `z_mm` too, and with orientations where these matter.
-
-    With both, positions are the targets and postures say which of the many solutions to stay near.
-    Raises `InputError` with file, row and column.
-    """
-    table, axes = read_table(path), arm.chain.axes
-    has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
-    has_postures = bool(_joint_columns(table, arm.joint_types))
-    if not has_positions and not has_postures:
-        allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
-        raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-    positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
-    postures = read_postures(table, arm.joint_types) if has_postures else None
-    orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
-    table.warn_unused(["run"])
-    return Targets(positions, postures, orientations)
+        With both, positions are the targets and postures say which of the many solutions to stay near.
+        Raises `InputError` with file, row and column.
+        """
+        table, axes = read_table(path), arm.chain.axes
+        has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
+        has_postures = bool(_joint_columns(table, arm.joint_types))
+        if not has_positions and not has_postures:
+            allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
+            raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
+        positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
+        postures = read_postures(table, arm.joint_types) if has_postures else None
+        orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
+        table.warn_unused(["run"])
+        return cls(positions, postures, orientations)

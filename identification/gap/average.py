@@ -59,18 +59,18 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
     held, library = posterior.writable or posterior, posterior.library
     whole, arm, g = held.whole, library.arm, len(held.whole.base)
-    chances, shares_of_noise = defaultdict[str, float](float), np.zeros(len(held.problems))
+    chances = defaultdict[str, float](float)
     for one in held.explanations:
-        shares_of_noise[one.noise] += one.probability
         for block in one.blocks:
             chances[block.label] += one.probability
 
     # the base's parameters, and those of all blocks that are likely enough; the base gives way to rows left out, too
-    kept = [b for k, b in enumerate(whole.blocks) if b.row is None and chances[b.label] >= LEVEL]
+    kept = [b for b in whole.blocks if b.row is None and chances[b.label] >= LEVEL]
     ends = g + np.cumsum([0, *(whole.columns[whole.numbers[b.label]].shape[2] for b in kept)])
     places = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
-    of_each, geometry_of, variance, used = [], defaultdict[str, Array](lambda: np.zeros(g)), 0.0, 0.0
-    for problem, draws, share in zip(held.problems, held.draws, shares_of_noise.tolist(), strict=True):
+    geometry_of, used = defaultdict[str, Array](lambda: np.zeros(g)), 0.0
+    means, covariances, noises = list[Array](), list[Array](), list[float]()
+    for problem, draws, share in zip(held.problems, held.draws, held.shares.tolist(), strict=True):
         # each set without the blocks that are left out, of which the others take on what they can
         writable = {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in places}
         counts = Counter[Key]()
@@ -78,41 +78,39 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
             counts[tuple(pair for pair in key if pair[0] in writable)] += count
         states, drawn = [problem.products.state(key) for key in counts], np.array([*counts.values()]) / draws.total()
         first, covariance, of_noise = mixed(states, drawn)
-        used += share * sum(
-            n * (len(s.sizes) - np.sum(np.diag(s.covariance) / s.sizes**2)) for n, s in zip(drawn, states, strict=True)
-        )
+        taken = [len(state.sizes) - np.diag(state.covariance) @ state.sizes**-2.0 for state in states]
+        used += share * float(drawn @ taken)
         turn = np.zeros((int(ends[-1]), len(first)))
-        for b, block in enumerate(problem.blocks):
-            own = problem.products.places([b])
-            if block.label in places:
-                turn[np.ix_(places[block.label], own)] = problem.roots[b]
-                geometry_of[block.label] += share * problem.response[:, own] @ first[own]
-            if block.label in places or block.row is not None:
-                turn[:g, own] = problem.response[:, own]
-        mean, covariance = turn @ first, turn @ covariance @ turn.T
-        mean[:g] += problem.base
-        covariance[:g, :g] += of_noise * problem.normal
-        of_each.append((share, mean, covariance))
-        variance += share * of_noise
-    mean = sum((share * one for share, one, _ in of_each), np.zeros(int(ends[-1])))
-    covariance = sum(
-        (share * (c + np.outer(m - mean, m - mean)) for share, m, c in of_each), np.zeros((len(mean), len(mean)))
-    )
-    freedom = max(rows - round(float(used)) - g, 1)
+        for b in writable:
+            own, label = problem.products.places([b]), problem.blocks[b].label
+            turn[:g, own] = problem.response[:, own]
+            if label in places:
+                turn[np.ix_(places[label], own)] = problem.roots[b]
+                geometry_of[label] += share * problem.response[:, own] @ first[own]
+        means.append(turn @ first)
+        covariances.append(turn @ covariance @ turn.T)
+        means[-1][:g] += problem.base
+        covariances[-1][:g, :g] += of_noise * problem.normal
+        noises.append(of_noise)
+    mean, variance = held.shares @ np.array(means), float(held.shares @ noises)
+    apart = np.array(means) - mean
+    covariance = np.tensordot(held.shares, covariances, 1) + (apart.T * held.shares) @ apart
+    freedom = max(rows - round(used) - g, 1)
 
     # an error curve takes up all else that depends on its joint's angle alone: within the angles measured they may
     # cancel, and beyond them, where a curve does not hold, their sum is worth no more
     of_curves = list[tuple[tuple[int, float, float], dict[str, Callable[[Array], Array]]]]()
-    for curve in (b for b in kept if b.span is not None):
-        joint, start, stop = span = curve.span or (0, 0.0, 0.0)
+    for joint, start, stop in (b.span for b in kept if b.span is not None):
         slopes = {b.label: slope_by_angle(b.effect, joint, library.base) for b in kept if b.effect is not None}
         functions = {label: slope for label, slope in slopes.items() if slope is not None}
-        of_curves.append((span, {curve.label: partial(curve_waves, start=start, stop=stop), **functions}))
+        waves = {f"curve:{joint + 1}": partial(curve_waves, start=start, stop=stop)}
+        of_curves.append(((joint, start, stop), waves | functions))
     absorbed = [label for _, functions in of_curves for label in functions]
     members = [b for b in kept if b.spec is not None and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
-    place = {name: k for k, name in enumerate(library.base_names(plain))}
+    renamed = library.renamed(plain)
+    place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
     for block, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
         place |= {p.name: k for p, k in zip(effect.parameters, places[block.label].tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
@@ -123,19 +121,16 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         at = np.concatenate([places[label] for label in functions])
         beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
-        parts = zip(
-            library.base.names, np.sum([geometry_of[label] for label in functions], axis=0).tolist(), strict=True
-        )
-        shifted = {name: value for name, value in parts if not name.startswith(f"{SESSIONS}.")}
+        parts = np.sum([geometry_of[label] for label in functions], axis=0).tolist()
+        named = zip(library.base.names, parts, strict=True)
+        shifted = {name: value for name, value in named if not name.startswith(f"{SESSIONS}.")}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
         # the table goes through their sum at the angles measured, and as a random walk does where there are none: there
         # they, too, may add up that cancel elsewhere
         commanded = held.at.rows.postures[:, joint]
         q = around(commanded, start, stop)
-        for steps in (
-            WAVES * 2 ** np.arange(5)
-        ).tolist():  # from node to node: eight a period of the fastest waves, as a rule
+        for steps in (WAVES * 2**k for k in range(5)):  # eight a period of the fastest waves, as a rule
             angles = np.linspace(start, stop, 2 * steps + 1)
             numbers, rows_there = np.unique(np.rint((q - start) / (angles[1] - start)).astype(int), return_index=True)
             nearest = rows_there[np.abs(np.arange(len(angles))[:, None] - numbers).argmin(axis=1)]
@@ -167,12 +162,10 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     if held is not posterior:
-        of_all, shares = 0.0, np.zeros(len(posterior.problems))
-        for one in posterior.explanations:
-            shares[one.noise] += one.probability
-        for problem, draws, share in zip(posterior.problems, posterior.draws, shares.tolist(), strict=True):
-            noise = sum(count * problem.products.state(key).variance for key, count in draws.items()) / draws.total()
-            of_all += share * noise
+        of_all = 0.0
+        for problem, draws, share in zip(posterior.problems, posterior.draws, posterior.shares.tolist(), strict=True):
+            noise = sum(count * problem.products.state(key).variance for key, count in draws.items())
+            of_all += share * noise / draws.total()
         more += jacobian.shape[1] * max(variance - of_all, 0.0)
     sigma = float(np.sqrt(variance))
     written = PredictingModel(model, values, held.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
@@ -226,11 +219,6 @@ class Curve:
     def spec(self) -> EffectSpec:
         """The effect as an entry of an arm file."""
         return EffectSpec("joint_error_curve", self.joint, curve=self.table)
-
-    @property
-    def key(self) -> str:
-        """`joint_error_curve:1`"""
-        return self.spec.key
 
     @cached_property
     def described(self) -> tuple[str, list[dict[str, Any]]]:

@@ -25,7 +25,7 @@ from identification.conditions import BY_ORDER, FOLLOWING, condition_columns
 from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.chain import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
-from identification.error_curve import local_splines
+from identification.error_curve import spline_table
 from identification.gap.fit import At, Rows
 from identification.gap.likelihood import SIZES, Products, orthonormal
 from identification.information import RANK_TOLERANCE, VISIBLE, column_space
@@ -87,11 +87,6 @@ class Block:
         """Number from 0 of the single row that it shifts."""
         return int(self.place[4:]) if self.place.startswith("row:") else None
 
-    @property
-    def plain(self) -> bool:
-        """Whether it is an effect without a scanned setting that can act on the base model."""
-        return self.effect is not None and not self.effect.chosen and not self.through
-
     @cached_property
     def size(self) -> int:
         """Number of parameters of an effect."""
@@ -130,17 +125,18 @@ class Library:
         """Model of the arm with these effects."""
         return Model(self.arm.with_effects(*self.arm.effects, *(b.spec for b in chosen if b.spec is not None)))
 
-    def base_names(self, model: Model) -> list[str]:
-        """Names of the base model's parameters in a model with further effects; similar ones change their names."""
-        own = [p.name for effect in self.base.effects for p in effect.parameters]
-        there = [p.name for effect in model.effects[: len(self.base.effects)] for p in effect.parameters]
-        renamed = dict(zip(own, there, strict=True))
-        return [renamed.get(name, name) for name in self.base.names]
+    def renamed(self, model: Model) -> dict[str, str]:
+        """Name of each parameter of the arm's effects -> its name in a model with further effects: similar ones change
+        their names."""
+        there = model.effects[: len(self.base.effects)]
+        names = ([p.name for effect in effects for p in effect.parameters] for effects in (self.base.effects, there))
+        return dict(zip(*names, strict=True))
 
     def as_base(self, at: At) -> tuple[Array, Array, list[int]]:
         """Rows as the base model sees them at a fit: (m, d) measured less computed positions, where what the fit has
         beyond it is given back; and the fit's (m, d, p) columns, and which of them are the base's."""
-        base = [at.model.parameters.index(name) for name in self.base_names(at.model)]
+        renamed = self.renamed(at.model)
+        base = [at.model.parameters.index(renamed.get(name, name)) for name in self.base.names]
         jacobian, added = at.linearized[1], np.setdiff1d(np.arange(len(at.values)), base)
         return at.left + jacobian[:, :, added] @ at.values[added], jacobian, base
 
@@ -151,7 +147,7 @@ class Library:
         levers, state = at.model.place_levers(q, at.values, conditions)
         effects = [block.effect for block in self.members if block.effect is not None]
         remembers = any("past" in e.needs for e in effects)
-        table = conditions.table(_columns(self.arm, remembers), q, self.arm.payload)
+        table = conditions.table(condition_columns(self.arm.links, ("past",) * remembers), q, self.arm.payload)
         groups: dict[type[Effect] | None, list[tuple[Key, int]]] = {}
         for number, e in enumerate(effects):  # the settings of a scan are arguments of one function
             symbolic = bool(e.chosen) and all(setting.symbolic for setting in e.settings.values())
@@ -175,47 +171,34 @@ class Library:
 Key = tuple[type[Effect], int | None, tuple[Any, ...]]
 
 
-def _columns(arm: Arm, remembers: bool) -> dict[str, slice]:
-    return condition_columns(arm.links, ("past",) * remembers)
-
-
-@lru_cache(maxsize=8)
-def _chains(arm: Arm, remembers: bool) -> tuple[tuple[ca.SX, ca.SX, ca.SX], Chain, Chain]:
-    """CasADi symbols of posture (n), conditions and state, and the nominal chain, without and with loads."""
-    columns, where = _columns(arm, remembers), state_slices(arm.chain)
-    ends = (max(place.stop for place in places.values()) for places in (columns, where))
-    q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
-    chain = Chain.of(arm, q, c, columns)
-    loads: dict[str, Any] = {place: state[where[place]] for place in OF_LOAD}
-    return (q, c, state), chain, replace(chain, **loads)
-
-
 @lru_cache
 def _slopes(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> tuple[Evaluate, dict[Key, list[tuple[int, int, int]]]]:
     """Function of arrays (q, c, state, settings) that gives the Z slopes of some effects that are not identically
     zero, (..., Z, 1); and of each effect (its parameter, place, number of the slope)."""
-    symbols, chain, loaded = _chains(arm, remembers)
-    lengths_and_tip = [symbols[2][state_slices(arm.chain)[part]] for part in ("lengths", "tip")]
+    columns, where = condition_columns(arm.links, ("past",) * remembers), state_slices(arm.chain)
+    ends = (max(place.stop for place in each.values()) for each in (columns, where))
+    q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
+    chain, sizes = Chain.of(arm, q, c, columns), widths(arm.chain)
+    given: dict[str, Any] = {name: state[place] for name, place in where.items()}
+    loaded = replace(chain, **{place: given[place] for place in OF_LOAD})
     scanned = {s: ca.SX.sym(s) for _, _, settings in keys for s in settings if isinstance(s, str)}
-    slopes: list[ca.SX] = []
-    places: dict[Key, list[tuple[int, int, int]]] = {}
+    slopes, places, count = list[ca.SX](), dict[Key, list[tuple[int, int, int]]](), 0
     for key in keys:
         cls, joint, settings = key
         effect = cls(arm.chain, joint, dict((s, scanned[s]) if isinstance(s, str) else s for s in settings))
         v, neutral = ca.SX.sym("v", len(effect.parameters)), ca.DM([p.neutral for p in effect.parameters])
-        added = ca.vertcat(  # at all places
-            *(
-                contribution(effect, place, chain if place in OF_LOAD else loaded, v, *lengths_and_tip)
-                if hasattr(effect, place)
-                else ca.SX.zeros(size)
-                for place, size in widths(arm.chain).items()
-            )
-        )
-        slope, first = ca.sparsify(ca.substitute(ca.jacobian(added, v), v, neutral)), sum(s.numel() for s in slopes)
-        nonzero = enumerate(zip(*slope.sparsity().get_triplet(), strict=True), start=first)
+        added = [
+            contribution(effect, place, chain if place in OF_LOAD else loaded, v, given["lengths"], given["tip"])
+            if hasattr(effect, place)
+            else ca.SX.zeros(size)
+            for place, size in sizes.items()
+        ]
+        slope = ca.sparsify(ca.substitute(ca.jacobian(ca.vertcat(*added), v), v, neutral))
+        nonzero = enumerate(zip(*slope.sparsity().get_triplet(), strict=True), start=count)
         places[key] = [(column, place, number) for number, (place, column) in nonzero]
         slopes.append(ca.SX(slope.nz[:]))
-    inputs = [*symbols, ca.SX(ca.vertcat(*scanned.values()))]
+        count += len(places[key])
+    inputs = [q, c, state, ca.SX(ca.vertcat(*scanned.values()))]
     return vectorize(ca.Function("slopes", inputs, [ca.cse(ca.vertcat(*slopes))])), places
 
 
@@ -332,17 +315,6 @@ def slope_by_angle(effect: Effect, joint: int, model: Model) -> Callable[[Array]
 
 
 # -- outside the library ----------------------------------------------------------------------------------------------
-def curve_waves(angles: Array, start: float, stop: float) -> Array:
-    """(m, K) cosine transform of a cubic spline basis between two angles [rad], scaled to the prior of a random walk;
-    at a node the sum of its functions is the value there.  angles : (m,), which may be whole turns away"""
-    count, k = WAVES + 1, np.arange(1, WAVES + 1)
-    cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
-    place, parts = local_splines(around(angles, start, stop), start, stop, count)
-    splines = np.zeros((len(place), count + 6))
-    np.put_along_axis(splines, place + 3, parts, axis=1)
-    return np.asarray(splines[:, 3:-3] @ (cosines / np.sin(0.5 * np.pi * k / count)))
-
-
 def measured_range(angles: Array, turns: bool) -> tuple[float, float]:
     """First and last angle [rad] of those measured (m,); where a joint turns, and no more than once around, they begin
     after a gap on the circle of more than `HOLE`, and than the one between the last and the first."""
@@ -365,26 +337,29 @@ def around(angles: Array, start: float, stop: float) -> Array:
     return np.where(outside, start - rounding + np.mod(angles - start + rounding, 2.0 * np.pi), angles)
 
 
-def times(columns: Array, functions: Array) -> Array:
-    """(m, d, k w) columns (m, d, k) times functions (m, w), each with each."""
-    return np.asarray((columns[..., None] * functions[:, None, None, :]).reshape(*columns.shape[:2], -1))
+def curve_waves(angles: Array, start: float, stop: float) -> Array:
+    """(m, K) cosine transform of a cubic spline basis between two angles [rad], scaled to the prior of a random walk,
+    at angles (m,) that may be whole turns away; at a node the sum of its functions is the value there."""
+    count, k = WAVES + 1, np.arange(1, WAVES + 1)
+    cosines = np.cos(np.pi / count * np.outer(np.arange(count) + 0.5, k))
+    splines = spline_table(around(angles, start, stop), start, stop, count)
+    return np.asarray(splines @ (cosines / np.sin(0.5 * np.pi * k / count)))
 
 
 def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
     """Blocks outside the library, each with its (m, d, p) columns."""
-    arm, chain, model, conditions, (x, jacobian) = (
-        at.model.arm,
-        at.model.arm.chain,
-        at.model,
-        at.rows.conditions,
-        at.linearized,
-    )
-    q, (m, d), unseen = at.rows.postures, x.shape, untested_joints(at)
+    arm, chain, model, conditions = at.model.arm, at.model.arm.chain, at.model, at.rows.conditions
+    q, (x, jacobian), unseen, gravity = at.rows.postures, at.linearized, untested_joints(at), arm.gravity is not None
+    (m, n), d = q.shape, x.shape[1]
     low, span = q.min(axis=0), np.maximum(np.ptp(q, axis=0), 1e-9)
-    turning, n = [j for j in range(q.shape[1]) if span[j] > 1e-9], q.shape[1]
+    turning = [j for j in range(n) if span[j] > 1e-9]
 
-    def block(label: str, place: str, weight: float, columns: Array) -> tuple[Block, Array]:
-        return Block(label, place, OUTSIDE * weight), columns
+    def block(label: str, weight: float, columns: Array, functions: Array) -> tuple[Block, Array]:
+        """One that has columns (m, d, k) times functions (m, w), each with each."""
+        kind, _, joints = label.partition(":")
+        place = f"joint:{joints.partition(',')[0]}" if joints else kind.partition("[")[0]
+        each = columns[..., None] * functions[:, None, None, :]
+        return Block(label, place, OUTSIDE * weight), each.reshape(m, d, -1)
 
     # at a joint: functions (m, w) that are added to its angle; in space, an axis that tilts and shifts
     curved = {spec.joint for spec in arm.effects if spec.curve is not None}
@@ -392,67 +367,64 @@ def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
     places = slices(widths(chain))
     levers = model.place_levers(q, at.values, conditions)[0]
     for j in (j for j in turning if j + 1 not in unseen):
-        place, lever, angle, weight = f"joint:{j + 1}", at.levers[:, :, j, None], q[:, j], n**-0.5
+        lever, angle, weight, turns = at.levers[:, :, j, None], q[:, j], n**-0.5, chain.joints[j].type == REVOLUTE
         if j + 1 not in curved:
-            start, stop = measured_range(angle, turns=chain.joints[j].type == REVOLUTE)
-            waves = times(lever, curve_waves(angle, start, stop))
-            yield Block(f"curve:{j + 1}", place, OUTSIDE * weight, span=(j, start, stop)), waves
+            ends = measured_range(angle, turns)
+            curve, waves = block(f"curve:{j + 1}", weight, lever, curve_waves(angle, *ends))
+            yield replace(curve, span=(j, *ends)), waves
         for other in (k for k in turning if k != j):
             one, two = ((q[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
             both = [np.cos(a * one) * np.cos(b * two) / (a * a + b * b) for a, b in few]
-            label, share = f"shared:{j + 1},{other + 1}", 0.3 * weight / max(n - 1, 1)
-            yield block(label, place, share, times(lever, np.column_stack(both)))
+            share = 0.3 * weight / max(n - 1, 1)
+            yield block(f"shared:{j + 1},{other + 1}", share, lever, np.column_stack(both))
         if conditions.directions is not None:  # of the angle and the last move, with another sign by its direction
             move = np.zeros(m) if conditions.past is None else np.abs(angle - np.asarray(conditions.past)[:, j, -1])
             past = np.column_stack([np.ones(m), np.cos(angle), np.sin(angle), np.exp(-move)])
             past = past * np.asarray(conditions.directions)[:, j, None]
-            yield block(f"history:{j + 1}", place, 0.3 * weight, times(lever, past))
-        if arm.gravity is not None:
+            yield block(f"history:{j + 1}", 0.3 * weight, lever, past)
+        if gravity:
             t = at.torques[:, j]
             loads = np.column_stack([t, np.abs(t), t * np.abs(t), np.sign(t)])
-            yield block(f"load:{j + 1}", place, 0.3 * weight, times(lever, loads))
-        if chain.frame_kinds and chain.joints[j].type == REVOLUTE:  # tilts and shifts move the point alike
+            yield block(f"load:{j + 1}", 0.3 * weight, lever, loads)
+        if chain.frame_kinds and turns:  # tilts and shifts move the point alike
             plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T  # across the axis
             acting = (levers[:, :, places[kind]] for kind in ("joint_turns", "joint_shifts"))
             parts = [of_joints[:, :, 3 * j : 3 * j + 3] @ plane for of_joints in acting]
             parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
-            turns = np.column_stack([f(k * angle) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)])
-            yield block(f"wobble:{j + 1}", place, 0.3 * weight, times(np.concatenate(parts, axis=2), turns))
+            around_it = np.column_stack([f(k * angle) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)])
+            yield block(f"wobble:{j + 1}", 0.3 * weight, np.concatenate(parts, axis=2), around_it)
 
     # in time and with the temperature: shifts, turns in the plane, and changes of the geometry in its scale
     ways = np.broadcast_to(np.eye(d), (m, d, d))
     turn = [np.stack([-x[:, 1], x[:, 0]], axis=1)[:, :, None] / model.reach] if d == 2 else []
-    moved = np.concatenate([ways, *turn], axis=2)
+    moved, fast = np.concatenate([ways, *turn], axis=2), np.arange(1, TIMES + 1)
     of_effects = {p.name for effect in model.effects for p in effect.parameters}
-    own = [k for k, name in enumerate(model.names) if name not in of_effects]
-    geometry, fast = jacobian[:, :, own] * model.scales[own], np.arange(1, TIMES + 1)
+    geometry = (jacobian * model.scales)[:, :, [name not in of_effects for name in model.names]]
     if conditions.time is not None and np.ptp(conditions.time) > 0.0:
         waves = np.cos(np.pi * (np.asarray(conditions.time) + 0.5)[:, None] * fast) / fast  # the slow ones larger
-        yield block("time", "time", 1.0, times(moved, waves))
-        yield block("time[parameters]", "time", 0.3, times(geometry, waves[:, :SLOW]))
-        if arm.gravity is not None:
-            loaded = at.levers * at.torques[:, None, :]
-            yield block("time[load]", "time", 0.3, times(loaded, waves[:, :SLOW]))
+        yield block("time", 1.0, moved, waves)
+        yield block("time[parameters]", 0.3, geometry, waves[:, :SLOW])
+        if gravity:
+            yield block("time[load]", 0.3, at.levers * at.torques[:, None, :], waves[:, :SLOW])
     if conditions.temperature is not None and np.ptp(conditions.temperature) > 0.0:
         warm = (np.asarray(conditions.temperature) / np.std(conditions.temperature))[:, None]
-        yield block("temperature", "temperature", 1.0, times(moved, warm))
-        yield block("temperature[parameters]", "temperature", 0.3, times(geometry, warm))
+        yield block("temperature", 1.0, moved, warm)
+        yield block("temperature[parameters]", 0.3, geometry, warm)
 
     # over the workspace, where readings say where in it the point is: smooth in all coordinates together, squares,
     # waves along each axis, and of the distance from the base
     if d > 1 and not chain.instrument.contact:
-        corner, size = x.min(axis=0), np.maximum(np.ptp(x, axis=0), 1e-9)
-        scaled, unit, radius = np.pi * (x - corner) / size, x / model.reach, np.linalg.norm(x, axis=1)[:, None]
+        scaled = np.pi * (x - x.min(axis=0)) / np.maximum(np.ptp(x, axis=0), 1e-9)
+        unit, radius = x / model.reach, np.linalg.norm(x, axis=1)[:, None] / model.reach
         orders = [np.array(k) for k in product(range(SLOW + 1), repeat=d) if 1 <= sum(k) <= SLOW]
         smooth = [np.prod(np.cos(k * scaled), axis=1) / (1.0 + k @ k) for k in orders]
         squares = [unit[:, a] * unit[:, b] for a in range(d) for b in range(a, d)]
-        along = (np.cos(scaled[:, :, None] * fast) / np.sqrt(fast)).reshape(m, -1)
-        outward = (x / np.maximum(radius, 1e-9 * model.reach))[:, :, None]
-        yield block("workspace", "workspace", 0.25, times(moved, np.column_stack(smooth)))
-        yield block("workspace[squares]", "workspace", 0.25, times(ways, np.column_stack(squares)))
-        yield block("workspace[axes]", "workspace", 0.25, times(ways, along))
-        rings = np.cos(np.pi * radius / model.reach * fast) / np.sqrt(fast)
-        yield block("workspace[radius]", "workspace", 0.25, times(outward, rings))
+        yield block("workspace", 0.25, moved, np.column_stack(smooth))
+        yield block("workspace[squares]", 0.25, ways, np.column_stack(squares))
+        along = np.cos(scaled[:, :, None] * fast) / np.sqrt(fast)
+        yield block("workspace[axes]", 0.25, ways, along.reshape(m, -1))
+        outward = (unit / np.maximum(radius, 1e-9))[:, :, None]
+        yield block("workspace[radius]", 0.25, outward, np.cos(np.pi * radius * fast) / np.sqrt(fast))
 
 
 # -- all of them, in the space of their columns ------------------------------------------------------------------------

@@ -161,48 +161,6 @@ class Gap(NamedTuple):
 
 
 # -- rows held out -----------------------------------------------------------------------------------------------------
-def transfer_of(measurements: Measurements, holdout: Measurements) -> str:
-    """Kind of transfer that a hold-out tests: order numbers that occur in both, or a pause between them that is longer
-    than the data, mean two sessions."""
-    ours, other = measurements.order, holdout.order
-    if ours is None or other is None:
-        return OTHER_ROWS
-    pause = max(other.min() - ours.max(), ours.min() - other.max())
-    if len(np.intersect1d(ours, other)) or pause > np.ptp(ours):
-        return SESSION
-    if other.min() > ours.max():
-        return "a later time"
-    return "an earlier time" if other.max() < ours.min() else "other postures"
-
-
-def held_out_conditions(measurements: Measurements, holdout: Measurements) -> Conditions:
-    """Conditions of the hold-out: temperatures count from where those of the data do, time is on their scale if both
-    are of one session, and points that the data do not have are the first."""
-    conditions = replace(holdout.conditions, marker=point_names(measurements, holdout)[0])
-    if measurements.temperature is not None and holdout.temperature is not None:
-        conditions = replace(conditions, temperature=holdout.temperature - measurements.reference_temperature)
-    ours, other = measurements.order, holdout.order
-    if ours is None or other is None or transfer_of(measurements, holdout) == SESSION or np.ptp(ours) == 0.0:
-        return conditions
-    return replace(conditions, time=(other - ours.min()) / np.ptp(ours) - 0.5)
-
-
-def point_names(measurements: Measurements, holdout: Measurements) -> tuple[Array | None, tuple[str, ...]]:
-    """(m,) number of each held-out row's point among those of the data, 0 for others; and the names of these others.
-
-    One point of the data is the one of the hold-out, whatever it is called there, as in an arm file.
-    """
-    names, numbers = measurements.marker_names, holdout.marker_numbers
-    if numbers is None or holdout.marker is None or not names:
-        return None, ()
-    there = set(holdout.marker.tolist())
-    if len(names) == 1 == len(there):
-        return np.zeros(len(holdout)), ()
-    number = {name: k for k, name in enumerate(names)}
-    ours = np.array([number.get(name, 0) for name in holdout.marker_names], dtype=float)
-    return ours[numbers], tuple(name for name in holdout.marker_names if name in there and name not in number)
-
-
 class Placed(NamedTuple):
     """What a model predicts of the rows of a hold-out.
 
@@ -223,17 +181,18 @@ class Placed(NamedTuple):
         frame = registered(full, self.measured) if base else np.eye(4)
         left, count = self.measured - self.points @ frame[:d, :d].T - frame[:d, 3], 3 * (d - 1) * base + 3 * len(points)
         if points and self.axes is not None:  # everything but the turn A of the base is linear
-            which, shift = [self.names == name for name in points], [np.tile(np.eye(3), (len(full), 1, 1))] * base
+            axes = np.concatenate([self.axes * (self.names == name)[:, None, None] for name in points], axis=2)
 
             def turned(by: Array) -> Array:
                 turn = Rotation.from_rotvec(by).as_matrix() @ frame[:3, :3]
-                columns = np.concatenate([*((turn @ self.axes) * own[:, None, None] for own in which), *shift], axis=2)
-                table, target = columns.reshape(left.size, -1), (self.measured - self.points @ turn.T).ravel()
+                shift = [np.broadcast_to(np.eye(3), (len(full), 3, 3))] * base
+                table = np.concatenate([turn @ axes, *shift], axis=2).reshape(left.size, -1)
+                target = (self.measured - self.points @ turn.T).ravel()
                 return np.asarray(target - table @ np.linalg.lstsq(table, target, rcond=RANK_TOLERANCE)[0])
 
             by = least_squares(turned, np.zeros(3), method="lm").x if base else np.zeros(3)
             left = turned(by).reshape(left.shape)
-        return count, left * np.sqrt(left.size / max(left.size - count, 1.0)) if count else left
+        return count, left * np.sqrt(left.size / max(left.size - count, 1.0))
 
     def set_up(self, fresh: tuple[str, ...], elsewhere: bool) -> tuple[bool, tuple[str, ...]]:
         """The least that has to be refitted, whether the base and which points: points of names that the data do not
@@ -253,81 +212,109 @@ class Placed(NamedTuple):
         return next(option for option, left in squares.items() if left <= 1.25 * least)
 
 
-def placed_residuals(
-    base: At, model: At, measurements: Measurements, holdout: Measurements
-) -> tuple[Array, Array, tuple[str, ...]]:
-    """(m, d) residuals [mm] of both models in a hold-out, and in words what another set-up of it has had refitted: the
-    least that the second model needs, the same for both."""
-    conditions, (_, fresh) = held_out_conditions(measurements, holdout), point_names(measurements, holdout)
-    renamed = not {*holdout.marker_names} <= {*measurements.marker_names}
-    elsewhere = renamed or transfer_of(measurements, holdout) in (SESSION, OTHER_ROWS)
-    both = []
-    for one in (base, model):
-        left, chain, axes = one.residuals(holdout, conditions)[:, POINT], one.model.arm.chain, None
-        if chain.frame_kinds and chain.instrument.reads_positions:
-            levers = one.model.place_levers(holdout.postures, one.values, conditions)[0]
-            axes = levers[:, POINT, slices(widths(chain))["tool"]]
-        names = np.full(len(holdout), "") if holdout.marker is None else np.asarray(holdout.marker)
-        measured = holdout.positions[:, POINT]
-        both.append(Placed(measured - left, axes, measured, names))
-    base_moved, points = both[1].set_up(fresh, elsewhere)
-    words = ("base",) * base_moved + tuple(f"reflector {name}" if name else "reflector" for name in points)
-    before, after = (one.refitted(base_moved, points)[1] for one in both)
-    return before, after, words
+@dataclass(frozen=True)
+class HeldOut:
+    """Rows that were not used for a model, and how they differ from its data.
 
-
-def confirmed_on(
-    holdout: Measurements,
-    base: At,
-    model: PredictingModel,
-    measurements: Measurements,
-    kept: NDArray[np.bool_],
-    named: bool,
-    more: float = 1.0,
-) -> Confirmation:
-    """Test a model on rows held out.
-
-    base, model : fitted to the kept rows (m,) of the measurements;  named : False if nothing was named
-    more : noise to expect, in units of the variance that the residuals have
-
-    Expected is the mean square that the model leaves in its own rows, larger by as much as its parameters were fitted
-    to them, and what the errors of the parameters add in the new rows.
+    conditions : temperatures count from where those of the data do, time is on their scale if both are of one session,
+        and points that the data do not have are the first
+    transfer : kind of transfer that they test;  fresh : names of their points that the data do not have
+    elsewhere : whether base and points may be elsewhere
     """
-    before, after, refitted = placed_residuals(base, model, measurements, holdout)
-    own = np.square(model.residuals(measurements)[kept, POINT]).sum(axis=1)
-    white = 2.0 * float(np.mean(own)) ** 2 / max(model.freedom, 1)  # the variance that white Gaussian noise gives
-    left = mean_of(own, groups_of(measurements, kept), white)
-    scale = more * len(own) * model.model.dimension / max(model.freedom, 1)
-    added = parameter_part(model, holdout, held_out_conditions(measurements, holdout))
-    predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
-    sigma, transfer = float(np.sqrt(scale * left.value / after.shape[1])), transfer_of(measurements, holdout)
-    test = confirm(before, after, predicted, sigma, groups_of(holdout), transfer, named=named)
-    return replace(test, file=holdout.provenance.get("file") if transfer == SESSION else None, refitted=refitted)
 
+    rows: Measurements
+    conditions: Conditions
+    transfer: str
+    fresh: tuple[str, ...]
+    elsewhere: bool
 
-def parameter_part(model: PredictingModel, rows: Measurements, there: Conditions) -> Mean:
-    """Mean square distance [mm^2] in other rows due to errors of the parameters, tr(G C) with the variance
-    2 tr(G C G C), G = mean of J_i^T J_i over the rows and C the covariance."""
-    columns = model.model.jacobian(rows.postures, model.values, there)
-    tall = columns[:, POINT].reshape(-1, columns.shape[-1])
-    product = tall.T @ tall / len(rows) @ model.covariance
-    return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
+    @classmethod
+    def of(cls, rows: Measurements, data: Measurements) -> HeldOut:
+        """Of rows beside the data: order numbers that occur in both, or a pause between them that is longer than the
+        data, mean two sessions; one point of the data is the one of the rows, whatever it is called there, as in an arm
+        file."""
+        changes, transfer, fresh = dict[str, Array | None](marker=None), OTHER_ROWS, tuple[str, ...]()
+        if data.temperature is not None and rows.temperature is not None:
+            changes["temperature"] = rows.temperature - data.reference_temperature
+        if data.order is not None and rows.order is not None:
+            first, last, span = data.order.min(), data.order.max(), np.ptp(data.order)
+            later, earlier = rows.order.min() - last, first - rows.order.max()
+            if len(np.intersect1d(data.order, rows.order)) or max(later, earlier) > span:
+                transfer = SESSION
+            else:
+                transfer = "a later time" if later > 0.0 else "an earlier time" if earlier > 0.0 else "other postures"
+                changes["time"] = (rows.order - first) / span - 0.5 if span else rows.conditions.time
+        if rows.marker is not None and data.marker_names:
+            names, number = rows.marker.tolist(), {name: k for k, name in enumerate(data.marker_names)}
+            if len(number) > 1 or len({*names}) > 1:
+                fresh = tuple(name for name in rows.marker_names if name in {*names} - {*number})
+            changes["marker"] = np.array([number.get(name, 0) for name in names], dtype=float)
+        renamed = not {*rows.marker_names} <= {*data.marker_names}
+        elsewhere = renamed or transfer in (SESSION, OTHER_ROWS)
+        return cls(rows, replace(rows.conditions, **changes), transfer, fresh, elsewhere)
 
+    def residuals(self, base: At, model: At) -> tuple[Array, Array, tuple[str, ...]]:
+        """(m, d) residuals [mm] of both models, and in words what another set-up of the rows has had refitted: the
+        least that the second model needs, the same for both."""
+        both = []
+        for one in (base, model):
+            left, chain, axes = one.residuals(self.rows, self.conditions)[:, POINT], one.model.arm.chain, None
+            if chain.frame_kinds and chain.instrument.reads_positions:
+                levers = one.model.place_levers(self.rows.postures, one.values, self.conditions)[0]
+                axes = levers[:, POINT, slices(widths(chain))["tool"]]
+            names = np.full(len(left), "") if self.rows.marker is None else np.asarray(self.rows.marker)
+            measured = self.rows.positions[:, POINT]
+            both.append(Placed(measured - left, axes, measured, names))
+        base_moved, points = both[1].set_up(self.fresh, self.elsewhere)
+        words = ("base",) * base_moved + tuple(f"reflector {name}" if name else "reflector" for name in points)
+        before, after = (one.refitted(base_moved, points)[1] for one in both)
+        return before, after, words
 
-def check_same_arm(base: PredictingModel, measurements: Measurements, holdout: Measurements) -> None:
-    """Raise `InputError` for a hold-out whose residuals are larger than any missing effect could make them: ten times
-    those expected, and a hundredth of the reach."""
-    left = distances(base.residuals(measurements)) ** 2
-    added = parameter_part(base, holdout, held_out_conditions(measurements, holdout)).value
-    limit = max(10.0 * float(np.sqrt(np.mean(left) + added)), 0.01 * base.model.reach)
-    residuals, _, words = placed_residuals(base, base, measurements, holdout)
-    missed = float(np.median(distances(residuals)))  # a few outliers do not make it another arm
-    if missed > limit:
-        refitted = f", {' and '.join(words)} refitted to these rows" if words else ""
-        raise InputError(
-            f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data{refitted}, allowed: up to "
-            f"{limit:.3g} mm; another arm or unit? armcal check tells what the columns of the file look like"
-        )
+    def parameter_part(self, model: PredictingModel) -> Mean:
+        """Mean square distance [mm^2] due to errors of the parameters, tr(G C) with the variance 2 tr(G C G C),
+        G = mean of J_i^T J_i over the rows and C the covariance."""
+        columns = model.model.jacobian(self.rows.postures, model.values, self.conditions)
+        tall = columns[:, POINT].reshape(-1, columns.shape[-1])
+        product = tall.T @ tall / len(columns) @ model.covariance
+        return Mean(float(np.trace(product)), 2.0 * float(np.trace(product @ product)), np.inf)
+
+    def check_same_arm(self, base: PredictingModel, data: Measurements) -> None:
+        """Raise `InputError` for residuals that are larger than any missing effect could make them: ten times those
+        expected, and a hundredth of the reach."""
+        expected = np.mean(distances(base.residuals(data)) ** 2) + self.parameter_part(base).value
+        limit = max(10.0 * float(np.sqrt(expected)), 0.01 * base.model.reach)
+        residuals, _, words = self.residuals(base, base)
+        missed = float(np.median(distances(residuals)))  # a few outliers do not make it another arm
+        if missed > limit:
+            refitted = f", {' and '.join(words)} refitted to these rows" if words else ""
+            raise InputError(
+                f"holdout: median residual {missed:.3g} mm with the arm calibrated on the data{refitted}, allowed: up "
+                f"to {limit:.3g} mm; another arm or unit? armcal check tells what the columns of the file look like"
+            )
+
+    def test(
+        self, base: At, model: PredictingModel, data: Measurements, kept: NDArray[np.bool_], named: bool, more: float
+    ) -> Confirmation:
+        """Test a model.
+
+        base, model : fitted to the kept rows (m,) of the data;  named : False if nothing was named
+        more : noise to expect, in units of the variance that the residuals have
+
+        Expected is the mean square that the model leaves in its own rows, larger by as much as its parameters were
+        fitted to them, and what the errors of the parameters add in the new rows.
+        """
+        before, after, refitted = self.residuals(base, model)
+        squares = np.square(model.residuals(data)[kept, POINT]).sum(axis=1)
+        white = (
+            2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)
+        )  # the variance that white Gaussian noise gives
+        left, added = mean_of(squares, groups_of(data, kept), white), self.parameter_part(model)
+        scale = more * len(squares) * model.model.dimension / max(model.freedom, 1)
+        predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
+        sigma = float(np.sqrt(scale * left.value / after.shape[1]))
+        result = confirm(before, after, predicted, sigma, groups_of(self.rows), self.transfer, named=named)
+        file = self.rows.provenance.get("file") if self.transfer == SESSION else None
+        return replace(result, file=file, refitted=refitted)
 
 
 # -- each part of the rows predicted from the others -------------------------------------------------------------------
@@ -337,12 +324,12 @@ def cross_validation(
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
     named: bool,
-    more: float = 1.0,
+    more: float,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time; as the sets were found with
     all rows, this can refute a model but not confirm it.
 
-    kept : (m,) rows that are no outliers;  named : False if nothing was named;  more : as in `confirmed_on`
+    kept : (m,) rows that are no outliers;  named : False if nothing was named;  more : as in `HeldOut.test`
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
@@ -378,42 +365,34 @@ def predicted_from_others(
     pairs = [[(local[b], size) for b, size in one.key if b in local] for one in sets]
     # the prior of a set is what its odds have beyond its likelihood with all rows
     priors = [np.log(one.probability) - problem.products.state(one.key).ratio for one in sets]
-    # the base's columns, orthonormal when white, the others, and y: in mm, and white
-    m, d = y.shape
+    # (m, d, ..) the base's columns, orthonormal when white, the others, and y: in mm, and white
     back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
-    own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, back.shape[1]
-    columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
-    table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
-    white = rows.whiten(table.reshape(m, d, -1))
-    points = np.zeros((m, d), dtype=bool)
-    points[:, POINT] = True
+    columns = [c[kept] @ root for c, root in zip(part.columns, part.roots, strict=True)]
+    table, rank = np.concatenate([jacobian[:, :, base] @ back, *columns, y[:, :, None]], axis=2), back.shape[1]
+    white, (m, d) = rows.whiten(table).reshape(table.shape), y.shape
     # expected square of the noise of a row, for unit sigma
     spread = np.eye(d)[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
     for folds in partitions:
-        before, after, expected = np.empty(m * d), np.empty(m * d), 0.0
-        tests = [np.repeat(folds == fold, d) for fold in range(folds.max() + 1)]
-        grams = [part.T @ part for part in (white[test] for test in tests)]
-        every = np.sum(grams, axis=0)
-        for test, gram in zip(tests, grams, strict=True):
-            others = every - gram
+        before, after, expected = np.empty((m, d)), np.empty((m, d)), 0.0
+        tests = [folds == fold for fold in range(folds.max() + 1)]
+        grams = np.array([tall.T @ tall for tall in (white[test].reshape(-1, table.shape[2]) for test in tests)])
+        for test, others in zip(tests, np.sum(grams, axis=0) - grams, strict=True):
             values, vectors = np.linalg.eigh(others[:rank, :rank])
             seen = values > RANK_TOLERANCE
             turn = vectors[:, seen] / np.sqrt(values[seen])
             inside = turn.T @ others[:rank, rank:]
             rest = others[rank:, rank:] - inside.T @ inside
-            freedom = max(np.count_nonzero(~test) - turn.shape[1], 1)
+            freedom = max(d * np.count_nonzero(~test) - turn.shape[1], 1)
             parts = {"gram": rest[:-1, :-1], "right": rest[:-1, -1], "squares": float(rest[-1, -1]), "freedom": freedom}
             states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
             shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
             mean, covariance, variance = mixed(states, shares)
-            variance *= more
-            turned = table[test, :rank] @ turn
-            moved = table[test, rank:] - turned @ inside
-            before[test] = moved[:, -1]
-            after[test] = before[test] - moved[:, :-1] @ mean
-            at = points.ravel()[test]
-            expected += float(np.sum((moved[at, :-1].T @ moved[at, :-1]) * covariance))
-            expected += variance * (float(np.sum(np.square(turned[at]))) + noise * np.count_nonzero(test) / d)
-        before, after = before.reshape(m, d), after.reshape(m, d)
+            turned = table[test, :, :rank] @ turn
+            moved = table[test, :, rank:] - turned @ inside
+            before[test] = moved[:, :, -1]
+            after[test] = before[test] - moved[:, :, :-1] @ mean
+            shown, of_base = moved[:, POINT, :-1], float(np.sum(np.square(turned[:, POINT])))
+            expected += float(np.sum((shown @ covariance) * shown))
+            expected += more * variance * (of_base + noise * np.count_nonzero(test))
         yield before[:, POINT], after[:, POINT], expected / m

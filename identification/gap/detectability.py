@@ -21,7 +21,7 @@ from identification.document import Document, Documented
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.gap.blocks import Block, Library, Linearized, hypotheses, linearized
+from identification.gap.blocks import Library, Linearized, hypotheses, linearized
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import Index, Products, orthonormal
 from identification.gap.noise import SPARE
@@ -144,8 +144,8 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
             smallest = [np.linalg.eigvalsh(each)[0] for each in (gram, gram / np.outer(lengths, lengths))]
             least, fraction = np.sqrt(np.maximum(smallest, 0.0)).tolist()
             if count < products.freedom and least > VISIBLE * lengths.max():
-                one_sided = count == 1 and block.bounded
-                needed = detectable_lambda(count, products.freedom - count, level * block.weight, one_sided)
+                spare, one_sided = products.freedom - count, bool(products.signs[number])
+                needed = detectable_lambda(count, spare, level * block.weight, one_sided)
                 moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
                 # an effect that moves the tip farther is seen without a test, and is not linear
                 if moved <= 0.1 * library.base.reach:
@@ -222,11 +222,11 @@ def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> t
     """
     places = {b.place for b in problem.blocks if b.label in labels and b.place.startswith("joint:")}
 
-    def rival(block: Block) -> bool:
-        scanned = block.effect is not None and bool(block.effect.chosen)
-        return block.effect is not None and block.place in places and (scanned or block.label in labels)
-
-    near = [(k, block.label) for k, block in enumerate(problem.blocks) if rival(block)]
+    near = [
+        (k, b.label)
+        for k, b in enumerate(problem.blocks)
+        if b.effect is not None and b.place in places and (b.effect.chosen or b.label in labels)
+    ]
     likeness = likenesses(problem.products.gram, [problem.products.places([k]) for k, _ in near])
     waves = pairs_of([label for _, label in near], likeness)
     scanned = [pair for pair in waves if pair[0] in labels and "[" in pair[1]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -18,7 +17,7 @@ from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
-from identification.gap.confirmation import Confirmation, Gap, check_same_arm, confirmed_on, cross_validation
+from identification.gap.confirmation import Confirmation, Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
@@ -28,7 +27,6 @@ from identification.gap.result import (
     Diagnosis,
     Residuals,
     as_calibration,
-    candidate_of,
     keys_of,
     probabilities,
 )
@@ -83,8 +81,9 @@ def diagnose(
     progress(0.0, 1.0, "step 1 of 3: base model")
     base = fit(library.base, rows)
     require_spare(base.freedom, len(rows))
-    if holdout is not None:
-        check_same_arm(geometry(base), measurements, holdout)
+    held_out = None if holdout is None else HeldOut.of(holdout, measurements)
+    if held_out is not None:
+        held_out.check_same_arm(geometry(base), measurements)
     shares = iter(np.linspace(0.1, 0.7, 2 * PASSES + 1, endpoint=False).tolist())
     posterior = posterior_of(
         library, rows, generator, lambda message: progress(next(shares), 1.0, f"step 2 of 3: {message}")
@@ -105,8 +104,8 @@ def diagnose(
     over_sigma = misfit(after, rank, measurements, library.arm.sigma, kept)
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
         predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
-
-    more = 1.0 if over_sigma is None else over_sigma.more
+    # residuals that scatter less than the given sigma by chance, as in `estimation.uncertainty`, promise no less noise
+    more = 1.0 if over_sigma is None or over_sigma.p_value > 0.99 else max(1.0, over_sigma.ratio**-2)
 
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
@@ -124,7 +123,7 @@ def diagnose(
     for one in sets:
         noise = posterior.noises[one.noise]
         fits.append(fit(library.model(one.effects), noise.rows.pick(kept), posterior.at.by_name))
-        made = candidate_of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
+        made = Candidate.of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
         made = replace(made, f=products.f_of([whole.numbers[block.label] for block in one.effects]))
         if not unknown:
             share, highest = (max(likely.of(keys), 1e-300) for keys in ([b.key for b in one.effects], likely.best))
@@ -139,8 +138,8 @@ def diagnose(
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
-    if holdout is not None:
-        confirmation = confirmed_on(holdout, base, predicting, measurements, kept, something, more)
+    if held_out is not None:
+        confirmation = held_out.test(base, predicting, measurements, kept, something, more)
     figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
 
     # what these rows show
@@ -150,11 +149,9 @@ def diagnose(
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
     kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in shown.outside if b.place == place)
     shape = next(filter(None, kinds), None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
-    of_noise = defaultdict[str, float](float)  # properties of the noise that are likelier than not
-    for one in posterior.explanations:
-        of_noise[posterior.noises[one.noise].name] += one.probability
-    sizes = {noise.name: noise.size for noise in posterior.noises}
-    scatter = [Finding(name, 1.0 - p, sizes[name]) for name, p in of_noise.items() if name and p >= 0.5]
+    # properties of the noise that are likelier than not
+    of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
+    scatter = [Finding(noise.name, 1.0 - p, noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
     here = fitted.on(rows)
     error, jacobian = rows.whiten(here.left).reshape(before.shape), here.linearized[1] / fitted.model.scales
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)

@@ -10,19 +10,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
-from identification.arrays import Array, as_frame, readonly
+from identification.arrays import Array, readonly
 from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
 from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, quantile_95, uncertainty
+from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.average import Curve, PredictingModel
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
@@ -33,7 +33,6 @@ from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, P
 from identification.information import spectrum
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.counting import joint_range
-from identification.kinematics.parameters import FILE_UNITS
 from identification.measurements import Measurements, repeats_of
 from identification.model import Model
 
@@ -82,9 +81,14 @@ class Probabilities:
         return credible_sets
 
     @cached_property
+    def ranked(self) -> list[Names]:
+        """Sets of names, likeliest first."""
+        return sorted(self.sets, key=lambda names: (round(self.sets[names], 9), names), reverse=True)
+
+    @property
     def best(self) -> Names:
         """The likeliest set of names, empty without any."""
-        return max(self.sets, key=lambda n: (round(self.sets[n], 9), n), default=())
+        return self.ranked[0] if self.ranked else ()
 
     @property
     def verdict(self) -> str:
@@ -93,15 +97,13 @@ class Probabilities:
         likeliest = max(totals, key=lambda kind: round(totals[kind], 9))
         return "ambiguous" if likeliest == "named" and self.sets[self.best] < 0.5 else likeliest
 
-    @cached_property
+    @property
     def rivals(self) -> list[Names]:
         """Candidates: sets of names that are not much less likely than the likeliest, this first."""
         if self.verdict not in ("named", "ambiguous"):
             return []
-        order = sorted(self.sets, key=lambda n: (-round(self.sets[n], 9), n != self.best, n))
-        least = self.sets[self.best] * LEVEL
-        many = min(MOST, sum(self.sets[names] >= least for names in order))
-        return order[: max(2 if self.verdict == "ambiguous" else 1, many)]
+        many = sum(p >= LEVEL * self.sets[self.best] for p in self.sets.values())
+        return self.ranked[: max(2 if self.verdict == "ambiguous" else 1, min(MOST, many))]
 
     @property
     def place(self) -> str | None:
@@ -152,6 +154,7 @@ class Candidate:
     effects : labels such as `transmission_ripple:2[k=17]`;  classes : their classes, sorted
     specs : entries of an arm file in the same order (settings, no estimates)
     calibration : all estimates with their covariance;  parameters : those of the effects, for people
+    limits_95 : name of a parameter of base or effects -> its 95 % interval [API units], cut at physical bounds
     freedom : degrees of freedom of each variance in that covariance
     intervals, reliance : basis of the 95 % intervals, as a keyword of `estimation.uncertainty` and in words
     f : F statistic of the set against the base model
@@ -164,12 +167,45 @@ class Candidate:
     specs: tuple[EffectSpec, ...]
     calibration: Calibration
     parameters: tuple[Estimate, ...]
+    limits_95: Mapping[str, tuple[float, float]]
     freedom: tuple[float, ...] = ()
     intervals: str = "scatter"
     reliance: str = "from the scatter of the residuals"
     f: float = 0.0
     probability: float | None = None
     delta_bic: float = 0.0
+
+    @classmethod
+    def of(cls, fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Self:
+        """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
+
+        given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
+        """
+        model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
+        jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
+        tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
+        repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
+        table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
+        parts = spectrum(jacobian, model.scales)
+        sure = uncertainty(table, parts, sigma_given=sigma is not None, doubtful=doubtful)
+        effects = model.effects[len(model.effects) - added :]  # the arm's own come first
+        names = {p.name for effect in effects for p in effect.parameters}
+        deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
+        deviations = np.where(parts.identifiable, deviations, np.nan)  # gravity has no moment about a vertical axis
+        values = np.where(parts.identifiable, fitted.values, np.nan)
+        limits = limits_95(model.parameters, values, deviations, sure.freedom)
+        figures = zip(model.parameters, np.column_stack([values, deviations, limits]), strict=True)
+        return cls(
+            tuple(effect.label for effect in effects),
+            tuple(sorted({effect.family for effect in effects})),
+            model.arm.effects[len(model.arm.effects) - added :],
+            as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
+            tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
+            dict(zip(model.names, map(tuple, limits.tolist()), strict=True)),
+            tuple(sure.freedom.tolist()),
+            sure.kind,
+            sure.sentence,
+        )
 
     @property
     def title(self) -> str:
@@ -180,17 +216,6 @@ class Candidate:
     def keys(self) -> Names:
         """Names and joints without settings: `transmission_ripple:2`."""
         return tuple(spec.key for spec in self.specs)
-
-    @property
-    def limits_95(self) -> dict[str, tuple[float, float]]:
-        """Parameter name -> its 95 % interval [API units], of base and effects; cut at the physical bounds of effects
-        only."""
-        names, values = self.calibration.parameter_names, self.calibration.values
-        assert self.calibration.covariance is not None  # a diagnosis has one
-        half = quantile_95(self.freedom) * np.sqrt(np.diag(self.calibration.covariance))
-        limits = {n: (values[n] - h, values[n] + h) for n, h in zip(names, half.tolist(), strict=True)}
-        to_api = {file: factor for file, factor, _ in FILE_UNITS.values()}
-        return limits | {p.name: (p.low_95 / to_api[p.unit], p.high_95 / to_api[p.unit]) for p in self.parameters}
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
@@ -207,37 +232,6 @@ class Candidate:
             "parameters": [p._asdict() for p in self.parameters],
             "settings": settings,
         }
-
-
-def candidate_of(fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Candidate:
-    """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
-
-    given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
-    """
-    model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
-    jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
-    tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
-    repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
-    table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
-    parts = spectrum(jacobian, model.scales)
-    sure = uncertainty(table, parts, sigma_given=sigma is not None, doubtful=doubtful)
-    effects = model.effects[len(model.effects) - added :]  # the arm's own come first
-    names = {p.name for effect in effects for p in effect.parameters}
-    deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
-    deviations = np.where(parts.identifiable, deviations, np.nan)  # gravity has no moment about a vertical axis
-    values = np.where(parts.identifiable, fitted.values, np.nan)
-    limits = limits_95(model.parameters, values, deviations, sure.freedom)
-    figures = zip(model.parameters, np.column_stack([values, deviations, limits]), strict=True)
-    return Candidate(
-        tuple(effect.label for effect in effects),
-        tuple(sorted({effect.family for effect in effects})),
-        model.arm.effects[len(model.arm.effects) - added :],
-        as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
-        tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
-        tuple(sure.freedom.tolist()),
-        sure.kind,
-        sure.sentence,
-    )
 
 
 def as_calibration(fitted: Fit | PredictingModel, covariance: Array, freedom: Array, postures: Array) -> Calibration:
@@ -343,13 +337,6 @@ class Diagnosis(Documented):
         return shares | ({"other sets": rest} if rest > 1e-9 else {})
 
     @property
-    def other_sets(self) -> dict[str, float]:
-        """Title -> probability of further sets of effects that are not negligible, most probable first."""
-        listed = {tuple(sorted(c.keys)) for c in self.candidates}
-        rest = [(n, p) for n, p in self.probabilities.sets.items() if p >= NEGLIGIBLE and n not in listed]
-        return {self.probabilities.title(names): p for names, p in sorted(rest, key=lambda pair: -pair[1])}
-
-    @property
     def confirmed(self) -> bool | None:
         """Whether the hold-out confirms the verdict; None if it has too few rows.
 
@@ -360,9 +347,22 @@ class Diagnosis(Documented):
         return False if any(test.confirmed is False for test in self.cross_validation) else None
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:
-        """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it."""
-        chosen = candidate or self.predicting
-        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=self.calibration_of(chosen))
+        """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,
+        with the verdict, its rivals and its confirmation as provenance."""
+        chosen, chain = candidate or self.predicting, self.arm.chain
+        entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
+        better = None if self.offered is None else self.offered["better"]
+        optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
+        entries |= {name: value for name, value in optional.items() if value is not None}
+        entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
+        entries["probability"] = self.probability
+        provenance = MappingProxyType({**chosen.calibration.provenance, **entries})
+        # with the values that a fit of a `practical` spatial arm took as they were, and where base and points are
+        kept = {} if self.arm.calibration is None else self.arm.calibration.values
+        values = {name: kept.get(name, 0.0) for name in sorted(chain.fixed)} | dict(chosen.calibration.values)
+        places = CorrectedGeometry(chain, values).places
+        calibration = replace(chosen.calibration, provenance=provenance, values=values, **places)
+        return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=calibration)
 
     def predictions(
         self, postures: Array, payload: Array, directions: Array
@@ -384,29 +384,12 @@ class Diagnosis(Documented):
         """What the effects of all candidates need of arm and data."""
         return frozenset().union(*(Model(self.extended_arm(one)).needs for one in self.candidates))
 
-    @property
-    def calibration(self) -> Calibration:
-        """All estimates of the predicting model."""
-        return self.calibration_of(self.predicting)
-
-    def calibration_of(self, chosen: Candidate) -> Calibration:
-        """All estimates of a model, with the verdict, its rivals and its confirmation as provenance."""
-        entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
-        better = None if self.offered is None else self.offered["better"]
-        optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
-        entries |= {name: value for name, value in optional.items() if value is not None}
-        entries["delta_bic"] = {c.title: c.delta_bic for c in self.candidates if c.effects}
-        entries["probability"] = self.probability
-        named = chosen.calibration
-        named = replace(named, provenance=MappingProxyType({**named.provenance, **entries}))
-        # with the values that a fit of a `practical` spatial arm took as they were, and where base and points are
-        chain = self.arm.chain
-        kept = {} if self.arm.calibration is None else self.arm.calibration.values
-        values = {name: kept.get(name, 0.0) for name in sorted(chain.fixed)} | dict(named.values)
-        return replace(named, values=values, **CorrectedGeometry(chain, values).places)
-
     def to_json(self) -> dict[str, Any]:
         """Keys of `diagnose` (identification/files/README.md, "JSON keys")."""
+        # further sets of effects that are not negligible
+        listed, likely = {tuple(sorted(c.keys)) for c in self.candidates}, self.probabilities
+        others = {names: p for names, p in likely.sets.items() if p >= NEGLIGIBLE and names not in listed}
+        others = dict(sorted(others.items(), key=lambda pair: -pair[1]))
         lists = ("warnings", "effects", "outlier_rows", "unexplained_rows", "notes")
         data: dict[str, Any] = {name: getattr(self, name) for name in ("verdict", "where", "shape", "confirmed")}
         data |= {name: list(getattr(self, name)) for name in lists}
@@ -414,8 +397,8 @@ class Diagnosis(Documented):
             "named": self.named.to_json(),
             "candidates": [c.to_json() for c in self.candidates],
             "probabilities": self.probability,
-            "credible_set": [self.probabilities.title(names) for names in self.probabilities.credible],
-            "other_sets": [{"effects": name.split(" + "), "probability": p} for name, p in self.other_sets.items()],
+            "credible_set": [likely.title(names) for names in likely.credible],
+            "other_sets": [{"effects": likely.title(n).split(" + "), "probability": p} for n, p in others.items()],
             "classes": list(self.named.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
             "replication": [effect.to_json() for effect in self.replication],
@@ -434,11 +417,6 @@ class Diagnosis(Documented):
             **unit_key(self.arm),
         }
         return data | {"sentence": " ".join([*words.diagnosis_verdict(data), *words.findings(data)])}
-
-    def to_frame(self) -> Any:
-        """Data frame with a row for each parameter of each candidate."""
-        sets = [({"effects": c.title, "probability": c.probability}, c.parameters) for c in self.candidates]
-        return as_frame([{**entries, **p._asdict()} for entries, parameters in sets for p in parameters])
 
     def document(
         self,

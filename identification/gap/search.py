@@ -14,6 +14,7 @@ from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import lgamma
 
 import numpy as np
@@ -162,11 +163,8 @@ class Search:
             if move % max(len(key) // 10, 1) == 0:
                 draws[key] += 1
         # the sets from the probabilities with which each was drawn, whatever its sizes; and of those drawn with theirs
-        sets, ways, share = (
-            defaultdict[tuple[int, ...], list[tuple[float, Key]]](list),
-            defaultdict[Key, list[int]](list),
-            0.0,
-        )
+        sets, share = defaultdict[tuple[int, ...], list[tuple[float, Key]]](list), 0.0
+        ways = defaultdict[Key, list[int]](list)
         for key in draws:
             ways[key].append(-1)
             for k, (block, size) in enumerate(key):
@@ -270,6 +268,12 @@ class Posterior:
     def best(self) -> Explanation:
         """The likeliest."""
         return self.explanations[0]
+
+    @cached_property
+    def shares(self) -> Array:
+        """(K,) probability of each noise model."""
+        noises, probabilities = zip(*((one.noise, one.probability) for one in self.explanations), strict=True)
+        return np.bincount(noises, probabilities, len(self.noises)).astype(float)
 
 
 def posterior_of(

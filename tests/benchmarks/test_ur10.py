@@ -14,7 +14,7 @@ import pytest
 
 from doe import DesignProblem, solve
 from doe.bounds.certificate import Bound
-from doe.plan.accuracy import tip_beside_random
+from doe.plan.accuracy import ExpectedTip
 from doe.problem.uncertain import robust_problem
 from identification import Arm, Array, EffectSpec, Identification, Model, diagnose, estimate, load_arm
 from identification.gap.library_prior import given_by, library_prior
@@ -229,7 +229,7 @@ def test_chosen_with_the_library_in_mind(series: str, runs: int) -> None:
     for name, case in (("robust", robust_problem(plain)), ("D", plain)):
         way, nothing = (0 if case.fit else 1), Bound(np.inf, "continuous")  # none is computed
         plans = [solve(case, runs, seed=seed, starts=1, bound=nothing).plan.postures for seed in range(6)]
-        promised = [expected.plan for plan in plans if (expected := tip_beside_random(case, plan))]
+        promised = [expected.plan for plan in plans if (expected := ExpectedTip.of(case, plan))]
         reached = [fits[way].error(rows_of(data, plan)) for plan in plans]
         better = [np.mean(errors[way] > error) for error in reached]
         print(f"; {name} {np.mean(reached):.3f} mm, better than {np.mean(better):.2f}", end="")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from doe.studies.monte_carlo import Study
 from identification import Arm, InputError, Plan, load_arm, load_measurements
 from identification.files.csv import read_table
-from identification.files.measurement import load_targets
+from identification.files.measurement import Targets
 from tests.fuzz.commands import Case, cases
 from tests.fuzz.inputs import ArmText, arms, measurements, mostly_valid, plans, spoilt, studies, targets
 from tests.fuzz.judge import Outcome, broken, prepare, run_here
@@ -51,7 +51,7 @@ def test_arm_files(tmp_path_factory: pytest.TempPathFactory, arm: ArmText, data:
 READERS = {
     "plan": (plans, lambda path, types: Plan.load(path, types)),
     "measurements": (measurements, load_measurements),
-    "targets": (targets, lambda path, links: load_targets(path, Arm(np.ones(links)))),
+    "targets": (targets, lambda path, links: Targets.load(path, Arm(np.ones(links)))),
     "study": (studies, lambda path, _: Study.load(path)),
     "table": (measurements, lambda path, _: read_table(path)),
 }

@@ -9,7 +9,7 @@ import numpy as np
 
 from identification import Arm, Array, Calibration
 from identification.compensate import TOLERANCE, compensate
-from identification.files.measurement import load_targets
+from identification.files.measurement import Targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose, rotation_about
 
@@ -104,7 +104,7 @@ def test_poses() -> None:
 def test_target_files(tmp_path: Path) -> None:
     given = arm(slide=False)
     (tmp_path / "targets.csv").write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n1500,-200,900,10,20,30\n")
-    wanted = load_targets(tmp_path / "targets.csv", given)
+    wanted = Targets.load(tmp_path / "targets.csv", given)
     np.testing.assert_allclose(wanted.orientations[0], from_angles(np.radians([10.0, 20.0, 30.0])), atol=1e-14)
     found = compensate(given, wanted.positions, orientations=wanted.orientations)
     text = found.text()

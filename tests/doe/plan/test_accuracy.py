@@ -13,11 +13,11 @@ from doe.bounds.certificate import Bound
 from doe.criteria import E
 from doe.plan.accuracy import (
     ExpectedDeviations,
+    ExpectedTip,
     TipErrors,
     criterion_values,
     error_at_poses,
     observability,
-    tip_beside_random,
 )
 from doe.problem.uncertain import average_error, missing_effects, robust_problem, tip_jacobians, workspace
 from identification import Arm, Array, Calibration, EffectSpec, Model
@@ -180,7 +180,7 @@ def test_of_a_diagnosed_arm_nothing_is_missing() -> None:
     expected = -replace(case, criterion=average_error(case, poses)).objective(POSTURES) * 0.1**2 / len(POSTURES)
     assert found["model_right"] ** 2 == pytest.approx(expected, rel=1e-9)
     assert (found["effects_missing"], found["effects_missing_prior"]) == (np.inf, np.inf)
-    assert tip_beside_random(case, POSTURES) is None
+    assert ExpectedTip.of(case, POSTURES) is None
 
 
 def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
@@ -242,7 +242,7 @@ def test_what_no_name_has_is_counted_against_simulated_arms() -> None:
 @pytest.mark.parametrize("problem", [PLAIN, WIDE])
 def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
     """By the fit that it is meant for, each random plan by itself; the same seed gives the same."""
-    found = tip_beside_random(problem, POSTURES, seed=2)
+    found = ExpectedTip.of(problem, POSTURES, seed=2)
     assert found.fit == problem.fit
     judged = TipErrors(problem, WIDE, tip_jacobians(WIDE, workspace(PLAIN))) if problem.fit else TipErrors.of(PLAIN)
     expected = judged.with_prior(POSTURES) if problem.fit else judged.missing(POSTURES)
@@ -251,10 +251,6 @@ def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
     assert np.all(found.random > 0.0)
     said = found.to_json()
     assert said["better_than"] == np.mean(found.random > found.plan)
-    assert (
-        said
-        == tip_beside_random(problem, POSTURES, seed=2).to_json()
-        != tip_beside_random(problem, POSTURES, 3).to_json()
-    )
-    worse = tip_beside_random(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
+    assert said == ExpectedTip.of(problem, POSTURES, seed=2).to_json() != ExpectedTip.of(problem, POSTURES, 3).to_json()
+    worse = ExpectedTip.of(problem, np.tile(POSTURES[:3], (2, 1)), seed=2)
     assert "no better than postures chosen at random" in str(worse)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from doe import score_plan
+from doe import DesignProblem, score_plan
 from doe.bounds.certificate import Bound
-from doe.problem.problem import DesignProblem
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers, chosen_solver
 from identification import Arm, DHRow, EffectSpec, InputError, JobError, Status, chain_of

@@ -9,7 +9,7 @@ import pytest
 from identification import Arm, Conditions, EffectSpec, Gravity, InputError
 from identification.conditions import condition_columns
 from identification.effects import Chain, Scope, Setting, build
-from identification.effects.base import clock, step_times
+from identification.effects.base import clock
 
 LENGTHS, MASSES, CENTERS = np.array([400.0, 300.0]), np.array([5.0, 3.0]), np.array([0.5, 0.4])
 ARM = Arm(LENGTHS, gravity=Gravity([2.0, -9.0], MASSES, CENTERS))
@@ -67,10 +67,10 @@ def test_values_are_listed_or_computed(values: object, expected: list[float]) ->
 
 def test_steps_are_tried_between_rows_and_between_sessions() -> None:
     time = np.linspace(-0.5, 0.5, 9)
-    one = step_times(Scope(SCOPE.arm, 1, np.zeros((9, 2)), Conditions(time=time)))
+    one = Scope(SCOPE.arm, 1, np.zeros((9, 2)), Conditions(time=time)).step_times()
     np.testing.assert_allclose(one, time[1:-2] + 0.0625)  # between rows, but for the first and the last
     two = Conditions(time=np.tile(time, 2), session=np.repeat([0.0, 1.0], 9))
-    found = step_times(Scope(SCOPE.arm, 1, np.zeros((18, 2)), two))
+    found = Scope(SCOPE.arm, 1, np.zeros((18, 2)), two).step_times()
     assert any(at == pytest.approx(0.55) for at in found)
     assert max(found) == pytest.approx(1.1 + 0.5 - 0.1875)
     assert clock(0.5, 0) < 0.55 < clock(-0.5, 1)

@@ -18,7 +18,7 @@ from hypothesis.extra.numpy import arrays
 from identification import Arm, DHRow, InputError, Measurements, Plan, chain_of, load_measurements
 from identification.effects.catalogue import entry
 from identification.files.csv import read_table, table_of_frame
-from identification.files.measurement import angle_columns, load_targets, measurement_text, read_orientations
+from identification.files.measurement import Targets, angle_columns, measurement_text, read_orientations
 from identification.gap.library_prior import given_by
 from identification.inspection.readings import gap_notes
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
@@ -286,7 +286,7 @@ def test_plans_and_targets(tmp_path: Path) -> None:
     with_posture = "q1_deg,q2_mm,x_mm,y_mm,z_mm,run\n28,50,1,2,3,1\n"
     for content, postures in ((with_posture, True), ("x_m,y_m,z_mm\n0.001,0.002,3\n", False)):
         path.write_text(content)
-        found = load_targets(path, SPATIAL)
+        found = Targets.load(path, SPATIAL)
         np.testing.assert_allclose(found.positions, positions)  # type: ignore[arg-type]
         assert (found.postures is not None) is postures
 

@@ -15,12 +15,10 @@ from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import (
     Confirmation,
+    HeldOut,
     Placed,
     confirm,
-    held_out_conditions,
-    point_names,
     predicted_from_others,
-    transfer_of,
 )
 from identification.gap.fit import Rows
 from identification.gap.search import posterior_of
@@ -259,31 +257,29 @@ def test_points_have_the_numbers_of_the_data() -> None:
     q, y = generator.uniform(-1.0, 1.0, (4, 6)), generator.uniform(-1.0, 1.0, (4, 3))
     data = Measurements(q, y, marker=np.array(["A", "B", "C", "A"]))
     held = replace(data, marker=np.array(["C", "D", "B", "C"]), marker_names=())
-    numbers, fresh = point_names(data, held)
-    assert numbers is not None
-    assert (numbers.tolist(), fresh) == ([2.0, 0.0, 1.0, 2.0], ("D",))
+    seen = HeldOut.of(held, data)
+    assert (seen.conditions.marker.tolist(), seen.fresh) == ([2.0, 0.0, 1.0, 2.0], ("D",))
     one, other = (replace(data, marker=np.full(4, name), marker_names=()) for name in ("A", "D"))
-    numbers, fresh = point_names(one, other)
-    assert numbers is not None
-    assert (numbers.tolist(), fresh) == ([0.0] * 4, ())
-    assert point_names(data, replace(data, marker=None, marker_names=())) == (None, ())
+    seen = HeldOut.of(other, one)
+    assert (seen.conditions.marker.tolist(), seen.fresh) == ([0.0] * 4, ())
+    assert HeldOut.of(replace(data, marker=None, marker_names=()), data).conditions.marker is None
 
 
 def test_the_order_of_measurement_says_what_is_tested() -> None:
     first, second = DATA.rows(np.arange(60)), DATA.rows(np.arange(60, 100))
-    assert transfer_of(first, second) == "a later time"
-    assert transfer_of(second, first) == "an earlier time"
-    assert transfer_of(DATA.rows(np.arange(0, 100, 2)), DATA.rows(np.arange(1, 100, 2))) == "other postures"
-    assert transfer_of(first, first) == "another session"  # numbers start again
-    assert transfer_of(first, replace(second, order=second.order + 100.0)) == "another session"  # a long pause
-    assert transfer_of(first, replace(second, order=None)) == "other rows"
+    assert HeldOut.of(second, first).transfer == "a later time"
+    assert HeldOut.of(first, second).transfer == "an earlier time"
+    assert HeldOut.of(DATA.rows(np.arange(1, 100, 2)), DATA.rows(np.arange(0, 100, 2))).transfer == "other postures"
+    assert HeldOut.of(first, first).transfer == "another session"  # numbers start again
+    assert HeldOut.of(replace(second, order=second.order + 100.0), first).transfer == "another session"  # a long pause
+    assert HeldOut.of(replace(second, order=None), first).transfer == "other rows"
 
 
 def test_time_and_temperature_of_a_hold_out_are_on_the_scales_of_the_data() -> None:
     """Time goes on within a session and starts again in another."""
     first, second = DATA.rows(np.arange(51)), DATA.rows(np.arange(51, 100))
-    there = held_out_conditions(first, second)
+    there = HeldOut.of(second, first).conditions
     np.testing.assert_allclose(there.time, np.arange(51, 100) / 50.0 - 0.5)
     np.testing.assert_allclose(there.temperature, second.temperature - first.temperature.mean())
-    apart = held_out_conditions(first, replace(second, order=np.arange(49.0))).time
+    apart = HeldOut.of(replace(second, order=np.arange(49.0)), first).conditions.time
     np.testing.assert_allclose(apart, np.linspace(-0.5, 0.5, 49))

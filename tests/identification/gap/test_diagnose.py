@@ -15,7 +15,7 @@ from doe.studies.blind.cells import random_truth
 from identification import Arm, EffectSpec, Gravity, InputError, Measurements, Model, diagnose
 from identification.estimation import estimate as identify
 from identification.gap.fit import Rows, fit
-from identification.gap.result import Diagnosis, candidate_of
+from identification.gap.result import Candidate, Diagnosis
 from identification.model.minimal import practical
 from tests.small_arm import OTHERS, drawn_arm, random_postures, small_arm
 from tests.small_arm import measured as measured_three
@@ -292,7 +292,7 @@ def test_an_estimate_at_its_bound_has_an_interval() -> None:
     p = 300.0 * np.exp(1j * (q[:, 0] - 2e-5 * tau)) + 0.02 * rng.normal(size=(60, 2)) @ [1, 1j]
     rows = Rows.of(Measurements(q, np.column_stack([p.real, p.imag])))
     fitted = fit(Model(arm.with_effects(EffectSpec("joint_compliance", 1))), rows)
-    (estimate,) = candidate_of(fitted, 1).parameters
+    (estimate,) = Candidate.of(fitted, 1).parameters
     std = fitted.sigma / (300.0 * np.sqrt(np.sum((tau - tau.mean()) ** 2)))
     assert estimate.value == estimate.low_95 == 0.0
     assert estimate.std == pytest.approx(std, rel=1e-3)  # the link is 300 mm to 1e-4
@@ -305,7 +305,7 @@ def test_what_the_rows_do_not_determine_has_no_interval() -> None:
     data = measured_three(small_arm(rng), random_postures(30, rng), rng)
     arm = practical(drawn_arm(), data)
     fitted = fit(Model(arm.with_effects(EffectSpec("joint_compliance"))), Rows.of(data))
-    first, second, *_ = candidate_of(fitted, 1).parameters
+    first, second, *_ = Candidate.of(fitted, 1).parameters
     assert np.all(np.isnan([first.value, first.std, first.low_95, first.high_95]))
     assert 0.0 < second.low_95 < second.high_95
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -127,6 +128,9 @@ def test_an_effect_without_a_typical_size_is_left_out() -> None:
 
         def define(self) -> tuple[Parameter, ...]:
             return (self.parameter("x", "mm", scale=1.0),)
+
+        def tool(self, chain: object, values: ca.SX) -> ca.SX:
+            return ca.vertcat(values[0], 0.0)
 
     register(Unsized)
     try:
