@@ -263,15 +263,16 @@ def score_files(
         warnings.warn(sentence, UserWarning, stacklevel=2)
     sees = None
     try:
-        sees = design_model(loaded).detectability(judged.postures)
+        sees = design_model(loaded).detectability(judged)
         tables: list[Any] = [*sees.document().parts]
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         tables = [f"missing effects: {reason}"]
     problem = DesignProblem.of(loaded)
-    values, tip = criterion_values(problem, judged.postures), replace(problem, criterion=average_error(problem))
+    tip, weighted = replace(problem, criterion=average_error(problem)), (judged.postures, judged.weights)
+    values = criterion_values(problem, *weighted)
     data = design.to_json() | {
         "workspace_error_mm": None if values["I"] is None else error_at_poses(tip, values["I"], len(judged)),
-        "observability": observability(problem, judged.postures),
+        "observability": observability(problem, *weighted),
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }

@@ -110,9 +110,11 @@ def posture_headings(plan: Plan) -> list[str]:
 
 
 def remarks(design: Design) -> list[str]:
-    """Why there is no log det, where there is none, and what the rule against repeats may cost, where it binds and the
-    bound is not reached."""
-    lines, runs, apart = [], len(design.plan), design.problem.spacing
+    """How many postures are measured already; why there is no log det, where there is none; and what the rule against
+    repeats may cost, where it binds and the bound is not reached."""
+    lines, runs, apart = list[str](), len(design.plan), design.problem.spacing
+    if kept := len(design.problem.kept):
+        lines.append(f"every figure is of these runs and the {kept} measured already (--keep) together")
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
         rest = ", ..." if len(combinations) > 4 else ""

@@ -109,7 +109,8 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     members = [b for b in kept if b.spec is not None and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
-    place = {name: k for k, name in enumerate(library.base_names(plain))}
+    renamed = library.renamed(plain)
+    place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
     for block, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
         place |= {p.name: k for p, k in zip(effect.parameters, places[block.label].tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)

@@ -125,12 +125,12 @@ class Library:
         """Model of the arm with these effects."""
         return Model(self.arm.with_effects(*self.arm.effects, *(b.spec for b in chosen if b.spec is not None)))
 
-    def base_names(self, model: Model) -> list[str]:
-        """Names of the base model's parameters in a model with further effects; similar ones change their names."""
-        own = [p.name for effect in self.base.effects for p in effect.parameters]
-        there = [p.name for effect in model.effects[: len(self.base.effects)] for p in effect.parameters]
-        renamed = dict(zip(own, there, strict=True))
-        return [renamed.get(name, name) for name in self.base.names]
+    def renamed(self, model: Model) -> dict[str, str]:
+        """Name of each parameter of the arm's effects -> its name in a model with further effects: similar ones change
+        their names."""
+        there = model.effects[: len(self.base.effects)]
+        names = ([p.name for effect in effects for p in effect.parameters] for effects in (self.base.effects, there))
+        return dict(zip(*names, strict=True))
 
     def with_further_orders(self, at: At, chosen: Sequence[Block]) -> Library:
         """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is
@@ -177,7 +177,8 @@ class Library:
     def as_base(self, at: At) -> tuple[Array, Array, list[int]]:
         """Rows as the base model sees them at a fit: (m, d) measured less computed positions, where what the fit has
         beyond it is given back; and the fit's (m, d, p) columns, and which of them are the base's."""
-        base = [at.model.parameters.index(name) for name in self.base_names(at.model)]
+        renamed = self.renamed(at.model)
+        base = [at.model.parameters.index(renamed.get(name, name)) for name in self.base.names]
         jacobian, added = at.linearized[1], np.setdiff1d(np.arange(len(at.values)), base)
         return at.left + jacobian[:, :, added] @ at.values[added], jacobian, base
 

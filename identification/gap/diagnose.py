@@ -104,7 +104,8 @@ def diagnose(
     over_sigma = misfit(after, rank, measurements, library.arm.sigma, kept)
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
         predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
-    more = 1.0 if over_sigma is None else over_sigma.more
+    # residuals that scatter less than the given sigma by chance, as in `estimation.uncertainty`, promise no less noise
+    more = 1.0 if over_sigma is None or over_sigma.p_value > 0.99 else max(1.0, over_sigma.ratio**-2)
 
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)

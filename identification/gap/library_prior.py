@@ -42,11 +42,6 @@ class LibraryPrior:
     faster: Array
 
     @property
-    def effects(self) -> list[str]:
-        """Keys of the added effects, `name` or `name:joint`."""
-        return list(dict.fromkeys(spec.key for spec in self.added))
-
-    @property
     def sentence(self) -> str:
         """Description of the prior for people."""
         kinds = dict.fromkeys(spec.name for spec in self.added)
@@ -56,7 +51,7 @@ class LibraryPrior:
         """Key `prior` of `identify` (identification/files/README.md, "JSON keys")."""
         return {
             "parameters": len(self.prior.deviations),
-            "effects": self.effects,
+            "effects": list(dict.fromkeys(spec.key for spec in self.added)),
             "left_out": dict(self.left_out),
         }
 
@@ -115,8 +110,7 @@ def library_prior(
             deviations += each
     wide = arm.with_effects(*arm.effects, *added)
     if arm.calibration is not None:  # its values follow the new names of its parameters
-        before, after = ([p.name for effect in Model(one).effects for p in effect.parameters] for one in (arm, wide))
-        renamed = dict(zip(before, after, strict=False))
+        renamed = every.renamed(Model(wide))
         values = {renamed.get(name, name): value for name, value in arm.calibration.values.items()}
         calibration = replace(arm.calibration, values=values, parameter_names=(), covariance=None)
         wide = replace(wide, calibration=calibration)

@@ -161,12 +161,6 @@ class Misfit(NamedTuple):
         """True if the residuals are larger than noise of the given sigma explains, at `LEVEL`."""
         return self.p_value <= LEVEL
 
-    @property
-    def more(self) -> float:
-        """By what the variance of the residuals is multiplied in predictions: those that scatter less than the given
-        sigma by chance (p <= 0.99, as in `estimation.uncertainty`) promise no less noise than it."""
-        return max(1.0, self.ratio**-2) if self.p_value <= 0.99 else 1.0
-
 
 def misfit(residual: Array, rank: int, measurements: Measurements, sigma: float | None, kept: Kept) -> Misfit | None:
     """Test residuals (m, d) [mm] of a model of this rank; None where neither the rows nor the arm file give a sigma.

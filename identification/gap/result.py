@@ -22,7 +22,7 @@ from identification.documents import diagnosis as words
 from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, quantile_95, uncertainty
+from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.average import Curve, PredictingModel
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
@@ -33,7 +33,6 @@ from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, P
 from identification.information import spectrum
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.counting import joint_range
-from identification.kinematics.parameters import FILE_UNITS
 from identification.measurements import Measurements, repeats_of
 from identification.model import Model
 
@@ -155,6 +154,7 @@ class Candidate:
     effects : labels such as `transmission_ripple:2[k=17]`;  classes : their classes, sorted
     specs : entries of an arm file in the same order (settings, no estimates)
     calibration : all estimates with their covariance;  parameters : those of the effects, for people
+    limits_95 : name of a parameter of base or effects -> its 95 % interval [API units], cut at physical bounds
     freedom : degrees of freedom of each variance in that covariance
     intervals, reliance : basis of the 95 % intervals, as a keyword of `estimation.uncertainty` and in words
     f : F statistic of the set against the base model
@@ -167,6 +167,7 @@ class Candidate:
     specs: tuple[EffectSpec, ...]
     calibration: Calibration
     parameters: tuple[Estimate, ...]
+    limits_95: Mapping[str, tuple[float, float]]
     freedom: tuple[float, ...] = ()
     intervals: str = "scatter"
     reliance: str = "from the scatter of the residuals"
@@ -200,6 +201,7 @@ class Candidate:
             model.arm.effects[len(model.arm.effects) - added :],
             as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
             tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
+            dict(zip(model.names, map(tuple, limits.tolist()), strict=True)),
             tuple(sure.freedom.tolist()),
             sure.kind,
             sure.sentence,
@@ -214,17 +216,6 @@ class Candidate:
     def keys(self) -> Names:
         """Names and joints without settings: `transmission_ripple:2`."""
         return tuple(spec.key for spec in self.specs)
-
-    @property
-    def limits_95(self) -> dict[str, tuple[float, float]]:
-        """Parameter name -> its 95 % interval [API units], of base and effects; cut at the physical bounds of effects
-        only."""
-        names, values = self.calibration.parameter_names, self.calibration.values
-        assert self.calibration.covariance is not None  # a diagnosis has one
-        half = quantile_95(self.freedom) * np.sqrt(np.diag(self.calibration.covariance))
-        limits = {n: (values[n] - h, values[n] + h) for n, h in zip(names, half.tolist(), strict=True)}
-        to_api = {file: factor for file, factor, _ in FILE_UNITS.values()}
-        return limits | {p.name: (p.low_95 / to_api[p.unit], p.high_95 / to_api[p.unit]) for p in self.parameters}
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""

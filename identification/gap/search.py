@@ -163,11 +163,8 @@ class Search:
             if move % max(len(key) // 10, 1) == 0:
                 draws[key] += 1
         # the sets from the probabilities with which each was drawn, whatever its sizes; and of those drawn with theirs
-        sets, ways, share = (
-            defaultdict[tuple[int, ...], list[tuple[float, Key]]](list),
-            defaultdict[Key, list[int]](list),
-            0.0,
-        )
+        sets, share = defaultdict[tuple[int, ...], list[tuple[float, Key]]](list), 0.0
+        ways = defaultdict[Key, list[int]](list)
         for key in draws:
             ways[key].append(-1)
             for k, (block, size) in enumerate(key):
