@@ -75,9 +75,8 @@ def diagnose(
     arm, rows, generator = with_sessions(given, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:
         raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")
-    optional = {name: getattr(measurements, name) for name in ("temperature", "payload", "order")}
-    varying = frozenset(name for name, values in optional.items() if values is not None and np.ptp(values) > 0.0)
-    library = hypotheses(arm, varying, rows)
+    warm = measurements.temperature is not None and np.ptp(measurements.temperature) > 0.0
+    library = hypotheses(arm, frozenset({"temperature"} if warm else ()), rows)
     progress(0.0, 1.0, "step 1 of 3: base model")
     base = fit(library.base, rows)
     require_spare(base.freedom, len(rows))
