@@ -69,7 +69,8 @@ def design_verdict(data: Data) -> str:
     if error["bound"] is None or data["efficiency"] is None or data.get("outside_limits"):
         return f"{sentence}."  # no bound applies to a plan outside the limits
     kind = "" if data["bound"]["rigorous"] else " (a numerical bound)"
-    sentence += f"; no plan from {postures_in_words(data['bound'])} is below {in_a_sentence(error['bound'])} mm{kind}"
+    fewer = f"no plan of {data['runs']} runs from {postures_in_words(data['bound'])}"
+    sentence += f"; {fewer} is below {in_a_sentence(error['bound'])} mm{kind}"
     # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
     hope = "Do not expect it near 1: the" if data["efficiency"] < 0.9 else "The"
     judge = f"{hope} bound allows fractions of a run. Judge by the mm."
@@ -274,7 +275,7 @@ TIP_ERRORS = {
 }
 RIGHT = (
     "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
-    "at the worst pose."
+    "at the worst of these poses."
 )
 DIAGNOSED = (
     "The model has the effects that its diagnosis found, at the sizes measured; others are not counted: armcal "
