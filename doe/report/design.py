@@ -277,6 +277,10 @@ RIGHT = (
     "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
     "at the worst of these poses."
 )
+BOUND_CUT = (
+    "The search for the bound was cut by the time limit: plans may be better than their efficiency says. Raise "
+    "--seconds to know."
+)
 DIAGNOSED = (
     "The model has the effects that its diagnosis found, at the sizes measured; others are not counted: armcal "
     "diagnose says which sizes its data rule out. armcal validate compares it with new measurements."
@@ -307,6 +311,7 @@ def advice_document(advice: Advice) -> Document:
         rows.append([*row, *(number(advice.tip_errors[k][key], 4) for key in tips)])
     parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40, where="--json has all")]
     parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
+    parts += [BOUND_CUT] if any(design.bound and design.bound.cut for design in advice.designs) else []
     parts += [RIGHT, MISSING if missing else DIAGNOSED] if advice.tip_errors else []
     return Document("How many runs", [advice_sentence(advice)], parts)
 
