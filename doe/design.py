@@ -123,9 +123,14 @@ class Design:
 
     @cached_property
     def table_1_max_residual(self) -> float | None:
-        """Largest |mean exp(i (q_(j+1) + ... + q_k))|, 0 at an unconstrained optimum; None unless the arm is planar."""
-        planar = getattr(self.problem.model, "planar", False)
-        return table_1_max_residual(self.plan.postures, self.plan.weights) if planar else None
+        """Largest |mean exp(i (q_(j+1) + ... + q_k))|, 0 at an unconstrained optimum; None unless the arm is planar.
+
+        Postures measured already are runs, as in M'.
+        """
+        if not getattr(self.problem.model, "planar", False):
+            return None
+        runs = np.append(self.plan.shares * len(self.plan), np.ones(len(self.problem.kept)))
+        return table_1_max_residual(np.concatenate([self.plan.postures, self.problem.kept]), runs / runs.sum())
 
     @cached_property
     def deviations(self) -> ExpectedDeviations | None:

@@ -396,6 +396,27 @@ class Task(NamedTuple):
             ends[barred], ranks[barred] = merged((ends[barred], ranks[barred]), part.descended(clear))
         return ends, ranks
 
+    def closest(self, starts: Array) -> Array:
+        """(k, n) the closest postures to goals out of reach, by Newton's method from several each (k, f, n)."""
+        (k, few, n), units = starts.shape, self.model.reach / self.units
+        goal, bends = np.repeat(np.arange(k), few), np.concatenate([np.zeros((1, n)), np.diag(BEND * units)])
+
+        def height(q: Array, rows: Index) -> Array:
+            return -0.5 * np.sum(self.gaps(q, goal[rows])[0] ** 2, axis=1)
+
+        def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
+            bent = (q[:, None] + bends).reshape(-1, n)
+            gap, jacobian = self.gaps(bent, np.repeat(goal[rows], len(bends)))
+            gap, jacobian = (each.reshape(len(q), len(bends), *each.shape[1:]) for each in (gap, jacobian))
+            along = np.einsum("kd,kidn->kin", gap[:, 0], jacobian)
+            bend = (along[:, 1:] - along[:, :1]) / (BEND * units[:, None])
+            middle = jacobian[:, 0]
+            return along[:, 0], 0.5 * (bend + np.swapaxes(bend, 1, 2)) - np.swapaxes(middle, 1, 2) @ middle
+
+        ends = newton_ascent(starts.reshape(-1, n), height, slopes, (self.lower, self.upper), units)
+        best = np.argmax(height(ends, np.arange(len(ends))).reshape(k, few), axis=1)
+        return ends.reshape(k, few, n)[np.arange(k), best]
+
 
 def merged(*ranked: tuple[Array, Array]) -> tuple[Array, Array]:
     """Postures (k, f, n) and ranks (k, f), the best f of several: as many as the first are."""
@@ -421,7 +442,7 @@ def reaching(task: Task, boxes: Sequence[tuple[Array, Array]]) -> Array:
         reached = missed[ranks < MISSED]
         postures[reached], rank[reached] = ends[ranks < MISSED], NEAR
     if (beyond := np.flatnonzero(rank >= BEYOND)).size:
-        postures[beyond] = closest(first.at(beyond), several[beyond])
+        postures[beyond] = first.at(beyond).closest(several[beyond])
     return postures
 
 
@@ -444,24 +465,3 @@ def tried(task: Task) -> tuple[Array, Array]:
             if bad == MISSED and np.all(rank[rows, 0] >= bad):
                 break
     return postures, rank
-
-
-def closest(task: Task, starts: Array) -> Array:
-    """(k, n) the closest postures to goals out of reach, by Newton's method from several each (k, f, n)."""
-    (k, few, n), units = starts.shape, task.model.reach / task.units
-    goal, bends = np.repeat(np.arange(k), few), np.concatenate([np.zeros((1, n)), np.diag(BEND * units)])
-
-    def height(q: Array, rows: Index) -> Array:
-        return -0.5 * np.sum(task.gaps(q, goal[rows])[0] ** 2, axis=1)
-
-    def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
-        bent = (q[:, None] + bends).reshape(-1, n)
-        gap, jacobian = task.gaps(bent, np.repeat(goal[rows], len(bends)))
-        gap, jacobian = (each.reshape(len(q), len(bends), *each.shape[1:]) for each in (gap, jacobian))
-        along = np.einsum("kd,kidn->kin", gap[:, 0], jacobian)
-        bend = (along[:, 1:] - along[:, :1]) / (BEND * units[:, None])
-        return along[:, 0], 0.5 * (bend + np.swapaxes(bend, 1, 2)) - np.swapaxes(jacobian[:, 0], 1, 2) @ jacobian[:, 0]
-
-    ends = newton_ascent(starts.reshape(-1, n), height, slopes, (task.lower, task.upper), units)
-    best = np.argmax(height(ends, np.arange(len(ends))).reshape(k, few), axis=1)
-    return ends.reshape(k, few, n)[np.arange(k), best]

@@ -20,13 +20,6 @@ REMEMBERED = 12  # turning points of a past: of 60 random postures in 3,000 one 
 
 
 # -- what a row may have -----------------------------------------------------------------------------------------------
-def _is_rotation(matrices: Array) -> NDArray[np.bool_]:
-    """(m, 3, 3) True in rows that turn and do not mirror."""
-    square = np.swapaxes(matrices, 1, 2) @ matrices
-    good = np.all(np.abs(square - np.eye(3)) < 1e-6, axis=(1, 2)) & (np.linalg.det(matrices) > 0.0)
-    return np.broadcast_to(good[:, None, None], matrices.shape)
-
-
 # for every field of `Measurements` its shapes behind the rows (n: joints), what is allowed in words, and a test; files
 # have the same rules for its column
 VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Any], NDArray[np.bool_]]]] = {
@@ -41,7 +34,11 @@ VALUES: dict[str, tuple[tuple[tuple[int | str, ...], ...], str, Callable[[Any], 
     "sigma": (((),), "a number > 0 [mm]", lambda v: np.isfinite(v) & (v > 0.0)),
     "repeats": (((),), "a whole number", lambda v: (v == np.round(v)) & (np.abs(v) < 2.0**53)),
     "commanded": ((("n",),), "finite angles [rad]", np.isfinite),
-    "orientations": (((3, 3),), "rotation matrices", _is_rotation),
+    "orientations": (
+        ((3, 3),),
+        "rotation matrices",  # they turn and do not mirror
+        lambda v: (np.abs(np.swapaxes(v, 1, 2) @ v - np.eye(3)) < 1e-6) & (np.linalg.det(v) > 0.0)[:, None, None],
+    ),
     "session": (((),), "a name", lambda v: v != ""),
     "marker": (((),), "a name", lambda v: v != ""),
 }

@@ -38,6 +38,7 @@ from identification.model.placed import led_to_contact, of_positions, tip_jacobi
 from identification.workspace import circle_across
 
 if TYPE_CHECKING:
+    from identification.files.measurement import Plan
     from identification.gap.detectability import Detectability
     from identification.gap.library_prior import LibraryPrior
 
@@ -233,11 +234,13 @@ class ArmModel(Model):
 
         return base, design_model(model), tuple(bases), weights, by_order, partial(detectability, arm)
 
-    def detectability(self, postures: Array) -> Detectability:
-        """What measuring postures (m, n) could show of every effect of the library."""
+    def detectability(self, plan: Plan) -> Detectability:
+        """What measuring a plan could show of every effect of the library, by the payloads, temperatures and directions
+        of its file, else by its order."""
         from identification.gap.detectability import detectability
 
-        return detectability(without_prior(self.arm), postures)
+        given = {name: np.nan_to_num(values) for name, values in plan.conditions.items() if values is not None}
+        return detectability(without_prior(self.arm), plan.postures, Conditions(**given))
 
     # -- what theory knows -----------------------------------------------------------------------------------------
     # whether it is a chain of links in a plane, of which Table I of the paper holds

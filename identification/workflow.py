@@ -315,7 +315,7 @@ def identify_files(
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
     from identification.files.arm import corrected_urdf, load_arm
-    from identification.gap.library_prior import given_by, library_prior
+    from identification.gap.library_prior import library_prior
     from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
     from identification.model import Model
@@ -353,7 +353,7 @@ def identify_files(
         raise InputError("--missing: found without --library-prior, allowed: with --library-prior")
 
     def library(rows: Measurements) -> LibraryPrior | None:
-        return library_prior(with_sessions(loaded, rows), given_by(rows), missing) if prior else None
+        return library_prior(with_sessions(loaded, rows), rows, missing) if prior else None
 
     def fit(rows: Measurements) -> Identification:
         of_library = library(rows)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -54,6 +54,24 @@ class TrigonometricPolynomial:
     coefficients: NDArray[np.complex128]
     magnitude: float = 0.0
     operations: int = 0
+
+    @classmethod
+    def of_sensitivity(cls, jacobian: Jacobian, gradient: Array, factor: float = 1.0, constant: float = 0.0) -> Self:
+        """factor * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
+        frequencies, coefficients = jacobian
+        count, d = coefficients.shape[:2]
+        pairs = np.einsum("fda,ab,gdb->fg", coefficients, factor * gradient, coefficients, optimize=True)
+        sums = (frequencies[:, None] + frequencies[None]).reshape(count * count, -1)
+        unique, place = np.unique(sums, axis=0, return_inverse=True)
+        values = np.zeros(len(unique), dtype=np.complex128)
+        np.add.at(values, place.ravel(), pairs.ravel())
+        first = np.array([row[np.flatnonzero(row)[0]] if row.any() else 0 for row in unique])
+        constant += float(values[first == 0].real.sum())
+        size = np.abs(coefficients).sum(axis=0)  # (d, p)
+        magnitude = abs(factor) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
+        operations = 4 * len(gradient) + 2 * d + 2 * count + 16  # lengths of the sums, nested
+        waves = np.asarray(2.0 * values[first > 0])
+        return cls(constant, unique[first > 0], waves, magnitude, operations)
 
     @cached_property
     def margin(self) -> float:
@@ -210,26 +228,6 @@ def trigonometric_jacobian(problem: DesignProblem) -> Jacobian | None:
         for frequency, value in polynomial.items():
             coefficients[slot[frequency], row, column] = value
     return np.array(frequencies).reshape(-1, n), coefficients
-
-
-def sensitivity_polynomial(
-    jacobian: Jacobian, gradient: Array, factor: float = 1.0, constant: float = 0.0
-) -> TrigonometricPolynomial:
-    """factor * tr(G B^T B) + constant as a polynomial, G = `gradient` (p, p)."""
-    frequencies, coefficients = jacobian
-    count, d = coefficients.shape[:2]
-    pairs = np.einsum("fda,ab,gdb->fg", coefficients, factor * gradient, coefficients, optimize=True)
-    sums = (frequencies[:, None] + frequencies[None]).reshape(count * count, -1)
-    unique, place = np.unique(sums, axis=0, return_inverse=True)
-    values = np.zeros(len(unique), dtype=np.complex128)
-    np.add.at(values, place.ravel(), pairs.ravel())
-    first = np.array([row[np.flatnonzero(row)[0]] if row.any() else 0 for row in unique])
-    constant += float(values[first == 0].real.sum())
-    size = np.abs(coefficients).sum(axis=0)  # (d, p)
-    magnitude = abs(factor) * float(np.sum((size @ np.abs(gradient)) * size)) + abs(constant)
-    operations = 4 * len(gradient) + 2 * d + 2 * count + 16  # lengths of the sums, nested
-    waves = np.asarray(2.0 * values[first > 0])
-    return TrigonometricPolynomial(constant, unique[first > 0], waves, magnitude, operations)
 
 
 def _polynomial(value: Angle | Polynomial) -> Polynomial:

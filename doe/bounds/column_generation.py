@@ -24,7 +24,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from doe.bounds.branch_and_bound import maximum, sensitivity_polynomial, trigonometric_jacobian
+from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, trigonometric_jacobian
 from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
 from doe.plan.ascent import PlanAscent
@@ -286,8 +286,8 @@ def continuous_design(
     for _ in range(20):  # attempts, each with a posture that was missed
         if jacobians is None or stop():
             break
-        constant = float(prior.mixed(0.0, design.gradient))
-        polynomial = sensitivity_polynomial(jacobians, design.gradient, 1.0 / (1.0 + prior.runs), constant)
+        factor, constant = 1.0 / (1.0 + prior.runs), float(prior.mixed(0.0, design.gradient))
+        polynomial = TrigonometricPolynomial.of_sensitivity(jacobians, design.gradient, factor, constant)
         close, tried = goal * abs(design.level), design.plan.postures
         top = maximum(polynomial, problem.lower, problem.upper, tried=tried, tolerance=close, stop=stop)
         largest, rigorous = max(largest, top.value), top.proven

@@ -86,7 +86,11 @@ def design_problem(
     if wanted.robust:
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
-        problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
+        counted = missing_effects(problem, missing)
+        if missing and counted.left_out:
+            reasons = ", ".join(f"{effect} ({why})" for effect, why in counted.left_out.items())
+            warnings.warn(f"--missing: the plan does not count {reasons}", UserWarning, stacklevel=2)
+        problem = replace(robust_problem(problem, counted), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
         poses = None if wanted.test_poses is None else Plan.load(wanted.test_poses, arm.joint_types).postures
         names = problem.model.parameters.names
@@ -263,15 +267,16 @@ def score_files(
         warnings.warn(sentence, UserWarning, stacklevel=2)
     sees = None
     try:
-        sees = design_model(loaded).detectability(judged.postures)
+        sees = design_model(loaded).detectability(judged)
         tables: list[Any] = [*sees.document().parts]
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         tables = [f"missing effects: {reason}"]
     problem = DesignProblem.of(loaded)
-    values, tip = criterion_values(problem, judged.postures), replace(problem, criterion=average_error(problem))
+    tip, weighted = replace(problem, criterion=average_error(problem)), (judged.postures, judged.weights)
+    values = criterion_values(problem, *weighted)
     data = design.to_json() | {
         "workspace_error_mm": None if values["I"] is None else error_at_poses(tip, values["I"], len(judged)),
-        "observability": observability(problem, judged.postures),
+        "observability": observability(problem, *weighted),
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }

@@ -118,10 +118,10 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
     return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept), rows.reshape(-1, d, p)])
 
 
-def observability(problem: DesignProblem, postures: Array) -> dict[str, float]:
+def observability(problem: DesignProblem, postures: Array, weights: Array | None = None) -> dict[str, float]:
     """The five indices of a plan (m, n), measured postures (`kept`) included: `o1` (s_1 ... s_p)^(1/p) / sqrt(m), `o2`
     s_p / s_1, `o3` s_p, `o4` s_p^2 / s_1, `o5` 1 / sum(1 / s_i)."""
-    jacobians, p = plan_jacobians(problem, postures), problem.parameters
+    jacobians, p = plan_jacobians(problem, postures, weights), problem.parameters
     if spectrum(jacobians, np.ones(p)).rank < p:
         return dict.fromkeys(("o1", "o2", "o3", "o4", "o5"), 0.0)
     values = np.linalg.svd(jacobians.reshape(-1, p), compute_uv=False)
@@ -131,7 +131,7 @@ def observability(problem: DesignProblem, postures: Array) -> dict[str, float]:
     return indices | {"o5": float(1.0 / np.sum(1.0 / values))}
 
 
-def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float | None]:
+def criterion_values(problem: DesignProblem, postures: Array, weights: Array | None = None) -> dict[str, float | None]:
     """Name -> value of every criterion for a plan (m, n), None where the plan does not identify enough for it.
 
     I is the error over the `workspace`, Ds that of the parameters in mm where there are others too.
@@ -141,7 +141,7 @@ def criterion_values(problem: DesignProblem, postures: Array) -> dict[str, float
     criteria: dict[str, Criterion] = {"D": D(), "A": A(), "E": E(), "I": average_error(problem)}
     if 0 < len(lengths) < len(units):
         criteria |= {"Ds": Ds(lengths), "Dstar": DStar.by_unit(units)}
-    values = {name: replace(problem, criterion=one).objective(postures) for name, one in criteria.items()}
+    values = {name: replace(problem, criterion=one).objective(postures, weights) for name, one in criteria.items()}
     return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
 
@@ -289,7 +289,8 @@ class ExpectedTip:
     def __str__(self) -> str:
         """One sentence, or two."""
         fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
-        where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
+        named = "effects of --missing" if "--missing" in self.fit else "effects and error curves"
+        where = f"Expected error of the tip if the arm has {named} that its file does not name ({fit})"
         others = f"{self.median:.3g} mm by the median of {len(self.random)} random ones"
         figures, share = (
             f"{self.plan:.3g} mm by this plan, {others}",

@@ -89,6 +89,34 @@ class Study:
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
+    def tasks(self, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]:
+        """Key and payload of every block; a cell that cannot be simulated has one block, whose row says why."""
+        rows = {(row["arm"], row["plan"], row["runs"]): row for row in made.iter_rows(named=True)}
+        asked = self.asked
+        for arm, (name, plan) in product(self.arms, self.plans.items()):
+            for runs in asked.runs if plan is None else [len(plan)]:
+                row = rows.get((arm.name, name, runs), {})
+                postures: Array | str | None = None if name == RANDOM else f"no plan: {row.get('error')}"
+                if plan is not None:
+                    postures = plan.postures
+                elif name == DFT:
+                    postures = _dft(arm, runs)
+                elif row.get("status") == "done":
+                    postures = Plan.of_displayed(np.array(row["postures_deg"]), arm.joint_types).postures
+                for sigma, truth, model in product(asked.sigma_mm or [arm.sigma or 0.0], asked.truths, asked.models):
+                    fitted, true, degrees = model.of(arm), truth.of(arm), None
+                    if isinstance(postures, np.ndarray):
+                        angles = [kind != PRISMATIC for kind in arm.joint_types]
+                        degrees = tuple(map(tuple, np.where(angles, np.degrees(postures), postures).tolist()))
+                    cell = postures if isinstance(postures, str) else (fitted, true, postures, runs, float(sigma))
+                    key = dict(zip(CELL, (arm.name, name, runs, sigma, truth.name, model.name), strict=True))
+                    key["inputs"] = short_hash(fitted, true, degrees)
+                    size = RANDOM_BLOCK if name == RANDOM else BLOCK
+                    size = max(1, min(size, MOST_ROWS // (runs * max(1, len(arm.chain.tools)))))
+                    starts = [0] if isinstance(cell, str) else range(0, asked.replications, size)
+                    for number, start in enumerate(starts):
+                        yield {**key, "block": number, "replications": min(size, asked.replications - start)}, cell
+
 
 # -- the run -----------------------------------------------------------------------------------------------------------
 def run_study(
@@ -119,7 +147,7 @@ def run_study(
     places = [None if folder is None else Path(folder) / f"{name}.parquet" for name in ("plans", "blocks", "cells")]
     with open_table(places[0]) as of_plans, open_table(places[1]) as of_blocks:
         plans = run(make_plan, keys, of_plans, payload=lambda key: arms[key["inputs"]])
-        tasks = {canonical(key): (key, cell) for key, cell in _tasks(study, plans)}
+        tasks = {canonical(key): (key, cell) for key, cell in study.tasks(plans)}
         asked = [key for key, _ in tasks.values()]
         blocks = run(replicate, asked, of_blocks, payload=lambda key: tasks[canonical(key)][1])
         cells = pooled_rows(blocks)
@@ -157,35 +185,6 @@ def _dft(arm: Arm, runs: int) -> Array | str:
 # what a block of replications needs: the arm as the fit knows it and as it really is, the plan (m, n), None: a random
 # one, runs, sigma
 Cell = tuple[Arm, Arm, Array | None, int, float]
-
-
-def _tasks(study: Study, made: pl.DataFrame) -> Iterator[tuple[Key, Cell | str]]:
-    """Key and payload of every block; a cell that cannot be simulated has one block, whose row says why."""
-    rows = {(row["arm"], row["plan"], row["runs"]): row for row in made.iter_rows(named=True)}
-    asked = study.asked
-    for arm, (name, plan) in product(study.arms, study.plans.items()):
-        for runs in asked.runs if plan is None else [len(plan)]:
-            row = rows.get((arm.name, name, runs), {})
-            postures: Array | str | None = None if name == RANDOM else f"no plan: {row.get('error')}"
-            if plan is not None:
-                postures = plan.postures
-            elif name == DFT:
-                postures = _dft(arm, runs)
-            elif row.get("status") == "done":
-                postures = Plan.of_displayed(np.array(row["postures_deg"]), arm.joint_types).postures
-            for sigma, truth, model in product(asked.sigma_mm or [arm.sigma or 0.0], asked.truths, asked.models):
-                fitted, true, degrees = model.of(arm), truth.of(arm), None
-                if isinstance(postures, np.ndarray):
-                    angles = [kind != PRISMATIC for kind in arm.joint_types]
-                    degrees = tuple(map(tuple, np.where(angles, np.degrees(postures), postures).tolist()))
-                cell = postures if isinstance(postures, str) else (fitted, true, postures, runs, float(sigma))
-                key = dict(zip(CELL, (arm.name, name, runs, sigma, truth.name, model.name), strict=True))
-                key["inputs"] = short_hash(fitted, true, degrees)
-                size = RANDOM_BLOCK if name == RANDOM else BLOCK
-                size = max(1, min(size, MOST_ROWS // (runs * max(1, len(arm.chain.tools)))))
-                starts = [0] if isinstance(cell, str) else range(0, asked.replications, size)
-                for number, start in enumerate(starts):
-                    yield {**key, "block": number, "replications": min(size, asked.replications - start)}, cell
 
 
 def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:

@@ -285,6 +285,23 @@ class Problem:
         form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
         return levenberg_marquardt(form, starts)
 
+    def released_drops(self, earlier: Calibration, x: Array) -> dict[str, float]:
+        """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units
+        of the noise, fall where its own prior is released and the others' stay, linear about x (p,).
+
+        Released, a mean of the prior is one more unknown: its column is that of the calibration's rows.
+        """
+        names = [name for name in self.model.names if name in earlier.parameter_names]
+        (residual, jacobian), rows = self.linearized(x), self.prior_rows
+        whole = np.concatenate([jacobian, rows])
+        shifts = np.zeros((len(whole), len(names)))
+        shifts[-len(names) :] = rows[-len(names) :, [self.model.names.index(name) for name in names]]
+        target = np.concatenate([residual, rows @ (self.prior_center - x)])
+        basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
+        left = shifts - basis @ (basis.T @ shifts)
+        squares = np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny)
+        return dict(zip(names, ((left.T @ target) ** 2 / squares / self.noise**2).tolist(), strict=True))
+
 
 # -- noise and sizes ---------------------------------------------------------------------------------------------------
 def likeliest_noise(target: Array, effects: Array, spare: int, least: float, largest: float) -> tuple[float, float]:
@@ -390,24 +407,6 @@ class Contradiction(NamedTuple):
         return f"{sentence}. The fit is right for neither. {either}"
 
 
-def released_drops(problem: Problem, earlier: Calibration, x: Array) -> dict[str, float]:
-    """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units of
-    the noise, fall where its own prior is released and the others' stay, linear about x (p,).
-
-    Released, a mean of the prior is one more unknown: its column is that of the calibration's rows.
-    """
-    names = [name for name in problem.model.names if name in earlier.parameter_names]
-    (residual, jacobian), rows = problem.linearized(x), problem.prior_rows
-    whole = np.concatenate([jacobian, rows])
-    shifts = np.zeros((len(whole), len(names)))
-    shifts[-len(names) :] = rows[-len(names) :, [problem.model.names.index(name) for name in names]]
-    target = np.concatenate([residual, rows @ (problem.prior_center - x)])
-    basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
-    left = shifts - basis @ (basis.T @ shifts)
-    squares = np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny)
-    return dict(zip(names, ((left.T @ target) ** 2 / squares / problem.noise**2).tolist(), strict=True))
-
-
 def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array) -> Contradiction | None:
     """The parameter whose prior, an earlier calibration, the measurements contradict most clearly; None: none.
 
@@ -426,7 +425,7 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
         freedom = np.inf
     if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
         return None
-    drops = released_drops(replace(problem, noise=noise), earlier, x)
+    drops = replace(problem, noise=noise).released_drops(earlier, x)
     name = max(drops, key=drops.__getitem__)
     less = np.array([drops[name], *(drops[name] - drop for drop in drops.values())])
     p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)

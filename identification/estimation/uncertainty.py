@@ -81,6 +81,21 @@ class WhiteRows:
         """Sum of squared whitened residuals."""
         return float(np.sum(self.residual**2))
 
+    def correlated(self, root: Array) -> int:
+        """Number of successive rows to be taken together: 1 where what they say of the parameters is uncorrelated.
+
+        The lag-1 correlation of the scores Q_i^T r_i, with its standard error if their signs were random. The length is
+        that of E. Carlstein (1986) for a first-order autoregression, m^(1/3) (2 rho / (1 - rho^2))^(2/3), and no less
+        than leaves 40 stretches: Student's quantile is then within 4 % of the normal one.
+        """
+        scores = np.einsum("mdr,md->mr", self.jacobian @ root, self.residual)[self.sequence]
+        products = np.sum(scores[1:] * scores[:-1], axis=1)
+        error = float(np.sqrt(np.sum(products**2)))
+        if error == 0.0 or products.sum() <= float(ndtri(1.0 - LEVEL)) * error:
+            return 1
+        rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
+        return int(np.ceil(max(m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0), m / 40)))
+
     def of_postures(self, root: Array) -> tuple[float, float]:
         """Sum of squares of what the rows of each posture have in common, their sum over the root of their number; and
         its expectation if noise is white with variance one, the degrees of freedom.
@@ -192,7 +207,7 @@ def _robust(rows: WhiteRows, root: Array, misfit: bool, several: bool, variance:
     columns = rows.jacobian @ root
     slope = np.einsum("mdr,md->r", columns, rows.residual) + root.T @ (rows.pull * np.ones(len(root)))
     rows = replace(rows, residual=rows.residual - columns @ slope)
-    length = correlated(rows, root)
+    length = rows.correlated(root)
     if not (misfit or several or length > 1 or lack_of_fit(rows.residual, rows.repeats, rows.rank)[1] < LEVEL):
         return None
     kind, groups, candidates = "postures" if several else "rows", rows.postures, list[tuple[float, Uncertainty]]()
@@ -207,22 +222,6 @@ def _robust(rows: WhiteRows, root: Array, misfit: bool, several: bool, variance:
         if length <= 1 or (kind == "stretches" and enough):
             return max(candidates, key=lambda each: each[0])[1] if candidates else None
         kind, groups, length = "stretches", stretches(rows.sequence, length), length // 2
-
-
-def correlated(rows: WhiteRows, root: Array) -> int:
-    """Number of successive rows to be taken together: 1 where what they say of the parameters is uncorrelated.
-
-    The lag-1 correlation of the scores Q_i^T r_i, with its standard error if their signs were random. The length is
-    that of E. Carlstein (1986) for a first-order autoregression, m^(1/3) (2 rho / (1 - rho^2))^(2/3), and no less than
-    leaves 40 stretches: Student's quantile is then within 4 % of the normal one.
-    """
-    scores = np.einsum("mdr,md->mr", rows.jacobian @ root, rows.residual)[rows.sequence]
-    products = np.sum(scores[1:] * scores[:-1], axis=1)
-    error = float(np.sqrt(np.sum(products**2)))
-    if error == 0.0 or products.sum() <= float(ndtri(1.0 - LEVEL)) * error:
-        return 1
-    rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
-    return int(np.ceil(max(m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0), m / 40)))
 
 
 def stretches(sequence: Groups, length: int) -> Groups:
@@ -351,19 +350,12 @@ def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedo
 
 
 # -- outliers ----------------------------------------------------------------------------------------------------------
-def limit_of(d: int) -> float:
-    """The squared distance of d coordinates, in units of their variance, beyond which a row is an outlier: as unlikely
-    as 6 standard deviations in a plane. So at most 3 in 10,000 clean data sets of 8 to 200 rows lose a row; at 4 it
-    would be 3 to 70 in 1,000, at 3 from 4 % to 89 %."""
-    return float(chdtri(d, chdtrc(2, 6.0**2)))
-
-
 def outlying(
     residual: Array, columns: Array, held: Array | None = None, left: Array | None = None
 ) -> NDArray[np.bool_]:
     """(m,) rows whose residual the model does not explain.
 
-    The worst row is taken out and the linear model fitted again, until none is farther off than `limit_of`: studentised
+    The worst row is taken out and the linear model fitted again, until none is farther off than a limit: studentised
     squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
     residual : (m, d) whitened, of any fit;  columns : (m d, p) its whitened Jacobian
@@ -373,7 +365,9 @@ def outlying(
     basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))[0]
     blocks, held_basis = basis[: m * d].reshape(m, d, -1), basis[m * d :]
     moment = held_basis.T @ (np.zeros(len(held_basis)) if left is None else left)
-    kept, limit = np.ones(m, dtype=bool), limit_of(d)
+    # as unlikely as 6 standard deviations in a plane: at most 3 in 10,000 clean data sets of 8 to 200 rows lose a row;
+    # at 4 it would be 3 to 70 in 1,000, at 3 from 4 % to 89 %
+    kept, limit = np.ones(m, dtype=bool), float(chdtri(d, chdtrc(2, 6.0**2)))
     while np.mean(kept) >= 0.75:  # derived: the robust scale is then 1.26 times too large; more is structure
         squares = studentised(residual, blocks, kept, held_basis, moment)
         worst = np.argsort(squares)[-(1 + m // 1000) :]  # several at once only to save effort

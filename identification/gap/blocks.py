@@ -133,6 +133,48 @@ class Library:
         names = ([p.name for effect in effects for p in effect.parameters] for effects in (self.base.effects, there))
         return dict(zip(*names, strict=True))
 
+    def with_further_orders(self, at: At, chosen: Sequence[Block]) -> Library:
+        """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is
+        clear.
+
+        at : fit of the chosen effects, with any noise model
+        """
+        arm, known, names, rows = self.arm, {b.label for b in self.members}, at.model.names, at.rows
+        if not any(b.key.partition(":")[0] == EFFECT for b in self.members):
+            return self
+        unseen, added, labels = untested_joints(at), list[Block](), {b.label for b in chosen}
+        jacobian = at.linearized[1]
+        for j, q in enumerate(rows.postures.T):
+            if np.ptp(q) == 0.0 or j + 1 in unseen:
+                continue
+            # what is named at this joint may be there instead of the wave
+            effects = [e for e in at.model.effects if e.joint == j + 1 and e.label in labels]
+            own = [names.index(p.name) for e in effects for p in e.parameters if p.name in names]
+            rest = np.setdiff1d(np.arange(len(names)), own)
+            y = rows.whiten(at.left + jacobian[:, :, own] @ at.values[own])
+            basis = column_space(rows.whiten(jacobian[:, :, rest]), at.model.scales[rest])[0]
+            y = y - basis @ (basis.T @ y)
+            gains = []  # share of y^T y that a wave of each order explains
+            for orders in np.array_split(ORDERS, 8):
+                angles = q[:, None] * orders
+                waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
+                x = np.ascontiguousarray(rows.whiten(at.levers[:, :, j, None] * waves[:, None, :]).T)
+                inside, scores = (x @ basis).reshape(len(orders), 2, -1), (x @ y).reshape(-1, 2)  # y is off the basis
+                x = x.reshape(len(orders), 2, -1)
+                gram = x @ x.transpose(0, 2, 1) - inside @ inside.transpose(0, 2, 1)
+                gram += (1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(2)
+                solved = np.linalg.solve(gram, scores[:, :, None])[:, :, 0]
+                gains.append(np.sum(scores * solved, axis=1) / max(y @ y, 1e-300))
+            shares, freedom = np.concatenate(gains), len(y) - basis.shape[1]
+            best = int(np.argmax(np.round(shares, 12)))
+            # convention: log likelihood ratio below which a wave of further order is not added
+            if freedom < 3 or -0.5 * freedom * np.log1p(-min(shares[best], 1.0 - 1e-12)) < 8.0:
+                continue
+            for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
+                one = Block.of(arm, EffectSpec(EFFECT, j + 1, {ORDER: float(order)}), RARE / len(ORDERS))
+                added += [one] if one.label not in known else []
+        return replace(self, members=(*self.members, *added)) if added else self
+
     def as_base(self, at: At) -> tuple[Array, Array, list[int]]:
         """Rows as the base model sees them at a fit: (m, d) measured less computed positions, where what the fit has
         beyond it is given back; and the fit's (m, d, p) columns, and which of them are the base's."""
@@ -256,48 +298,6 @@ def untested_joints(at: At) -> frozenset[int]:
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     sliding = np.array([kind == PRISMATIC for kind in at.model.joint_types])
     return frozenset((np.flatnonzero(sliding | (sizes < 1e-3 * at.model.reach)) + 1).tolist())
-
-
-def with_further_orders(library: Library, at: At, chosen: Sequence[Block]) -> Library:
-    """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is clear.
-
-    at : fit of the chosen effects, with any noise model
-    """
-    arm, known, names, rows = library.arm, {b.label for b in library.members}, at.model.names, at.rows
-    if not any(b.key.partition(":")[0] == EFFECT for b in library.members):
-        return library
-    unseen, added, labels = untested_joints(at), list[Block](), {b.label for b in chosen}
-    jacobian = at.linearized[1]
-    for j, q in enumerate(rows.postures.T):
-        if np.ptp(q) == 0.0 or j + 1 in unseen:
-            continue
-        # what is named at this joint may be there instead of the wave
-        effects = [e for e in at.model.effects if e.joint == j + 1 and e.label in labels]
-        own = [names.index(p.name) for e in effects for p in e.parameters if p.name in names]
-        rest = np.setdiff1d(np.arange(len(names)), own)
-        y = rows.whiten(at.left + jacobian[:, :, own] @ at.values[own])
-        basis = column_space(rows.whiten(jacobian[:, :, rest]), at.model.scales[rest])[0]
-        y = y - basis @ (basis.T @ y)
-        gains = []  # share of y^T y that a wave of each order explains
-        for orders in np.array_split(ORDERS, 8):
-            angles = q[:, None] * orders
-            waves = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
-            x = np.ascontiguousarray(rows.whiten(at.levers[:, :, j, None] * waves[:, None, :]).T)
-            inside, scores = (x @ basis).reshape(len(orders), 2, -1), (x @ y).reshape(-1, 2)  # y is off the basis
-            x = x.reshape(len(orders), 2, -1)
-            gram = x @ x.transpose(0, 2, 1) - inside @ inside.transpose(0, 2, 1)
-            gram += (1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(2)
-            solved = np.linalg.solve(gram, scores[:, :, None])[:, :, 0]
-            gains.append(np.sum(scores * solved, axis=1) / max(y @ y, 1e-300))
-        shares, freedom = np.concatenate(gains), len(y) - basis.shape[1]
-        best = int(np.argmax(np.round(shares, 12)))
-        # convention: log likelihood ratio below which a wave of further order is not added
-        if freedom < 3 or -0.5 * freedom * np.log1p(-min(shares[best], 1.0 - 1e-12)) < 8.0:
-            continue
-        for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
-            one = Block.of(arm, EffectSpec(EFFECT, j + 1, {ORDER: float(order)}), RARE / len(ORDERS))
-            added += [one] if one.label not in known else []
-    return replace(library, members=(*library.members, *added)) if added else library
 
 
 def slope_by_angle(effect: Effect, joint: int, model: Model) -> Callable[[Array], Array] | None:

@@ -58,13 +58,13 @@ class LibraryPrior:
 
 def library_prior(
     arm: Arm,
-    given: frozenset[str] = frozenset(),
+    rows: Measurements | None = None,
     names: Sequence[str] | None = None,
     fastest: float = np.inf,
 ) -> LibraryPrior:
-    """A prior on all effects of the library that the arm may have and that rows with the data `given` can show.
+    """A prior on all effects of the library that the arm may have and that rows can show.
 
-    given : those of `time`, `directions`, `past`, `temperature` that the rows have
+    rows : measurements; None: any without an order and a temperature
     names : of effects, of which alone the arm may have some; None: all, error curves, and the posture's own error
     fastest : order of the fastest wave that is added
 
@@ -72,6 +72,10 @@ def library_prior(
     """
     for name in names or ():
         effect_named(name)  # raises for an unknown one
+    given = frozenset[str]()  # conditions that the rows have
+    if rows is not None:  # time, directions and past follow from their order if that has no gaps
+        given = BY_ORDER if rows.conditions.follow else BY_ORDER - FOLLOWING
+        given |= {"temperature"} if rows.temperature is not None else set()
     every = hypotheses(arm, given)
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
@@ -115,9 +119,3 @@ def library_prior(
     own_error = 6e-5 * arm.reach if names is None else 0.0
     prior = Prior(dict(zip(parameters, deviations, strict=True)), own_error=own_error)
     return LibraryPrior(wide, tuple(added), prior, MappingProxyType(left_out), faster)
-
-
-def given_by(measurements: Measurements) -> frozenset[str]:
-    """Conditions that the rows have: time, directions and past follow from their order if that has no gaps."""
-    given = BY_ORDER if measurements.conditions.follow else BY_ORDER - FOLLOWING
-    return given | ({"temperature"} if measurements.temperature is not None else set())

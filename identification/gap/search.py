@@ -23,7 +23,7 @@ from scipy.special import logsumexp, softmax, zeta
 from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import together
-from identification.gap.blocks import Block, Library, Linearized, linearized, with_further_orders
+from identification.gap.blocks import Block, Library, Linearized, linearized
 from identification.gap.fit import At, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
@@ -328,7 +328,7 @@ def posterior_of(
             noise, kept = (every[best].name, every[best].size), np.ones(len(few), dtype=bool)
             kept[[k for k in (problem.blocks[b].row for b, _ in rows_only) if k is not None]] = False
             at = fit(library.model(effects), every[best].rows.pick(kept), at.by_name)
-        wider = with_further_orders(library, at.on(every[best].rows), effects)
+        wider = library.with_further_orders(at.on(every[best].rows), effects)
         if few is not rows and turn == PASSES - 1:
             few, at = rows, fit(at.model, rows, at.by_name)
             names = {noise[0], *(every[k].name for k in likely)}

@@ -17,7 +17,7 @@ from doe.bounds.certificate import Bound
 from doe.plan.accuracy import ExpectedTip
 from doe.problem.uncertain import robust_problem
 from identification import Arm, Array, EffectSpec, Identification, Model, diagnose, estimate, load_arm
-from identification.gap.library_prior import given_by, library_prior
+from identification.gap.library_prior import library_prior
 from identification.measurements import Measurements, load_measurements
 from identification.validate import validate
 
@@ -48,7 +48,7 @@ def left(fit: Identification, rows: Measurements) -> float:
 
 def library_fit(arm: Arm, rows: Measurements) -> Identification:
     """As `armcal identify --library-prior`."""
-    library = library_prior(arm, given_by(rows))
+    library = library_prior(arm, rows)
     return estimate(Model(library.arm), rows, prior=library.prior)
 
 
@@ -169,7 +169,7 @@ class LinearFits:
     noises = np.geomspace(1.0, 30.0, 300) * 0.1  # [mm] tried: the data sheet's repeatability and more
 
     def __init__(self, data: Measurements, *, prior: bool = True) -> None:
-        plain, library = estimate(Model(SHEET), data), library_prior(SHEET, given_by(data))
+        plain, library = estimate(Model(SHEET), data), library_prior(SHEET, data)
         model = Model(library.arm)
         sizes = model.parameters.vector(library.prior.deviations)
         values = model.parameters.vector(plain.model.parameters.mapping(plain.parameters))

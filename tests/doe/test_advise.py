@@ -11,7 +11,7 @@ import pytest
 
 from doe import DesignProblem
 from doe.advise import advise, with_scatter
-from doe.report.design import advice_document, advice_sentence
+from doe.report.design import BOUND_CUT, advice_document, advice_sentence
 from identification import Arm, Calibration, InputError
 from identification.document import Sheet
 from identification.reuse import only
@@ -99,3 +99,10 @@ def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:
     assert "sigma_mm = 0.254, the scatter" in said
     shown = advice_document(advise(problem(arm), [4]))
     assert not any(isinstance(part, Sheet) and len(part.headings) != 2 for part in shown.parts)
+
+
+def test_a_bound_that_time_cut_is_said_to_be() -> None:
+    advice = advise(FREE, range(4, 6))
+    assert BOUND_CUT not in advice_document(advice).parts
+    cut = replace(advice, designs=tuple(replace(d, bound=replace(d.bound, cut=True)) for d in advice.designs))
+    assert BOUND_CUT in advice_document(cut).parts

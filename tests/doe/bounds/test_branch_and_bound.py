@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, sensitivity_polynomial, trigonometric_jacobian
+from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, trigonometric_jacobian
 from identification import Array, Calibration, EffectSpec, Gravity
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
 from tests.doe.regression import regression
@@ -128,7 +128,7 @@ def test_equals_the_jacobians(case) -> None:  # type: ignore[no-untyped-def]
     jacobians = case.scaled_jacobians(q)
     expected = 0.7 * np.einsum("kda,ab,kdb->k", jacobians, gradient, jacobians) + 3.0
     found = trigonometric_jacobian(case)
-    polynomial = sensitivity_polynomial(found, gradient, 0.7, 3.0)
+    polynomial = TrigonometricPolynomial.of_sensitivity(found, gradient, 0.7, 3.0)
     assert polynomial.value(q) == pytest.approx(expected, rel=1e-11)
     assert polynomial.magnitude >= np.abs(expected).max()  # what the margin for rounding is taken of
 

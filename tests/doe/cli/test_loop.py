@@ -102,3 +102,30 @@ def test_validate_on_another_session_and_on_the_own_data(folder: Folder) -> None
     assert (shown.flat.count("this says nothing about others"), shown.err) == (1, "")
     (refit,) = (parameter for parameter in main.commands["validate"].params if parameter.name == "refit")
     assert tuple(refit.type.choices) == REFITS
+
+
+def test_a_plan_is_scored_by_its_weights_and_with_what_is_measured_already(folder: Folder) -> None:
+    folder.said("relax arm.toml --grid 4 --no-check --out weights.csv")
+    scored = folder.said("score arm.toml weights.csv")
+    assert scored["criteria"]["D"] == pytest.approx(scored["log_det"], abs=1e-9)
+    assert scored["observability"]["o1"] == pytest.approx(np.exp(scored["log_det"] / 16), abs=1e-9)  # p = 8
+    seven = folder.said("design arm.toml --runs 7 --starts 5 --out seven.csv")
+    three = folder.said("design arm.toml --runs 3 --starts 5 --keep seven.csv")
+    angles = np.radians([*three["postures_deg"], *seven["postures_deg"]])
+    sums = [angles[:, j + 1 : k + 1].sum(axis=1) for j in range(4) for k in range(j + 1, 4)]
+    largest = max(abs(np.mean(np.exp(1j * each))) for each in sums)
+    assert three["table_1_max_residual"] == pytest.approx(largest, abs=1e-9)
+    printed = folder.armcal("design arm.toml --runs 3 --starts 5 --keep seven.csv").flat
+    assert "these runs and the 7 measured already" in printed
+
+
+def test_backlash_is_invisible_where_every_joint_comes_from_the_same_side(folder: Folder) -> None:
+    folder.said("design arm.toml --runs 12 --starts 2 --approach positive --out same.csv")
+    folder.said("design arm.toml --runs 12 --starts 2 --approach alternate --out both.csv")
+    seen = {name: folder.said(f"score arm.toml {name}.csv --seconds 0.1")["preflight"] for name in ("same", "both")}
+    sizes = {
+        name: [each["detectable"] for each in one["effects"] if each["effect"].startswith("backlash")]
+        for name, one in seen.items()
+    }
+    assert sizes["same"] == [None] * 4
+    assert sizes["both"][1] is not None

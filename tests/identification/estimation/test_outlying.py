@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from identification import Arm, Model, estimate
-from identification.estimation.uncertainty import limit_of, outlying, studentised, together
+from identification.estimation.uncertainty import outlying, studentised, together
 from identification.information import column_space
 from identification.simulate import simulate
 from tests.small_arm import OTHERS, drawn_arm, measured, random_postures, small_arm
@@ -28,7 +28,11 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     squares = studentised(residual, blocks, np.ones(4000, dtype=bool), np.zeros((0, 5)), np.zeros(5))
     assert np.median(squares) == pytest.approx(chi2.median(d), rel=1e-9)
     assert np.mean(squares < chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
-    assert chi2.sf(limit_of(d), d) == pytest.approx(chi2.sf(6.0**2, 2), rel=1e-9)  # as unlikely in space
+    # a row is off that is as unlikely as 6 standard deviations in a plane
+    limit, first = chi2.isf(chi2.sf(6.0**2, 2), d) / squares[0], residual[0].copy()
+    for share in (0.9, 1.1):
+        residual[0] = np.sqrt(share * limit) * first
+        assert outlying(residual, columns)[0] == (share > 1.0)
 
 
 def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() -> None:

@@ -16,7 +16,7 @@ from scipy.linalg import sqrtm
 from identification import DHRow, InputError, Measurements, Model, chain_of, estimate, spectrum
 from identification.arm import Arm, Machining
 from identification.estimation.doubts import copied_rows, left_out_rms
-from identification.estimation.uncertainty import WhiteRows, correlated, lack_of_fit, quantile_95, sandwich, uncertainty
+from identification.estimation.uncertainty import WhiteRows, lack_of_fit, quantile_95, sandwich, uncertainty
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan
 
 
@@ -130,7 +130,7 @@ def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
         rows, root = fitted(columns, autoregression(rng, m, rho))
         found = uncertainty(rows, spectrum(columns, np.ones(2)), sigma_given=False)
         assert (found.kind, found.clusters) == ("sandwich", "stretches")
-        assert found.count == m // correlated(rows, root)
+        assert found.count == m // rows.correlated(root)
         variances.append(np.diag(found.covariance))
     # stretches of finite length miss the correlation across their ends: some tenth of it
     np.testing.assert_allclose(np.mean(variances, axis=0), np.diag(exact), rtol=0.25)
@@ -139,7 +139,8 @@ def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
 
 def test_white_noise_is_seldom_taken_for_correlated() -> None:
     rng, columns = np.random.default_rng(11), np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
-    taken = [correlated(*fitted(columns, rng.standard_normal(60))) > 1 for _ in range(400)]
+    sets = (fitted(columns, rng.standard_normal(60)) for _ in range(400))
+    taken = [rows.correlated(root) > 1 for rows, root in sets]
     assert np.mean(taken) < 0.03
 
 
@@ -160,7 +161,7 @@ def test_at_an_active_bound_the_robust_interval_is_that_without_it() -> None:
     free, root = fitted(columns, values)
     bounded = replace(free, residual=(values - values.mean())[:, None])
     decomposed = spectrum(columns, np.ones(2))
-    assert correlated(bounded, root) > 1  # what the bound leaves looks like correlation in time
+    assert bounded.correlated(root) > 1  # what the bound leaves looks like correlation in time
     found, without = (
         uncertainty(rows, decomposed, sigma_given=True)
         for rows in (bounded, replace(free, residual=2.0 * free.residual))

@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from identification import Arm, DHRow, InputError, Measurements, Plan, chain_of, load_measurements
-from identification.effects.catalogue import entry
 from identification.files.csv import read_table, table_of_frame
 from identification.files.measurement import Targets, angle_columns, measurement_text, read_orientations
-from identification.gap.library_prior import given_by
+from identification.gap.library_prior import library_prior
 from identification.inspection.readings import gap_notes
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
 from identification.kinematics.frames import from_angles
@@ -406,9 +405,9 @@ def test_gaps_are_those_of_each_session(load: Load) -> None:
 def test_effects_that_need_the_row_before_are_not_looked_for_without_it() -> None:
     thinned = replace(WHOLE.rows(slice(None, None, 2)), directions=None, past=None, gaps=np.r_[0.0, np.ones(14)])
     assert not thinned.conditions.follow
-    needs = {*entry("backlash")["needs"], *entry("joint_hysteresis")["needs"]}
-    assert given_by(WHOLE) >= needs
-    assert not given_by(thinned) & needs
+    arm, names = Arm([300.0, 200.0, 100.0]), ["backlash", "joint_hysteresis", "gear_ratio"]
+    assert not library_prior(arm, WHOLE, names).left_out
+    assert {spec.name for spec in library_prior(arm, thinned, names).added} == {"gear_ratio"}
     (note,) = gap_notes(thinned)
     assert note.startswith("before 14 of 15 rows numbers of order are left out")
     assert gap_notes(WHOLE) == []

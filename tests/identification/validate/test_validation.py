@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from identification import PRISMATIC, DHRow, Diagnosis, InputError, Model, chain_of, diagnose, estimate, load_arm
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.error_curve import ErrorCurve
-from identification.gap.library_prior import given_by, library_prior
+from identification.gap.library_prior import library_prior
 from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements, distances, load_measurements
@@ -337,7 +337,7 @@ def test_a_prior_of_further_effects_is_judged_beside_the_geometry(compliant: boo
     rng, arm = np.random.default_rng(6), drawn_arm()
     truth = small_arm(rng, compliance=np.array([0.0, 2e-4, 1e-4, 0.0, 0.0, 0.0]) * compliant)
     data = measured(truth, random_postures(24, rng), rng)
-    library = library_prior(arm, given_by(data), names=["joint_compliance", "backlash"])
+    library = library_prior(arm, data, names=["joint_compliance", "backlash"])
     found = estimate(Model(library.arm), data, prior=library.prior)
     offered = prior_judged(lambda: estimate(Model(arm), data), found, data)
     assert offered is not None

@@ -75,7 +75,7 @@ def test_what_the_rows_cannot_show_is_left_out_with_its_reason() -> None:
     assert found.left_out["base_drift"] == "needs time"
     assert found.left_out["link_bending"] == "needs gravity"
     assert not any(name.startswith(("backlash", "base_drift")) for name in found.prior.deviations)
-    given = library_prior(ARM, frozenset({"time", "directions", "temperature"}))
+    given = library_prior(ARM, Measurements(np.zeros((2, 2)), np.zeros((2, 2)), temperature=np.array([20.0, 21.0])))
     assert {"backlash:1.b", "base_drift.vx", "thermal_growth.a"} <= set(given.prior.deviations)
     assert set(given.prior.deviations) < set(Model(given.arm).names)
 
