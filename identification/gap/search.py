@@ -243,6 +243,11 @@ class Explanation:
         return tuple(b for b in self.blocks if b.effect is not None)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Sorted keys of its effects."""
+        return tuple(sorted(b.key for b in self.effects))
+
+    @property
     def outside(self) -> tuple[Block, ...]:
         """Its blocks outside the library."""
         return tuple(b for b in self.blocks if b.effect is None and b.row is None)
