@@ -86,7 +86,11 @@ def design_problem(
     if wanted.robust:
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
-        problem = replace(robust_problem(problem, missing_effects(problem, missing)), fit=fit)
+        counted = missing_effects(problem, missing)
+        if missing and counted.left_out:
+            reasons = ", ".join(f"{effect} ({why})" for effect, why in counted.left_out.items())
+            warnings.warn(f"--missing: the plan does not count {reasons}", UserWarning, stacklevel=2)
+        problem = replace(robust_problem(problem, counted), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
         poses = None if wanted.test_poses is None else Plan.load(wanted.test_poses, arm.joint_types).postures
         names = problem.model.parameters.names

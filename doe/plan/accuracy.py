@@ -289,7 +289,8 @@ class ExpectedTip:
     def __str__(self) -> str:
         """One sentence, or two."""
         fit = f"fitted by armcal identify --{self.fit}" if self.fit else "fitted without them"
-        where = f"Expected error of the tip if the arm has effects and error curves that its file does not name ({fit})"
+        named = "effects of --missing" if "--missing" in self.fit else "effects and error curves"
+        where = f"Expected error of the tip if the arm has {named} that its file does not name ({fit})"
         others = f"{self.median:.3g} mm by the median of {len(self.random)} random ones"
         figures, share = (
             f"{self.plan:.3g} mm by this plan, {others}",

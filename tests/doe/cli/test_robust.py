@@ -128,3 +128,10 @@ def test_without_a_scatter_it_is_said_what_to_add(two: Folder, line: str, option
     assert added is not None
     bare.write_text(bare.read_text() + "\n".join(added.groups()))
     assert two.armcal(line + {"--robust": " --missing gear_ratio --starts 1"}.get(option, " --runs 4:6")).code == 0
+
+
+def test_what_a_robust_plan_does_not_count_is_said(two: Folder) -> None:
+    done = two.armcal("design arm.toml --runs 6 --robust --missing gear_ratio,backlash --starts 1")
+    assert "--missing: the plan does not count backlash:1 (needs directions)" in done.err
+    assert "no plan of 6 runs from all postures is below" in done.flat
+    assert "if the arm has effects of --missing that its file does not name" in done.flat
