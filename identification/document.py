@@ -51,6 +51,31 @@ class Sheet:
             return self.rows, ""
         return self.rows[:most], f"first {most} of {len(self.rows)}; {self.where}"
 
+    def table(self, rows: Sequence[Sequence[str]], width: int) -> RenderableType:
+        """Some rows of it in a terminal of this many characters: figures end at the right and are never broken; where
+        it would be too wide, columns stand closer together."""
+        from rich import box
+        from rich.console import Console
+        from rich.measure import Measurement
+        from rich.table import Table
+        from rich.text import Text
+
+        bare: dict[str, Any] = {"show_header": False, "box": None, "padding": (0, 2, 0, 0)}
+        shown = Table(box=box.SIMPLE_HEAD) if self.headings else Table(**bare)
+        for k, heading in enumerate(self.headings):
+            cells = [row[k].strip() for row in rows if row[k].strip()]
+            figures = 2 * sum(bool(NUMBER.fullmatch(cell)) for cell in cells) > len(cells)
+            shown.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
+        for row in rows:
+            shown.add_row(*map(Text, row))
+        free = Console(width=10_000, force_jupyter=False)
+        for shown.padding in ((0, 0, 0, 1), 0) if self.headings else ():
+            if Measurement.get(free, free.options, shown).maximum <= width:
+                return shown
+        for column in shown.columns:
+            column.no_wrap = False  # a figure in two lines is better than one that is cut off
+        return shown
+
     def html(self, name: str) -> str:
         """A table, and what it leaves out;  name : of the section around it"""
         lines, rest = self.cut(200)  # where the text of the table says that there may be more
@@ -119,8 +144,17 @@ class Document:
         """The same with more at the end, before what to do next."""
         return replace(self, parts=[*self.parts, *parts])
 
+    def text(self, width: int = 100) -> str:
+        """As a terminal of this many characters shows it."""
+        from rich.console import Console
+
+        plain: dict[str, Any] = {"force_terminal": False, "force_jupyter": False, "color_system": None}
+        console = Console(file=(shown := io.StringIO()), width=width, highlight=False, markup=False, **plain)
+        console.print(self)
+        return "".join(f"{line.rstrip()}\n" for line in shown.getvalue().splitlines())
+
     def __str__(self) -> str:
-        return as_text(self)
+        return self.text()
 
     def _repr_html_(self) -> str:
         return html(self)
@@ -206,16 +240,6 @@ def in_symbols(text: str) -> str:
 
 
 # -- the terminal ------------------------------------------------------------------------------------------------------
-def as_text(part: Part, width: int = 100) -> str:
-    """A part as a terminal of this many characters shows it."""
-    from rich.console import Console
-
-    plain: dict[str, Any] = {"force_terminal": False, "force_jupyter": False, "color_system": None}
-    console = Console(file=(text := io.StringIO()), width=width, highlight=False, markup=False, **plain)
-    console.print(part if isinstance(part, Document) else Document(parts=[part]))
-    return "".join(f"{line.rstrip()}\n" for line in text.getvalue().splitlines())
-
-
 def rendered(part: Any, width: int) -> Iterator[RenderableType]:
     """What a terminal of this many characters shows of a part (rich), or of what rich itself can show, from the top."""
     from rich.text import Text
@@ -225,7 +249,7 @@ def rendered(part: Any, width: int) -> Iterator[RenderableType]:
     elif isinstance(part, Sheet) and part.rows:
         rows, rest = part.cut(part.most)
         yield from [Text(part.title, "italic")] if part.title else []
-        yield terminal_table(part.headings, rows, width)
+        yield part.table(rows, width)
         yield from [Text(rest)] if rest else []
     elif isinstance(part, Section) and not part.folded:
         shown: list[Part] = [one for one in part.parts if not isinstance(one, Pictures)]
@@ -240,30 +264,6 @@ def rendered(part: Any, width: int) -> Iterator[RenderableType]:
             yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
     elif not isinstance(part, Sheet | Section | Pictures):
         yield part
-
-
-def terminal_table(headings: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> RenderableType:
-    """Figures end at the right and are never broken; where it would be too wide, columns stand closer together."""
-    from rich import box
-    from rich.console import Console
-    from rich.measure import Measurement
-    from rich.table import Table
-    from rich.text import Text
-
-    shown = Table(box=box.SIMPLE_HEAD) if headings else Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    for k, heading in enumerate(headings):
-        cells = [row[k].strip() for row in rows if row[k].strip()]
-        figures = 2 * sum(bool(NUMBER.fullmatch(cell)) for cell in cells) > len(cells)
-        shown.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
-    for row in rows:
-        shown.add_row(*map(Text, row))
-    free = Console(width=10_000, force_jupyter=False)
-    for shown.padding in ((0, 0, 0, 1), 0) if headings else ():
-        if Measurement.get(free, free.options, shown).maximum <= width:
-            return shown
-    for column in shown.columns:
-        column.no_wrap = False  # a figure in two lines is better than one that is cut off
-    return shown
 
 
 # -- numbers as people read them ---------------------------------------------------------------------------------------

@@ -66,9 +66,16 @@ def optimal_plans(problem: DesignProblem, runs: int, generator: Generator, tries
         return
     joints = list(chain_joints(problem))
     lower, upper = problem.lower[joints], problem.upper[joints]
+    widths, twos = upper - lower, (runs & -runs).bit_length() - 1
+    groups = [(2,) * t + (runs // 2**t,) for t in range(twos + 1)]  # Z_2^t x Z_(b / 2^t), as lists of moduli
+    room = 2 ** (len(groups) - 1) if np.all(widths < np.pi - ROUNDING) else runs  # dimension that columns may have
+    odd = runs % 2 and np.any(widths < np.pi - ROUNDING)  # half the runs stand at each limit of a narrow joint
+    if room <= len(widths) or odd:  # too few orthogonal columns for so many links
+        return
     while True:
         for _ in range(16):
-            if (pattern := _pattern(upper - lower, runs, tries, generator)) is None:
+            made = (_constructed(widths, groups[k % len(groups)], generator) for k in range(tries))
+            if (pattern := next((each for each in made if each is not None), None)) is None:
                 return
             angles, free_phase = pattern
             plan = np.empty((runs, problem.joints))
@@ -82,18 +89,6 @@ def optimal_plans(problem: DesignProblem, runs: int, generator: Generator, tries
 
 
 # -- plans of one group ------------------------------------------------------------------------------------------------
-def _pattern(widths: Array, size: int, tries: int, generator: Generator) -> Pattern | None:
-    """The first of a number of random constructions that comes to its end; widths (J,) of the joints' ranges [rad]."""
-    twos = (size & -size).bit_length() - 1
-    groups = [(2,) * t + (size // 2**t,) for t in range(twos + 1)]  # Z_2^t x Z_(b / 2^t), as lists of moduli
-    room = 2 ** (len(groups) - 1) if np.all(widths < np.pi - ROUNDING) else size  # dimension that columns may have
-    odd = size % 2 and np.any(widths < np.pi - ROUNDING)  # half the runs stand at each limit of a narrow joint
-    for k in range(0 if room <= len(widths) or odd else tries):  # as many orthogonal columns as links
-        if (pattern := _constructed(widths, groups[k % len(groups)], generator)) is not None:
-            return pattern
-    return None
-
-
 def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) -> Pattern | None:
     """One random choice of directions and characters; None in a dead end."""
     moduli, elements = np.array(group), np.indices(group).reshape(len(group), -1).T

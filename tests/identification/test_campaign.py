@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from identification import Arm, Calibration, Campaign, InputError, Measurements, Model
-from identification.document import as_text
 from identification.workflow import Written, identify_files
 
 LENGTHS = [300.0, 200.0]
@@ -35,7 +34,7 @@ def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> 
     assert document.verdict[0].startswith(f"On 30 rows of {folder / 'other.csv'}, {folder / 'calibrated.toml'} takes")
     assert "more than 99.9 % of the error is removed" in document.verdict[0]
     assert any("compensate" in action.command for action in document.actions)
-    assert "length of link 1" in as_text(document)
+    assert "length of link 1" in str(document)
 
 
 def test_a_plan_is_read_and_what_is_no_table_of_the_arm_is_one_line(folder: Path) -> None:

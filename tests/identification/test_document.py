@@ -15,7 +15,6 @@ from identification.document import (
     Section,
     Sheet,
     as_sentence,
-    as_text,
     estimate_text,
     html,
     in_a_sentence,
@@ -108,13 +107,14 @@ def test_text_has_no_colors_wherever_it_is_made(monkeypatch: pytest.MonkeyPatch)
 def test_long_tables_are_cut_and_say_so() -> None:
     rows = [[str(k)] for k in range(300)]
     cut, whole = Sheet(["run"], rows, most=3), Sheet(["run"], rows)
-    assert "first 3 of 300; --out writes all" in as_text(cut)
-    assert [line.strip() for line in as_text(cut).splitlines() if line.strip().isdigit()] == ["0", "1", "2"]
-    assert "299" in as_text(whole)
+    text = str(Document(parts=[cut]))
+    assert "first 3 of 300; --out writes all" in text
+    assert [line.strip() for line in text.splitlines() if line.strip().isdigit()] == ["0", "1", "2"]
+    assert "299" in str(Document(parts=[whole]))
     assert html(cut).count("<tr>") == 1 + 200
     assert "first 200 of 300" in html(cut)
     assert html(whole).count("<tr>") == 1 + 300
-    assert "first" not in as_text(Sheet(["run"], rows[:3], most=3))
+    assert "first" not in str(Document(parts=[Sheet(["run"], rows[:3], most=3)]))
 
 
 # -- HTML --------------------------------------------------------------------------------------------------------------

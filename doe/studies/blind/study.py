@@ -292,20 +292,17 @@ def scored(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
     figures = {(row["cell"], row["measure"]): row for row in cells}
     bars = []
     for cell, bar in ((cell, bar) for cell, bars in TABLE["bars"].items() for bar in bars):
-        measure, sign, asked = bar.rsplit(maxsplit=2)
+        measure, sign, text = bar.rsplit(maxsplit=2)
         if (row := figures.get((cell, measure))) is not None:
-            outcome = outcome_of(row["value"], row["standard_error"], sign, float(asked))
-            bars.append({**row, "asked": f"{sign} {float(asked):g}", "outcome": outcome})
+            asked = float(text)
+            short = row["value"] - asked if sign == "<=" else asked - row["value"]
+            within = short <= 2.0 * row["standard_error"]
+            outcome = OUTCOMES[0] if short <= 0.0 else OUTCOMES[1] if within else OUTCOMES[2]
+            bars.append({**row, "asked": f"{sign} {asked:g}", "outcome": outcome})
     pairs = Counter((s["hidden"], s["named"]) for s in sets)
     confusion = [{"hidden": a, "named": b, "count": n} for (a, b), n in pairs.most_common()]
     tables = {"cells": cells, "bars": bars, "confusion": confusion, "reliability": reliability(sets)}
     return {name: frame_of(table) for name, table in tables.items()}
-
-
-def outcome_of(value: float, error: float, sign: str, asked: float) -> str:
-    """Of what is asked (`<=` or `>=`): met, missed, or `within its error`: by less than two standard errors."""
-    short = value - asked if sign == "<=" else asked - value
-    return OUTCOMES[0] if short <= 0.0 else OUTCOMES[1] if short <= 2.0 * error else OUTCOMES[2]
 
 
 def measures(sets: Sequence[Judged], cell: str) -> Iterator[Judged]:

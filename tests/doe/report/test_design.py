@@ -17,7 +17,7 @@ from doe.discrimination.t_optimal import NextPostures
 from doe.problem.uncertain import missing_effects, robust_problem
 from doe.report.design import design_facts, design_verdict, next_document, plan_section, plan_steps, relax_document
 from identification import Arm, Conditions, Gravity, Model, Plan
-from identification.document import Pictures, as_text
+from identification.document import Document, Pictures
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
 from tests.doe.six_axis import SIX_AXIS
@@ -33,7 +33,7 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     data = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3))).to_json()
     data |= {"bound": Bound(-1.0, "grid", True, candidates=2000).as_dict(), "efficiency": 0.3, "outside_limits": []}
     data["no_efficiency"] = None
-    said = " ".join(as_text(design_facts(data, "")).split())
+    said = " ".join(str(Document(parts=[design_facts(data, "")])).split())
     assert data["expected_error_mm"] is not None
     assert "efficiency 0.300000 of the bound (the list of 2,000 postures, proven)" in said
     assert "value of I" not in said
@@ -125,7 +125,7 @@ def test_weights_that_would_print_as_zero_are_counted() -> None:
     """Column generation may leave a posture with a weight of rounding."""
     shares = np.array([0.5, 0.5 - 1e-9, 1e-9])
     weights = relax(DesignProblem.of(Model(Arm([300.0, 200.0]))), 5)
-    text = as_text(relax_document(replace(weights, plan=Plan(np.eye(3, 2), shares))))
+    text = str(relax_document(replace(weights, plan=Plan(np.eye(3, 2), shares))))
     assert text.count("0.50000") == 2
     assert "0.00000" not in text
     assert "and 1 more of less weight than 5e-06" in text

@@ -17,7 +17,7 @@ from doe.report.design import advice_document, design_document, relax_document
 from doe.report.page import origin, page
 from identification import Arm, Calibration, EffectSpec, Measurements, Model, diagnose, estimate
 from identification.compensate import compensate
-from identification.document import Document, Part, Section, Sheet, as_text
+from identification.document import Document, Part, Section, Sheet
 from identification.documents.identification import entry_document, identification_document, library_document
 from identification.effects.catalogue import entry
 from identification.inspection.inspection import inspect
@@ -95,7 +95,7 @@ def sheets(parts: list[Part] | tuple[Part, ...], folded: bool) -> Iterator[Sheet
 @pytest.mark.parametrize("name", NAMES)
 def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: str, tmp_path: Path) -> None:
     document = every[name]
-    terminal, notebook = as_text(document, 80), document._repr_html_()
+    terminal, notebook = document.text(80), document._repr_html_()
     assert max(map(len, terminal.splitlines())) <= 80
     (tmp_path / "data.csv").write_text("q1_deg\n")
     text = page(document, origin("armcal test", 3, [tmp_path / "data.csv"]))

@@ -34,7 +34,6 @@ from doe.studies.blind.study import (
     contradictions,
     gap,
     inside_tip,
-    outcome_of,
     reliability,
     scored,
 )
@@ -311,10 +310,20 @@ def test_errors_of_shares_and_outcomes_of_bars() -> None:
     assert found["alarm"]["standard_error"] == pytest.approx(np.sqrt(0.25 / 4 / 4))  # not zero, although all alike
     bars = {row["measure"]: (row["asked"], row["outcome"]) for row in study["bars"].iter_rows(named=True)}
     assert bars["exact"] == (">= 0.857", "within its error")
-    outcomes = ["met", "within its error", "missed"]
-    assert [outcome_of(value, 0.01, ">=", 0.9) for value in (0.9, 0.885, 0.87)] == outcomes
-    assert [outcome_of(value, 0.01, "<=", 0.05) for value in (0.05, 0.065, 0.08)] == outcomes
-    assert "error / true <= 1.6" in TABLE["bars"]["many small effects, m=50"]
+    for right, outcome in ((4, "met"), (1, "missed")):
+        names = ["backlash:1"] * right + ["gear_ratio:1"] * (4 - right)
+        study, _ = figures_of(
+            *({"hidden": ["backlash:1"], "verdict": "named", "named": [name], "candidates": [name]} for name in names)
+        )
+        bars = {row["measure"]: row["outcome"] for row in study["bars"].iter_rows(named=True)}
+        assert bars["exact"] == outcome
+    cell = "many small effects, m=50"
+    assert "error / true <= 1.6" in TABLE["bars"][cell]
+    for mean, outcome in ((1.59, "met"), (1.75, "within its error"), (1.85, "missed")):  # of two, error 0.1
+        sizes = ({"cell": cell, "error_named_mm": mean + off, "error_true_mm": 1.0} for off in (-0.1, 0.1))
+        study, _ = figures_of(*sizes)
+        bars = {row["measure"]: row["outcome"] for row in study["bars"].iter_rows(named=True)}
+        assert bars["error / true"] == outcome
 
 
 def test_an_arm_with_the_true_values_has_no_error_and_its_intervals_hold() -> None:
