@@ -22,7 +22,7 @@ from doe.plan.spacing import with_additions
 from doe.problem.model import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification import Arm, Array, InputError, Plan, Progress
+from identification import Arm, Array, InputError, Plan, Progress, Status
 
 
 @dataclass(frozen=True)
@@ -151,6 +151,8 @@ def advise(
             )
             held = bound_that_holds(problem, bounds[m], design.plan.postures, design.value)
             designs[m] = fewer = replace(design, bound=held)
+            if design.status is Status.interrupted:  # by Ctrl-C, which the search for a plan keeps to itself
+                break
     except KeyboardInterrupt:
         if not designs:
             raise

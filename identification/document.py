@@ -51,6 +51,29 @@ class Sheet:
             return self.rows, ""
         return self.rows[:most], f"first {most} of {len(self.rows)}; {self.where}"
 
+    def html(self, name: str) -> str:
+        """A table, and what it leaves out;  name : of the section around it"""
+        lines, rest = self.cut(200)  # where the text of the table says that there may be more
+        if self.headings:
+            # texts, which may be broken, begin at the left
+            kinds = [' class="text"' * any(len(line[k]) > 24 for line in lines) for k in range(len(self.headings))]
+            heads = "".join(
+                f'<th scope="col"{k}>{escape(text)}</th>' for text, k in zip(self.headings, kinds, strict=True)
+            )
+            rows = [
+                "".join(f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds, strict=True))
+                for line in lines
+            ]
+        else:
+            heads, left = "", 'style="text-align: left"'
+            pairs = ([escape(in_symbols(text)) for text in line] for line in lines)
+            rows = [f'<th scope="row" {left}>{fact}</th><td {left}>{text}</td>' for fact, text in pairs]
+        head = f"<thead><tr>{heads}</tr></thead>\n" * bool(heads)
+        table = f"<table>\n{head}<tbody>\n{''.join(f'<tr>{row}</tr>' + chr(10) for row in rows)}</tbody>\n</table>"
+        title = f"<h3>{escape(self.title)}</h3>\n" * bool(self.title)
+        label = escape(f"{name}, table".removeprefix(", "))
+        return f'{title}<div class="scroll" tabindex="0" role="region" aria-label="{label}">{table}</div>\n{html(rest)}'
+
 
 @dataclass(frozen=True)
 class Pictures:
@@ -160,7 +183,7 @@ def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name:
     if isinstance(part, str):
         return f"<p>{escape(in_symbols(part))}</p>\n" if part else ""
     if isinstance(part, Sheet):
-        return html_table(part, name) if part.rows else ""
+        return part.html(name) if part.rows else ""
     if isinstance(part, Pictures):
         drawn = part.draw() if picture else ()
         shown = "".join(picture(one) for one in drawn if picture and not isinstance(one, str))
@@ -173,29 +196,6 @@ def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name:
     first = "".join(f"<p><b>{escape(in_symbols(line))}</b></p>\n" for line in (*part.warnings, *part.verdict))
     steps = "".join(f"<p>{escape(f'{text} {command}'.strip())}</p>\n" for text, command in part.actions)
     return first + inside + steps
-
-
-def html_table(sheet: Sheet, name: str) -> str:
-    """A table, and what it leaves out;  name : of the section around it"""
-    lines, rest = sheet.cut(200)  # where the text of the table says that there may be more
-    if sheet.headings:
-        # texts, which may be broken, begin at the left
-        kinds = [' class="text"' * any(len(line[k]) > 24 for line in lines) for k in range(len(sheet.headings))]
-        heads = "".join(
-            f'<th scope="col"{k}>{escape(text)}</th>' for text, k in zip(sheet.headings, kinds, strict=True)
-        )
-        rows = [
-            "".join(f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds, strict=True)) for line in lines
-        ]
-    else:
-        heads, left = "", 'style="text-align: left"'
-        pairs = ([escape(in_symbols(text)) for text in line] for line in lines)
-        rows = [f'<th scope="row" {left}>{fact}</th><td {left}>{text}</td>' for fact, text in pairs]
-    head = f"<thead><tr>{heads}</tr></thead>\n" * bool(heads)
-    table = f"<table>\n{head}<tbody>\n{''.join(f'<tr>{row}</tr>' + chr(10) for row in rows)}</tbody>\n</table>"
-    title = f"<h3>{escape(sheet.title)}</h3>\n" * bool(sheet.title)
-    label = escape(f"{name}, table".removeprefix(", "))
-    return f'{title}<div class="scroll" tabindex="0" role="region" aria-label="{label}">{table}</div>\n{html(rest)}'
 
 
 def in_symbols(text: str) -> str:

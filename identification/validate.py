@@ -128,6 +128,46 @@ class Validation(Documented):
             **unit_key(self.arm),
         }
 
+    def remarks(self, left_open: int) -> Iterator[str]:
+        """What to know before these figures are believed;  left_open : combinations that were to be refitted"""
+        arm, measurements, refit = self.arm, self.measurements, self.refit
+        after, before = (distances(residuals) for residuals in (self.residuals, self.nominal_residuals))
+        # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
+        gained = gained_squares(before, after, measurements)
+        if gained.value > 0.0 and gained.p_above() > LEVEL_95 / 2.0:
+            share = 100.0 * self.model.rms / self.nominal.rms
+            of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
+            p_value = f"p = {gained.p_above():.2g}"
+            yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell ({p_value})"
+        if angles := self.rms_angles:
+            yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
+        tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
+        fresh = [name for name in names if name not in tools]
+        if refit != "none":  # measured points that the calibration does not have are fitted
+            if not names and len(tools) > 1:
+                several = "where they are of several, name them in the column marker"
+                alone = "the rows are taken as of one reflector, whose position was fitted to them"
+                yield f"no column marker: {alone}; {several}"
+            elif fresh and not len(tools) == 1 == len(names):
+                its = "its position was" if len(fresh) == 1 else "their positions were"
+                yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
+        if own := comes_from(identified(arm), measurements):
+            yield FITTED
+        if far := extrapolation(arm, measurements.postures):
+            yield far
+        model = Model(arm)
+        if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
+            yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
+        for effect in model.effects:
+            for need, column, missing, instead in (
+                ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
+                ("time", "order or time_s", measurements.order is None, "the order of the rows"),
+            ):
+                if need in effect.needs and missing:
+                    yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
+        if left_open:
+            yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
+
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
@@ -153,7 +193,7 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     drawing = replace(arm, effects=(), calibration=None)
     nominal = _refitted(drawing, measurements, refit, arm)[1]
     validation = Validation(arm, measurements, refit, tuple(refitted), residuals, nominal)
-    return replace(validation, notes=tuple(_notes(validation, left_open)))
+    return replace(validation, notes=tuple(validation.remarks(left_open)))
 
 
 def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
@@ -217,46 +257,6 @@ def _refitted(
             for p, value in zip(model.parameters, values.tolist(), strict=True)
         ]
     return refitted, residuals, left_open
-
-
-def _notes(validation: Validation, left_open: int) -> Iterator[str]:
-    """What to know before these figures are believed;  left_open : combinations that were to be refitted"""
-    arm, measurements, refit = validation.arm, validation.measurements, validation.refit
-    after, before = (distances(residuals) for residuals in (validation.residuals, validation.nominal_residuals))
-    # where the squares saved are no more than groups of rows, by time or by region of posture, scatter by
-    gained = gained_squares(before, after, measurements)
-    if gained.value > 0.0 and gained.p_above() > LEVEL_95 / 2.0:
-        share = 100.0 * validation.model.rms / validation.nominal.rms
-        of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
-        yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell (p = {gained.p_above():.2g})"
-    if angles := validation.rms_angles:
-        yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
-    tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
-    fresh = [name for name in names if name not in tools]
-    if refit != "none":  # measured points that the calibration does not have are fitted
-        if not names and len(tools) > 1:
-            several = "where they are of several, name them in the column marker"
-            alone = "the rows are taken as of one reflector, whose position was fitted to them"
-            yield f"no column marker: {alone}; {several}"
-        elif fresh and not len(tools) == 1 == len(names):
-            its = "its position was" if len(fresh) == 1 else "their positions were"
-            yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-    if own := comes_from(identified(arm), measurements):
-        yield FITTED
-    if far := extrapolation(arm, measurements.postures):
-        yield far
-    model = Model(arm)
-    if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
-        yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
-    for effect in model.effects:
-        for need, column, missing, instead in (
-            ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
-            ("time", "order or time_s", measurements.order is None, "the order of the rows"),
-        ):
-            if need in effect.needs and missing:
-                yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
-    if left_open:
-        yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
-from identification import Array, Plan
+from identification import Array, Plan, Status
 from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
@@ -277,6 +277,10 @@ RIGHT = (
     "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
     "at the worst of these poses."
 )
+BOUND_CUT = (
+    "The search for the bound was cut by the time limit: plans may be better than their efficiency says. Raise "
+    "--seconds to know."
+)
 DIAGNOSED = (
     "The model has the effects that its diagnosis found, at the sizes measured; others are not counted: armcal "
     "diagnose says which sizes its data rule out. armcal validate compares it with new measurements."
@@ -307,6 +311,8 @@ def advice_document(advice: Advice) -> Document:
         rows.append([*row, *(number(advice.tip_errors[k][key], 4) for key in tips)])
     parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40, where="--json has all")]
     parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
+    parts += [BOUND_CUT] if any(design.bound and design.bound.cut for design in advice.designs) else []
+    parts += [design.status.value for design in advice.designs if design.status is Status.interrupted]
     parts += [RIGHT, MISSING if missing else DIAGNOSED] if advice.tip_errors else []
     return Document("How many runs", [advice_sentence(advice)], parts)
 

@@ -96,16 +96,15 @@ def compare(
 
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Arm, str | Solver]) -> list[Row]:
     """The row of one run, in a new process, killed some time after its limit; `seconds` is the search alone."""
-    number = int(seed.generate_state(1)[0])
-    evaluated_plan, ending = call(solve_and_evaluate, *task, key, number, seconds=1.5 * key["limit_s"] + 10.0)
-    return [ending | (evaluated_plan or {})]
+    (arm, solver), number = task, int(seed.generate_state(1)[0])
+    runs, limit, starts = key["runs"], key["limit_s"], key["starts"] or None
 
+    def evaluated_plan() -> Row:
+        problem = compared_problem(arm, key["criterion"])
+        return evaluated(problem, runs, solve(problem, runs, solver, seed=number, starts=starts, seconds=limit))
 
-def solve_and_evaluate(arm: Arm, solver: str | Solver, key: dict[str, Any], seed: int) -> Row:
-    """Runs the solver in this process."""
-    problem = compared_problem(arm, key["criterion"])
-    design = solve(problem, key["runs"], solver, seed=seed, starts=key["starts"] or None, seconds=key["limit_s"])
-    return evaluated(problem, key["runs"], design)
+    row, ending = call(evaluated_plan, seconds=1.5 * limit + 10.0)
+    return [ending | (row or {})]
 
 
 def compared_problem(arm: Arm, name: str) -> DesignProblem:

@@ -274,9 +274,9 @@ def shape_and_waves(angles: Array, error: Array, std: Array) -> tuple[str, list[
     waves, listed = list[dict[str, Any]](), list[str]()
     for k, (a, b), gain in zip(chosen, fitted(chosen)[1].reshape(-1, 2), -np.diff(left), strict=True):
         amplitude, phase = np.degrees([np.hypot(a, b), np.arctan2(b, a)]).tolist()
-        wave = {"order": k, "orders": (max(k - half, 0.0), k + half), "amplitude_deg": amplitude, "phase_deg": phase}
-        waves.append({**wave, "share": float(gain / left[0])})
-        between = f" ({max(k - half, 0.0):.3g} to {k + half:.3g})" if half >= 0.25 else ""
+        size, orders = {"amplitude_deg": amplitude, "phase_deg": phase}, (max(k - half, 0.0), k + half)
+        waves.append({"order": k, "orders": orders, **size, "share": float(gain / left[0])})
+        between = " ({:.3g} to {:.3g})".format(*orders) if half >= 0.25 else ""
         listed.append(f"{k:g}{between} per turn, {amplitude:.2g} deg")
     where, share = "over {:.0f} to {:.0f} deg".format(*np.degrees(angles[[0, -1]])), sum(w["share"] for w in waves)
     kind = "waves" if share >= 0.8 else "in part waves"

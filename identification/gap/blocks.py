@@ -10,6 +10,7 @@ One CasADi function with the settings as arguments gives the slopes of one effec
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -190,22 +191,22 @@ class Library:
         effects = [block.effect for block in self.members if block.effect is not None]
         remembers = any("past" in e.needs for e in effects)
         table = conditions.table(condition_columns(self.arm.links, ("past",) * remembers), q, self.arm.payload)
-        groups: dict[type[Effect] | None, list[tuple[Key, int]]] = {}
+        groups = defaultdict[type[Effect] | None, list[tuple[Key, tuple[float, ...], int]]](list)
         for number, e in enumerate(effects):  # the settings of a scan are arguments of one function
             symbolic = bool(e.chosen) and all(setting.symbolic for setting in e.settings.values())
             key = type(e), e.joint, tuple(e.chosen if symbolic else e.chosen.items())
-            groups.setdefault(type(e) if symbolic else None, []).append((key, number))
+            values = tuple(e.chosen.values()) if symbolic else ()
+            groups[type(e) if symbolic else None].append((key, values, number))
         columns = [np.zeros((*levers.shape[:2], len(e.parameters))) for e in effects]
-        for group, members in groups.items():
-            tried = [tuple(effects[k].chosen.values()) if group else () for _, k in members]
-            settings, keys = {values: k for k, values in enumerate(dict.fromkeys(tried))}, [key for key, _ in members]
-            arm = Arm(self.arm.chain, gravity=self.arm.gravity)  # all that the formulas have in them
-            function, places = _slopes(arm, remembers, tuple(dict.fromkeys(keys)))
-            rows = (each[:, None] for each in (q, table, state))
-            slopes = function(*rows, np.array([*settings])[None])[0][..., 0]  # (m, K, Z)
-            for key, values, (_, number) in zip(keys, tried, members, strict=True):
+        arm = Arm(self.arm.chain, gravity=self.arm.gravity)  # all that the formulas have in them
+        for members in groups.values():
+            function, places = _slopes(arm, remembers, tuple(dict.fromkeys(key for key, _, _ in members)))
+            tried = [*dict.fromkeys(values for _, values, _ in members)]
+            slopes = function(q[:, None], table[:, None], state[:, None], np.array([tried]))[0][..., 0]  # (m, K, Z)
+            for key, values, number in members:
                 for column, place, nonzero in places[key]:
-                    columns[number][:, :, column] += levers[:, :, place] * slopes[:, settings[values], nonzero, None]
+                    slope = slopes[:, tried.index(values), nonzero, None]
+                    columns[number][:, :, column] += levers[:, :, place] * slope
         return columns
 
 

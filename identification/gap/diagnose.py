@@ -22,14 +22,7 @@ from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
 from identification.gap.replication import replications
-from identification.gap.result import (
-    Candidate,
-    Diagnosis,
-    Residuals,
-    as_calibration,
-    keys_of,
-    probabilities,
-)
+from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, probabilities
 from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
@@ -75,9 +68,8 @@ def diagnose(
     arm, rows, generator = with_sessions(given, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:
         raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")
-    optional = {name: getattr(measurements, name) for name in ("temperature", "payload", "order")}
-    varying = frozenset(name for name, values in optional.items() if values is not None and np.ptp(values) > 0.0)
-    library = hypotheses(arm, varying, rows)
+    warm = measurements.temperature is not None and np.ptp(measurements.temperature) > 0.0
+    library = hypotheses(arm, frozenset({"temperature"} if warm else ()), rows)
     progress(0.0, 1.0, "step 1 of 3: base model")
     base = fit(library.base, rows)
     require_spare(base.freedom, len(rows))
@@ -115,7 +107,7 @@ def diagnose(
         likely = likely.not_none(p)
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
     known = [one for one in posterior.explanations if not one.outside]
-    sets = [next(one for one in known if keys_of(one) == names) for names in likely.rivals]
+    sets = [next(one for one in known if one.names == names) for names in likely.rivals]
     if not sets and unknown and likely.place is not None:
         sets = [next(one for one in posterior.explanations if one.outside)]
     sets = sets or [next(one for one in known if not one.effects)]
@@ -126,7 +118,7 @@ def diagnose(
         made = Candidate.of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
         made = replace(made, f=products.f_of([whole.numbers[block.label] for block in one.effects]))
         if not unknown:
-            share, highest = (max(likely.of(keys), 1e-300) for keys in ([b.key for b in one.effects], likely.best))
+            share, highest = (max(likely.of(keys), 1e-300) for keys in (one.names, likely.best))
             behind = 2.0 * float(np.log(highest / share)) if likely.rivals else 0.0
             made = replace(made, probability=share, delta_bic=behind)
         candidates.append(made)

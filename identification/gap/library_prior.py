@@ -18,7 +18,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING
-from identification.effects import Effect, effect_named
+from identification.effects import effect_named
 from identification.errors import InputError
 from identification.estimation.problem import Prior
 from identification.gap.blocks import EFFECT, ORDER, hypotheses, slope_by_angle
@@ -80,8 +80,9 @@ def library_prior(
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
     members = [(b.key, b.effect, b.spec) for b in every.members if b.effect is not None and b.spec is not None]
+    settings = Counter(key for key, _, _ in members)
     whole = {e.name for _, e, _ in members if e.joint is None}  # then not at single joints besides
-    chosen: list[tuple[str, Effect, EffectSpec]] = []
+    added, deviations, faster = list[EffectSpec](), list[float](), np.zeros(arm.links)
     for key, effect, spec in members:
         wanted = effect.prior == 1.0 if names is None else effect.name in names  # the rare ones only by name
         if not wanted or (effect.joint is not None and effect.name in whole):
@@ -93,21 +94,17 @@ def library_prior(
         elif effect.joint in with_curve and slope_by_angle(effect, (effect.joint or 0) - 1, every.base):
             left_out[key] = "its joint has an error curve"
         else:
-            chosen.append((key, effect, spec))
-    if not chosen:
+            wave = effect.chosen[ORDER] if effect.name == EFFECT else 0.0
+            # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
+            curve, share = 1e-3 / wave if wave and names is None else 0.0, np.sqrt(effect.prior / settings[key])
+            each = [float(np.hypot((p.typical or 0.0) * share, curve)) for p in effect.parameters]
+            if wave > fastest:
+                faster[effect.joint_index] += each[0] ** 2
+            else:
+                added.append(spec)
+                deviations += each
+    if not added and not faster.any():
         raise InputError("effects: none of the library's is left for the prior, allowed: at least one")
-    settings = Counter(key for key, _, _ in chosen)
-    added, deviations, faster = list[EffectSpec](), list[float](), np.zeros(arm.links)
-    for key, effect, spec in chosen:
-        wave = effect.chosen[ORDER] if effect.name == EFFECT else 0.0
-        # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
-        curve, share = 1e-3 / wave if wave and names is None else 0.0, np.sqrt(effect.prior / settings[key])
-        each = [float(np.hypot((p.typical or 0.0) * share, curve)) for p in effect.parameters]
-        if wave > fastest:
-            faster[effect.joint_index] += each[0] ** 2
-        else:
-            added.append(spec)
-            deviations += each
     wide = arm.with_effects(*arm.effects, *added)
     if arm.calibration is not None:  # its values follow the new names of its parameters
         renamed = every.renamed(Model(wide))

@@ -29,7 +29,7 @@ from identification.gap.detectability import Detectability, Size
 from identification.gap.fit import Fit
 from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
-from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Explanation, Posterior
+from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.counting import joint_range
@@ -115,16 +115,11 @@ class Probabilities:
         return replace(self, none=self.none * p, outside=self.outside + self.none * (1.0 - p))
 
 
-def keys_of(one: Explanation) -> Names:
-    """Sorted keys of an explanation's effects."""
-    return tuple(sorted(b.key for b in one.effects))
-
-
 def probabilities(posterior: Posterior) -> Probabilities:
     """Probabilities of explanations, noise models and settings summed over."""
     totals, places, titles = defaultdict[Names | None, float](float), defaultdict[str, float](float), dict[Names, str]()
     for one in posterior.explanations:
-        names = keys_of(one)
+        names = one.names
         totals[None if one.outside else names] += one.probability
         for place in {block.place for block in one.outside}:
             places[place] += one.probability

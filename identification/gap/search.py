@@ -10,7 +10,6 @@ A is drawn from its posterior; what is counted is not the draw but the probabili
 
 from __future__ import annotations
 
-from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -60,19 +59,21 @@ class Search:
         self.total = total or max(float(np.sum(weights[self.counted])), 1e-300)
         with np.errstate(divide="ignore"):
             self._log_weights = np.log(np.where(self.counted, weights / self.total, WRONG))
-        # pairs of blocks of which one contains the other: a family, and the same effect at one joint
-        families = {b.key: k for k, b in enumerate(blocks) if b.family}
-        pairs = {(families.get(b.key.partition(":")[0], k), k) for k, b in enumerate(blocks)}
-        self.apart = {(family, k) for family, k in pairs if family != k}
-        # blocks that show only through one of others, beside which alone they may be
-        self.needy = {k for k, b in enumerate(blocks) if b.through}
-        kinds = {blocks[k].through for k in self.needy}
-        self.givers = {k for k, b in enumerate(blocks) if b.effect and b.effect.needs & kinds} - self.needy
+        # (B, B) pairs of which one contains the other: a family, and the same effect at one joint
+        families, self.apart = {b.key: k for k, b in enumerate(blocks) if b.family}, np.zeros((len(blocks),) * 2, bool)
+        for k, b in enumerate(blocks):
+            family = families.get(b.key.partition(":")[0], k)
+            self.apart[family, k] = self.apart[k, family] = family != k
+        # (B,) that show only through one of others, beside which alone they may be
+        self.needy = np.array([b.through != "" for b in blocks], dtype=bool)
+        kinds = {b.through for b in blocks if b.through}
+        self.givers = ~self.needy & [b.effect is not None and not kinds.isdisjoint(b.effect.needs) for b in blocks]
 
     def log_prior(self, blocks: Sequence[int]) -> float:
         """Log prior odds of a set against nothing missing; -inf where it may not be."""
-        chosen, inside = set(blocks), list(blocks)
-        if any(chosen >= {*pair} for pair in self.apart) or (chosen & self.needy and not chosen & self.givers):
+        inside = list(blocks)
+        alone = self.needy[inside].any() and not self.givers[inside].any()
+        if alone or self.apart[np.ix_(inside, inside)].any():
             return -np.inf
         return log_odds_of_count(int(np.sum(self.counted[inside]))) + float(np.sum(self._log_weights[inside]))
 
@@ -176,9 +177,8 @@ class Search:
             table = chances[:-1].reshape(-1, len(SIZES))
             of_blocks = np.sum(table, axis=1)
             for block in np.flatnonzero(of_blocks > 0.1 * LEAST).tolist():
-                at, pair = bisect(blocks, block), (block, int(np.argmax(table[block])))
-                way = float(of_blocks[block]), (*key[:at], pair, *key[at:])
-                sets[(*blocks[:at], block, *blocks[at:])].append(way)
+                with_it = tuple(sorted((*key, (block, int(np.argmax(table[block]))))))
+                sets[tuple(sorted((*blocks, block)))].append((float(of_blocks[block]), with_it))
         # what was drawn has these odds together, and this share of the probability
         evidence = float(logsumexp([self.log_odds(self.products.state(key)) for key in draws]) - np.log(share))
         listed = sorted((-sum(p for p, _ in found), max(found)[1]) for found in sets.values())
@@ -187,14 +187,13 @@ class Search:
     def _each(self, left: State) -> Array:
         """(B, S) log odds of a set with each further block in each size against the set; -inf where it may not be."""
         if left.key not in self._tables:
-            chosen, inside = set(left.blocks), list(left.blocks)
+            inside = list(left.blocks)
             count = int(np.sum(self.counted[inside]))
             step = np.where(self.counted, log_odds_of_count(count + 1) - log_odds_of_count(count), 0.0)
-            prior = step + self._log_weights
-            prior[inside + [({a, b} - chosen).pop() for a, b in self.apart if len({a, b} & chosen) == 1]] = -np.inf
-            if not chosen & self.givers:
-                others = set(range(len(prior))) - self.givers if chosen & self.needy else self.needy
-                prior[list(others)] = -np.inf
+            prior, barred = step + self._log_weights, self.apart[inside].any(axis=0)
+            if not self.givers[inside].any():
+                barred |= ~self.givers if self.needy[inside].any() else self.needy
+            prior[barred], prior[inside] = -np.inf, -np.inf
             alike = log_odds_of_sizes(self._sizes(left))[1]
             of_size = np.where(self.counted[:, None], alike, -np.log(len(SIZES)))
             self._tables[left.key] = self.products.added(left) + prior[:, None] + of_size
@@ -240,6 +239,11 @@ class Explanation:
     def effects(self) -> tuple[Block, ...]:
         """Its effects of the library."""
         return tuple(b for b in self.blocks if b.effect is not None)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sorted keys of its effects."""
+        return tuple(sorted(b.key for b in self.effects))
 
     @property
     def outside(self) -> tuple[Block, ...]:

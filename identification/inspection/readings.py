@@ -293,7 +293,7 @@ def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
             order = list(best.order)
             order[a], order[b] = order[b], order[a]
             yield replace(best, order=tuple(order))
-        for first, senses in parallel_joints(arm):
+        for first, senses in arm.chain.parallel_joints:
             last = first + len(senses)
             for start in range(first, last - 1):
                 every = best.matrix
@@ -398,22 +398,6 @@ def _spread(points: Array) -> float:
     lie on all sides: of normal ones 1.54 and 0.67 standard deviations of a coordinate."""
     off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     return float(np.median(off) * (1.54 / 0.67 if points.shape[1] == 1 else 1.0))
-
-
-def parallel_joints(arm: Arm) -> list[tuple[int, tuple[int, ...]]]:
-    """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
-    whether it turns as the first does (1) or the other way (-1)."""
-    runs, before, turned = list[tuple[int, list[int]]](), None, np.eye(3)
-    for j, joint in enumerate(arm.chain.joints):
-        turned = turned @ joint.origin[:3, :3]
-        axis = turned @ joint.axis if joint.type == REVOLUTE else None
-        along = 0.0 if axis is None or before is None else float(axis @ before)
-        if abs(along) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
-            runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
-        else:
-            runs.append((j, [1]))
-        before = axis
-    return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
 
 # -- orientations, and what is said of every file ----------------------------------------------------------------------

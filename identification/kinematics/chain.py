@@ -149,6 +149,22 @@ class KinematicChain(ByValue):
             return 2 * DIMENSION
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
 
+    @property
+    def parallel_joints(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of
+        each whether it turns as the first does (1) or the other way (-1)."""
+        runs, before, turned = list[tuple[int, list[int]]](), None, np.eye(3)
+        for j, joint in enumerate(self.joints):
+            turned = turned @ joint.origin[:3, :3]
+            axis = turned @ joint.axis if joint.type == REVOLUTE else None
+            along = 0.0 if axis is None or before is None else float(axis @ before)
+            if abs(along) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
+                runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
+            else:
+                runs.append((j, [1]))
+            before = axis
+        return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
+
     @cached_property
     def link_poses(self) -> tuple[Array, ...]:
         """(n + 1) poses (4, 4) of each joint's frame in that of the joint before, and of the tip's [mm]."""

@@ -83,7 +83,8 @@ def planned(cell: str, seed: int) -> np.ndarray | None:
 
 def drawn(cell: str, seed: int) -> tuple[np.ndarray, list[Possible], float, TrueArm]:
     """Whitened residual off the base model (2m,), what might be hidden, lambda and the truth of one data set."""
-    spec, rng = cells.CELLS[cell], cells.generator_of(cell, seed)
+    spec = cells.CELLS[cell]
+    rng = spec.generator(seed)
     plan = postures = planned(cell, seed // cells.SAME_ARM * cells.SAME_ARM)
     truth = cells.truth_of(spec, rng) if plan is None else cells.shared_truth(cell, seed)
     if postures is None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pytest
 
-from doe import DesignProblem
+from doe import Design, DesignProblem, solve
 from doe.advise import advise, with_scatter
-from doe.report.design import advice_document, advice_sentence
-from identification import Arm, Calibration, InputError
+from doe.report.design import BOUND_CUT, advice_document, advice_sentence
+from identification import Arm, Calibration, InputError, Status
 from identification.document import Sheet
 from identification.reuse import only
 from tests.doe.arms import FIVE, FOUR, problem
@@ -99,3 +100,20 @@ def test_without_a_sigma_the_scatter_of_the_calibration_stands_in() -> None:
     assert "sigma_mm = 0.254, the scatter" in said
     shown = advice_document(advise(problem(arm), [4]))
     assert not any(isinstance(part, Sheet) and len(part.headings) != 2 for part in shown.parts)
+
+
+def test_a_bound_that_time_cut_is_said_to_be() -> None:
+    advice = advise(FREE, range(4, 6))
+    assert BOUND_CUT not in advice_document(advice).parts
+    cut = replace(advice, designs=tuple(replace(d, bound=replace(d.bound, cut=True)) for d in advice.designs))
+    assert BOUND_CUT in advice_document(cut).parts
+
+
+def test_ctrl_c_in_the_search_for_a_plan_ends_the_rest_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*args: Any, **options: Any) -> Design:
+        return replace(solve(*args, **options), status=Status.interrupted)
+
+    monkeypatch.setattr("doe.advise.solve", stopped)
+    advice = advise(FREE, range(4, 7))
+    assert advice.runs == (4,)
+    assert Status.interrupted.value in advice_document(advice).parts

@@ -96,6 +96,10 @@ class CellSpec:
     reflectors: int = 1  # measured points, taking turns
     designed: bool = False  # postures of somebody's plan instead of random ones, the same for SAME_ARM sets
 
+    def generator(self, seed: int) -> np.random.Generator:
+        """Of data set number `seed`."""
+        return np.random.default_rng([20261125 if self.space else 20261121, self.number, seed])
+
 
 TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
 CELLS = {name: CellSpec(**spec) for name, spec in TABLE["plane"].items()}
@@ -175,17 +179,13 @@ def shared_truth(cell: str, seed: int) -> TrueArm:
 
 
 # -- data sets ---------------------------------------------------------------------------------------------------------
-def generator_of(cell: str, seed: int) -> np.random.Generator:
-    """Of data set number `seed` of a cell."""
-    return np.random.default_rng([20261125 if CELLS[cell].space else 20261121, CELLS[cell].number, seed])
-
-
 def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
     """Data set number `seed` of a cell; `FRESH` rows of the same session are held out.
 
     planned : (m, n) the postures for the arm of `to_be_planned`
     """
-    spec, rng = CELLS[cell], generator_of(cell, seed)
+    spec = CELLS[cell]
+    rng = spec.generator(seed)
     truth = shared_truth(cell, seed) if spec.designed else truth_of(spec, rng)
 
     def measured_at(postures: Array | None, count: int, times: int) -> RowConditions:

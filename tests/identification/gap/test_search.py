@@ -91,7 +91,7 @@ def test_a_walk_finds_the_probabilities_of_all_sets(seed: int, sizes: dict[int, 
 def test_a_walk_keeps_to_what_may_be_together() -> None:
     """Blocks 0 and 2 are one, 3 shows through 1 only."""
     search = Search(products(5, {0: 10.0, 1: 12.0, 4: 12.0}), BLOCKS)
-    search.apart, search.needy, search.givers = {(0, 2)}, {3}, {1}
+    search.apart[0, 2] = search.apart[2, 0] = search.needy[3] = search.givers[1] = True
     sets = search.walk(search.climb(), np.random.default_rng(1))[0]
     assert not any({0, 2} <= set(blocks_of(one)) for one in sets)
     assert any(3 in blocks_of(one) for one in sets)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, given
 
 from identification import Arm, DHRow, Measurements, chain_of, load_arm, load_measurements
-from identification.inspection.readings import Reading, parallel_joints, read_differently
+from identification.inspection.readings import Reading, read_differently
 from identification.kinematics.counting import Counting
 from tests.identification.exponentials import drawing
 from tests.identification.inspection.test_inspection import points
@@ -242,4 +242,4 @@ SLIDE = DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 300.0))
     ],
 )
 def test_runs_of_parallel_axes_counted_by_hand(arm: Arm, runs: list[tuple[int, tuple[int, ...]]]) -> None:
-    assert parallel_joints(arm) == runs
+    assert arm.chain.parallel_joints == runs
