@@ -112,7 +112,7 @@ def posture_headings(plan: Plan) -> list[str]:
 
 def remarks(design: Design) -> list[str]:
     """How many postures are measured already; why there is no log det, where there is none; and what the rule against
-    repeats may cost, where it binds and the bound is not reached."""
+    repeats may cost, where a search kept it and the bound is not reached."""
     lines, runs, apart = list[str](), len(design.plan), design.problem.spacing
     if kept := len(design.problem.kept):
         lines.append(f"every figure is of these runs and the {kept} measured already (--keep) together")
@@ -128,7 +128,7 @@ def remarks(design: Design) -> list[str]:
     better = "armcal design --repeats lets them be equal, which can be better"
     if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`
         lines.append(f"the plan is random: none was found that is better with {runs} postures {apart} apart; {better}")
-    elif not design.certified_optimal and runs > 1 and distance_to_keep(design.problem) > 0.0:
+    elif design.solver and not design.certified_optimal and runs > 1 and distance_to_keep(design.problem) > 0.0:
         lines.append(f"postures are kept {apart} apart; {better}")
     return lines
 
@@ -357,7 +357,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = ()) -> 
         "criterion": f"{design.criterion} over {where}, {len(design.plan)} with positive weight",
         "value": number(design.value, 9),
         "upper bound": "-" if design.bound is None else str(design.bound),
-        f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})": number(design.gap, 3),
+        f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})": f"{design.gap:.2g}",
         "efficiency at least": number(design.efficiency_lower_bound, 9),
         "solver": f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s",
         "status": design.status.value,

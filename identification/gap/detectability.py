@@ -221,7 +221,6 @@ def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> t
     On a grid of angles a ripple of 15 periods per turn can have the same column as an eccentric encoder.
     """
     places = {b.place for b in problem.blocks if b.label in labels and b.place.startswith("joint:")}
-
     near = [
         (k, b.label)
         for k, b in enumerate(problem.blocks)

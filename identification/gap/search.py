@@ -10,7 +10,6 @@ A is drawn from its posterior; what is counted is not the draw but the probabili
 
 from __future__ import annotations
 
-from bisect import bisect
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -178,9 +177,8 @@ class Search:
             table = chances[:-1].reshape(-1, len(SIZES))
             of_blocks = np.sum(table, axis=1)
             for block in np.flatnonzero(of_blocks > 0.1 * LEAST).tolist():
-                at, pair = bisect(blocks, block), (block, int(np.argmax(table[block])))
-                way = float(of_blocks[block]), (*key[:at], pair, *key[at:])
-                sets[(*blocks[:at], block, *blocks[at:])].append(way)
+                with_it = tuple(sorted((*key, (block, int(np.argmax(table[block]))))))
+                sets[tuple(sorted((*blocks, block)))].append((float(of_blocks[block]), with_it))
         # what was drawn has these odds together, and this share of the probability
         evidence = float(logsumexp([self.log_odds(self.products.state(key)) for key in draws]) - np.log(share))
         listed = sorted((-sum(p for p, _ in found), max(found)[1]) for found in sets.values())

@@ -65,6 +65,8 @@ def test_what_the_plan_does_not_tell_is_said() -> None:
     told = score(problem(FOUR), some_plan())
     assert told.to_json()["not_identifiable"] == []
     assert not any("no log det" in line for line in remarks(told))
+    walls = replace(problem(FOUR), constraints=(WorkspaceBox((-660.0, 660.0), (-660.0, 660.0)),))
+    assert not remarks(score(walls, np.repeat(some_plan(), 2, axis=0)))  # nobody kept its postures apart
 
 
 def test_certified_from_one_millionth_and_no_efficiency_is_above_one() -> None:
