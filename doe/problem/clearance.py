@@ -165,8 +165,9 @@ class Clearance:
         few = np.flatnonzero(self.asked < self.usual)
         narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
         if not near:
-            kept = _counted(len(self.pairs) - len(narrow))
-            lines.append(f"Collisions: {kept} of bodies stay {self.usual:g} mm apart in all {many} postures.")
+            kept = len(self.pairs) - len(narrow)
+            stay = f"of bodies stay{'s' * (kept == 1)} {self.usual:g} mm apart"
+            lines.append(f"Collisions: {_counted(kept)} {stay} in all {many} postures.")
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),

@@ -61,8 +61,9 @@ def design_verdict(data: Data) -> str:
     sure = optimality_in_words(data.get("optimality"), data.get("bound")) if data["certified_optimal"] else ""
     optimal = f", {sure}" if sure else ""
     if not (error := data.get("expected_error_mm")):
-        efficiency = "" if data["efficiency"] is None else f" has the efficiency {data['efficiency']:.4f}"
-        return f"The plan of {data['runs']} runs{efficiency or ' has no known bound'} ({data['criterion']}{optimal})."
+        efficiency = "no known bound" if data["efficiency"] is None else f"the efficiency {data['efficiency']:.4f}"
+        efficiency = "no bound: it is outside joint limits or constraints" if data.get("outside_limits") else efficiency
+        return f"The plan of {data['runs']} runs has {efficiency} ({data['criterion']}{optimal})."
     sentence = f"With the plan of {data['runs']} runs (criterion {data['criterion']}{optimal}) expect an error of "
     sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
     sentence += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""

@@ -44,6 +44,8 @@ def test_a_plan_in_a_sentence() -> None:
     design = {"runs": 20, "criterion": "D", "efficiency": 0.98765, "certified_optimal": False}
     assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
     assert "no known bound" in design_verdict(design | {"efficiency": None})
+    outside = design_verdict(design | {"efficiency": None, "outside_limits": [3]})
+    assert outside == "The plan of 20 runs has no bound: it is outside joint limits or constraints (D)."
     error = {"criterion": "I", "efficiency": 0.329, "expected_error_mm": {"plan": 0.158, "bound": 0.0808}}
     error["bound"] = {"value": -9.0, "source": "grid", "rigorous": True, "candidates": 2000}
     said = design_verdict(design | error)
