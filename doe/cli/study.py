@@ -77,10 +77,15 @@ def study_files(
         options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             from doe.report.studies import blind_parts, reliability_figure
-            from doe.studies.blind.study import blind_study, reported_cells
+            from doe.studies.blind.cells import CELLS
+            from doe.studies.blind.study import blind_study
 
-            named = cells or reported_cells(space=study == "blind-spatial")
-            tables = blind_study(named, replications, folder, job.where(), **options)
+            offered = {name: spec.reported for name, spec in CELLS.items() if spec.space == (study == "blind-spatial")}
+            if further := [name for name in cells if name not in offered]:
+                raise InputError.unknown(f"--cell: unknown name of the study {study}", further[0], offered)
+            tables = blind_study(
+                cells or [name for name in offered if offered[name]], replications, folder, job.where(), **options
+            )
             if len(tables["reliability"]):
                 picture = reliability_figure(tables["reliability"])
                 write_together({folder / "reliability.png": picture}, force=True)

@@ -58,7 +58,7 @@ Judged = dict[str, Any]
 
 
 def blind_study(
-    cells: Sequence[str] | None = None,
+    cells: Sequence[str],
     count: int | None = None,
     folder: Path | None = None,
     workers: Workers = 1,
@@ -71,7 +71,7 @@ def blind_study(
     """Diagnose data sets with hidden effects and compare with the truth afterwards: `sets` (what is hidden in each, and
     what the diagnosis says of it, see `examine`) and the tables of `scored`.
 
-    cells : names of the simulators' cells, default those of the full study in the plane
+    cells : names of the simulators' cells
     count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200; in space
         100
     folder : where NAME.parquet of each goes
@@ -79,7 +79,7 @@ def blind_study(
     Raises `InputError` for an unknown cell.
     """
     keys: list[Key] = []
-    for cell in cells or reported_cells(space=False):
+    for cell in cells:
         if cell not in CELLS:
             raise InputError.unknown("cell: unknown name", cell, CELLS)
         usual = 1000 if any(bar.startswith("alarm ") for bar in TABLE["bars"].get(cell, ())) else 400
@@ -97,11 +97,6 @@ def blind_study(
             files = {folder / f"{name}.parquet": parquet(frame) for name, frame in score.items()}
             write_together(files, force=True)
     return {"sets": sets, **score}
-
-
-def reported_cells(space: bool) -> list[str]:
-    """Names of the cells of the full study, in the plane or in space."""
-    return [name for name, spec in CELLS.items() if spec.reported and spec.space == space]
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------

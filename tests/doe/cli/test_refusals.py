@@ -123,6 +123,7 @@ CASES: list[Case] = [
     case("study study.toml --workers 1 --out folder", "'random'", study=STUDY + 'plans = ["randm"]\nruns = [8]\n'),
     case("study study.toml --cell none", "--cell; blind and blind-spatial"),
     case(["study", "blind", "--cell", "none, Student t4"], "'none, Student t3'"),
+    case(["study", "blind-spatial", "--cell", "none m=20"], "--cell; space, none, m=60"),
     # new arm files
     *(
         case(f"init --out new {words}", named)
