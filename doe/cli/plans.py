@@ -360,7 +360,7 @@ def relax_files(
     candidates : CSV of allowed postures instead of a grid.
     solver : column_generation (the default), or clarabel or scs, which are independent of it.
     check : Cross-check by independent methods.
-    runs : Number of measurements m, for --robust and spatial arms.
+    runs : Number of measurements m, for --robust and in space, there by default as many as parameters.
     seconds : Time budget [s]; left out: 40.
     out : Write the plan with weights (CSV).
     """
@@ -396,15 +396,15 @@ def relax_files(
     weighted = end - 0.5 * (seconds or 40.0) if check else end
     new = runs or (problem.parameters if problem.deviations else None)
     relaxation = relax(problem, places, solver, runs=new, stop=lambda: perf_counter() > weighted)
-    data, compared = relaxation.to_json(), list[dict[str, Any]]()
+    data, compared = relaxation.to_json() | {"runs": new}, list[dict[str, Any]]()
     if check:
         progress(1, 2, "cross-check")
         checked = with_choices(problem) if robust else problem
-        exact = runs or max(2 * loaded.links, problem.fewest_runs)
+        exact = new or max(2 * loaded.links, problem.fewest_runs)  # what a prior is worth depends on the runs
         compared = cross_check(checked, relaxation, exact, seed=seed, seconds=end - perf_counter())
         data["cross_check"] = compared
     text = replace(relaxation.plan, fit=problem.fit).text(loaded.joint_types)
-    answer = Answer(data, relax_document(relaxation, compared), files={out: ("plan with weights", text)})
+    answer = Answer(data, relax_document(relaxation, compared, new), files={out: ("plan with weights", text)})
     return with_collisions(answer, problem, relaxation.plan.postures)
 
 

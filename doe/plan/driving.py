@@ -75,7 +75,8 @@ class Drive:
         data = self.to_json()
         before, after, saved = (data["travel_deg"][key] for key in ("before", "after", "saved"))
         change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
-        lines = [f"order {self.order}: joint travel {before:.0f} -> {after:.0f} deg ({change})"]
+        travel = f"joint travel {before:.0f} -> {after:.0f} deg"
+        lines = [f"order {self.order}: {travel} of the joint that moves farthest ({change})"]
         if self.cut:
             lines.append(
                 "Moves: no way from posture to posture was proven free in time; straight moves may collide: armcal "

@@ -219,6 +219,13 @@ def test_held_out_halves_of_the_ur10(series: str) -> None:
     assert np.mean(left) < bar * fewer * (1 + spread)
 
 
+def test_weights_and_the_plan_beside_them_are_of_as_many_runs(spatial: Folder) -> None:
+    """What a prior is worth per run depends on the runs."""
+    checked = spatial.armcal("relax arm.toml --candidates plan.csv --seconds 4 --json").data
+    assert checked["cross_check"][-1]["space"] == f"{checked['runs']} runs"
+    assert ", 25 runs, " in spatial.armcal("relax arm.toml --candidates plan.csv --runs 25 --no-check").flat
+
+
 def test_every_plan_in_space_says_that_collisions_were_not_looked_at(spatial: Folder) -> None:
     """In JSON, and once in words; no plan in the plane does."""
     weights = "relax arm.toml --candidates plan.csv --runs 20 --no-check"
