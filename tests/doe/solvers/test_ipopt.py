@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -71,11 +72,16 @@ def test_ctrl_c_during_the_first_start_returns_what_there_is() -> None:
     def interrupted_in_step_three(point: bytes) -> tuple:
         if next(calls) == 9:
             signal.raise_signal(signal.SIGINT)
+            for _ in range(1000):  # the main thread notes it when it wakes
+                if climb.interrupted:
+                    break
+                time.sleep(0.01)
         return rise(point)
 
     climb.rise = interrupted_in_step_three
     so_far = climb(start)
-    assert problem(FIVE).objective(start) <= problem(FIVE).objective(so_far) < problem(FIVE).objective(ends)
+    before, between, after = (problem(FIVE).objective(each) for each in (start, so_far, ends))
+    assert before - 1e-9 <= between < after  # rounding: the first points may be the start
     assert climb.interrupted
 
 
