@@ -365,18 +365,19 @@ def predicted_from_others(
     pairs = [[(local[b], size) for b, size in one.key if b in local] for one in sets]
     # the prior of a set is what its odds have beyond its likelihood with all rows
     priors = [np.log(one.probability) - problem.products.state(one.key).ratio for one in sets]
-    # (m, d, ..) the base's columns, orthonormal when white, the others, and y: in mm, and white
-    back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])[1]
-    columns = [c[kept] @ root for c, root in zip(part.columns, part.roots, strict=True)]
-    table, rank = np.concatenate([jacobian[:, :, base] @ back, *columns, y[:, :, None]], axis=2), back.shape[1]
-    white, (m, d) = rows.whiten(table).reshape(table.shape), y.shape
+    # (m d, ..) the base's columns, orthonormal when white, the others, and y: in mm, and white
+    back, (m, d) = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])[1], y.shape
+    columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
+    own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, back.shape[1]
+    table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
+    white = rows.whiten(table.reshape(m, d, -1))
     # expected square of the noise of a row, for unit sigma
     spread = np.eye(d)[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
     for folds in partitions:
         before, after, expected = np.empty((m, d)), np.empty((m, d)), 0.0
         tests = [folds == fold for fold in range(folds.max() + 1)]
-        grams = np.array([tall.T @ tall for tall in (white[test].reshape(-1, table.shape[2]) for test in tests)])
+        grams = np.array([tall.T @ tall for tall in (white[np.repeat(test, d)] for test in tests)])
         for test, others in zip(tests, np.sum(grams, axis=0) - grams, strict=True):
             values, vectors = np.linalg.eigh(others[:rank, :rank])
             seen = values > RANK_TOLERANCE
@@ -388,11 +389,12 @@ def predicted_from_others(
             states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
             shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
             mean, covariance, variance = mixed(states, shares)
-            turned = table[test, :, :rank] @ turn
-            moved = table[test, :, rank:] - turned @ inside
-            before[test] = moved[:, :, -1]
-            after[test] = before[test] - moved[:, :, :-1] @ mean
-            shown, of_base = moved[:, POINT, :-1], float(np.sum(np.square(turned[:, POINT])))
-            expected += float(np.sum((shown @ covariance) * shown))
+            turned = table[np.repeat(test, d), :rank] @ turn
+            moved = table[np.repeat(test, d), rank:] - turned @ inside
+            before[test] = moved[:, -1].reshape(-1, d)
+            after[test] = before[test] - (moved[:, :-1] @ mean).reshape(-1, d)
+            points = np.tile(np.isin(np.arange(d), np.arange(d)[POINT]), np.count_nonzero(test))
+            shown, of_base = moved[points, :-1], float(np.sum(np.square(turned[points])))
+            expected += float(np.sum((shown.T @ shown) * covariance))
             expected += more * variance * (of_base + noise * np.count_nonzero(test))
         yield before[:, POINT], after[:, POINT], expected / m
