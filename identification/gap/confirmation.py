@@ -305,9 +305,8 @@ class HeldOut:
         """
         before, after, refitted = self.residuals(base, model)
         squares = np.square(model.residuals(data)[kept, POINT]).sum(axis=1)
-        white = (
-            2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)
-        )  # the variance that white Gaussian noise gives
+        # the variance that white Gaussian noise gives
+        white = 2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)
         left, added = mean_of(squares, groups_of(data, kept), white), self.parameter_part(model)
         scale = more * len(squares) * model.model.dimension / max(model.freedom, 1)
         predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
@@ -370,7 +369,8 @@ def predicted_from_others(
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
     own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, back.shape[1]
     table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
-    white = rows.whiten(table.reshape(m, d, -1))
+    white, points = rows.whiten(table.reshape(m, d, -1)), np.zeros((m, d), dtype=bool)
+    points[:, POINT] = True
     # expected square of the noise of a row, for unit sigma
     spread = np.eye(d)[None] if rows.spread is None else rows.spread
     noise = float(np.sum(np.square(spread[:, POINT]))) / len(spread) * (1.0 + rows.shared)
@@ -389,12 +389,12 @@ def predicted_from_others(
             states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
             shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
             mean, covariance, variance = mixed(states, shares)
-            turned = table[np.repeat(test, d), :rank] @ turn
-            moved = table[np.repeat(test, d), rank:] - turned @ inside
+            left_out, of_point = table[np.repeat(test, d)], points[test].ravel()
+            turned = left_out[:, :rank] @ turn
+            moved = left_out[:, rank:] - turned @ inside
             before[test] = moved[:, -1].reshape(-1, d)
             after[test] = before[test] - (moved[:, :-1] @ mean).reshape(-1, d)
-            points = np.tile(np.isin(np.arange(d), np.arange(d)[POINT]), np.count_nonzero(test))
-            shown, of_base = moved[points, :-1], float(np.sum(np.square(turned[points])))
+            shown, of_base = moved[of_point, :-1], float(np.sum(np.square(turned[of_point])))
             expected += float(np.sum((shown.T @ shown) * covariance))
             expected += more * variance * (of_base + noise * np.count_nonzero(test))
         yield before[:, POINT], after[:, POINT], expected / m
