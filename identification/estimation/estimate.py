@@ -72,7 +72,7 @@ def estimate(
         return _with_prior(model, measurements, prior or Prior({}), sigma)
     placed = placed_model(model, measurements)
     problem = Problem.of(placed, measurements, sigma)
-    method = "linear" if problem.exact_form else "gauss_newton"  # Levenberg-Marquardt: the name is historical
+    method = "linear" if problem.exact_form else "levenberg_marquardt"
     useful = RANK_TOLERANCE
     while True:
         if (form := problem.exact_form) is None:
@@ -144,7 +144,7 @@ def _with_prior(
     jacobian = about(x)[1]
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, rows)
     solution, determined = replace(solution, iterations=steps), decomposed.determined(jacobian)
-    fit = _identification(posed, measurements, "gauss_newton", solution, decomposed, determined)
+    fit = _identification(posed, measurements, "levenberg_marquardt", solution, decomposed, determined)
     machining, (width, of_zeros) = model.arm.machining, widths
     rotation, far = f"{np.degrees(machining.rotation):g} deg", []
     if width != 1.0:

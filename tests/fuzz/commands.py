@@ -42,7 +42,7 @@ VALUES = {
     "starts": "1 2",
     "grid": "2 3 9",
     "target_mm": "0.1 0.02 -1",
-    "method": "linear gauss_newton none",
+    "method": "linear levenberg_marquardt none",
     "payloads": "0,5 0 5,-1",
     "holdout": "more.csv",
     "links": "3 1 12 13 612,572.3 0,1",

@@ -47,4 +47,4 @@ def test_exact_data_give_the_exact_arm_whatever_the_offsets(n: int) -> None:
     ids=["gear", "known"],
 )
 def test_other_models_are_searched_for(model: Model) -> None:
-    assert estimate(model, data(Model(arm()), plan(10))).method == "gauss_newton"
+    assert estimate(model, data(Model(arm()), plan(10))).method == "levenberg_marquardt"
