@@ -283,7 +283,7 @@ def replication_section(effects: Sequence[Data]) -> Section:
     rows = []
     for effect, session in ((one, session) for one in effects for session in one["sessions"]):
         values = [
-            f"{p['name'].rpartition('.')[2]} = {p['value']:.3g} +- {p['std']:.1g} {p['unit']}"
+            f"{p['name'].rpartition('.')[2]} = {p['value']:.3g} ± {p['std']:.1g} {p['unit']}"
             for p in session["parameters"]
         ]
         answer = {True: "yes", False: "no", None: "open"}[session["replicates"]]
