@@ -99,9 +99,11 @@ class JobOptions:
     resume: bool = False
     force: bool = False
 
-    def where(self, otherwise: int | None = None) -> int | str:
-        """Address of a cluster, or number of processes; left out: this many, None: as there are cores."""
-        return self.workers or otherwise or os.cpu_count() or 1 if self.cluster is None else self.cluster
+    def how(self, seed: int, progress: Progress, workers: int | None = None) -> dict[str, Any]:
+        """Arguments of `doe.jobs.run_tasks`;  workers : where none are asked for, None: as many as there are cores"""
+        where = self.workers or workers or os.cpu_count() or 1 if self.cluster is None else self.cluster
+        kept = {"resume": self.resume, "force": self.force}
+        return {"workers": where, "seed": seed, "progress": progress, **kept}
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------

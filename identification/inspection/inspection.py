@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array
+from identification.arrays import Array, rows_in_words
 from identification.document import Document, Documented, Sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
@@ -23,7 +23,7 @@ from identification.estimation import Identification, doubts, estimate
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import DRAWN, Reading, Readings, data_warnings, gap_notes, read_differently
 from identification.kinematics.chain import BASE
-from identification.kinematics.counting import in_columns
+from identification.kinematics.counting import TURN, in_columns
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, rms_distance
@@ -106,7 +106,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         drawing = rms_distance(drawing_residuals(arm, measurements))
     except InputError:  # too few rows for least squares
         drawing = readings.written.rms
-    joints, ranges, still = _ranges(arm, measurements.postures)
+    joints, ranges, still, turned = _ranges(arm, measurements.postures)
     problems = units or _problems(arm, measurements, readings, drawing, fit)
     problems += doubts.copied_rows(measurements) + ([] if units else doubts.outside_limits(arm, measurements))
     # what the data cannot say
@@ -114,6 +114,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     if still and not units:
         hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
         notes.append(f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen")
+    notes += turned
     if fit is not None and not problems:  # a fit leaves more than noise, by chi2 or by repeats
         looks = fit.misfit and f"{fit.misfit.partition('. ')[0]}; armcal diagnose looks for what is missing"
         notes += [looks] if looks else [doubt for doubt in fit.doubts if doubt.startswith(MISFIT)]
@@ -210,12 +211,14 @@ def _problems(
     return [sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith(doubts.FEW)]
 
 
-def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[int]]:
-    """Of each joint the entry of `joints` (as the controller counts), its row of the table, and which hardly move."""
-    outside = doubts.beyond_limits(arm, postures).sum(axis=0).tolist()
+def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[int], list[str]]:
+    """Of each joint the entry of `joints` (as the controller counts), its row of the table, which hardly move, and in
+    sentences few readings within the limits that are whole turns away from all others."""
+    beyond = doubts.beyond_limits(arm, postures)
+    outside = beyond.sum(axis=0).tolist()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     shown, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
-    entries, rows, still = [], [], []
+    entries, rows, still, turned = list[dict[str, Any]](), list[list[str]](), list[int](), list[str]()
     for j, kind in enumerate(arm.joint_types, start=1):
         unit, factor = ("deg", 180.0 / np.pi) if kind == REVOLUTE else ("mm", 1.0)
         low, high = float(shown[:, j - 1].min()) * factor, float(shown[:, j - 1].max()) * factor
@@ -230,7 +233,17 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
         # of a joint that turns by less than 5 deg its own errors are hardly seen, whatever others in its column do
         if np.ptp(postures[:, j - 1]) < (np.radians(5.0) if kind == REVOLUTE else 0.0):
             still.append(j)
-    return entries, rows, still
+        # readings of a joint that really turns several times do not all fall within half a turn, whole turns aside: of
+        # eight spread over four half turns once in a hundred times, of twelve once in a thousand
+        turns = np.round((shown[:, j - 1] - np.median(shown[:, j - 1])) / TURN) * (kind == REVOLUTE)
+        away = (turns != 0.0) & ~beyond[:, j - 1]
+        if 0 < away.sum() <= len(away) / 8 and np.ptp(shown[:, j - 1] - TURN * turns) < np.pi:
+            degrees, others = (np.degrees(shown[which, j - 1]) for which in (away, turns == 0.0))
+            place = f"joint {j} reads {degrees[0]:.4g} deg in {rows_in_words(away)}"
+            where = f"whole turns away from the other rows ({others.min():.4g} to {others.max():.4g} deg)"
+            matters = "play, gear_ratio and the range of the calibration follow the angle as it is written"
+            turned.append(f"{place}, {where}: correct that if the joint was not there, since {matters}")
+    return entries, rows, still, turned
 
 
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------

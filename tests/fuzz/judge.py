@@ -91,7 +91,7 @@ def promises(case: Case, outcome: Outcome, folder: Path) -> Iterator[str]:
         yield "exit 1 without a reason"
     if outcome.code in (1, 2) and written:
         yield f"left behind after exit {outcome.code}: {', '.join(written)}"
-    if hidden := [name for name in written if "/." in f"/{name}" or name.endswith((".tmp", ".journal"))]:
+    if hidden := [name for name in written if "/." in f"/{name}" or name.endswith(".tmp")]:
         yield f"left behind: {hidden}"
     if (touched := [name for name in THERE if name in written]) and "--force" not in case.words:
         yield f"overwrote {touched} without --force"

@@ -92,7 +92,6 @@ GOOD = "armcal: arm.toml: no such file, allowed: an existing one\n"
         (Outcome(2, "", "armcal: arm.toml: no such file\n", ()), "allowed"),
         (Outcome(2, "", f"armcal: {'x ' * 5000}\n", ()), "too long"),
         (Outcome(2, "", GOOD, ("out.csv",)), "left behind"),
-        (Outcome(0, "", "", ("out.csv.journal",)), "left behind"),
         (Outcome(0, "", "", ("there.csv",)), "overwrote"),
         (Outcome(1, "", "", ()), "without a reason"),
         (Outcome(0, "{}", "", ("out.csv",)), "NaN"),

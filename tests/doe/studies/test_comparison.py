@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from doe import DesignProblem, score
 from doe.cli import main
-from doe.jobs import RowTable, frame_of
+from doe.jobs import frame_of
 from doe.report.studies import comparison_parts, performance_profile, profile_figure
 from doe.studies.comparison import compare, evaluated, summary, with_hits
 from identification import Arm, InputError, Model, Plan
@@ -106,13 +106,11 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_solvers_run_in_their_own_processes(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     run = partial(compare, [ARM], [4], ["random"], starts=[2], repeats=2, seconds=20.0)
     path = tmp_path / "rows.parquet"
-    with RowTable(path) as table:
-        rows = run(table=table)
+    rows = run(path=path)
     assert rows["status"].to_list() == ["done"] * 2
     assert rows["correct"].all()
     assert len(set(rows["value"])) == 2
-    with RowTable(path, resume=True) as table:
-        assert run(table=table).equals(rows)
+    assert run(path=path, resume=True).equals(rows)
     request.getfixturevalue("in_this_process")
     with pytest.raises(InputError, match="runs"):
         compare([ARM], [2], ["random"])  # two runs cannot tell six parameters
