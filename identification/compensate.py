@@ -353,8 +353,8 @@ class Task(NamedTuple):
         return postures
 
     def searched(self) -> tuple[Array, Array]:
-        """The best few postures (k, f, n) and their ranks (k, f): what `near` leads to; where that does not reach the
-        goal, what the seeds whose tips are nearest to it do, and more of them for goals missed by least, while it helps."""
+        """The best few postures (k, f, n) and their ranks (k, f): what `near` leads to; of goals not reached what
+        the seeds with the nearest tips do, and more of them for the goals missed by least, while it helps."""
         k, n = self.near.shape
         postures, ranks = np.repeat(self.near[:, None], FEW, axis=1), np.full((k, FEW), np.inf)
         seeds = np.random.default_rng(0).uniform(self.lower, self.upper, (SEEDS, n))
