@@ -10,6 +10,7 @@ from what is in the way. Out of reach the nearest posture is found by Newton's m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -99,7 +100,7 @@ def compensate(
         require(number == len(points), f"{name}: {number} rows for {len(points)} targets, allowed: as many")
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
     # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
-    likely = np.hypot(*(_figure(arm, key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
+    likely = math.hypot(*(_figure(arm, key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
     tolerance = max(TOLERANCE, float(likely * np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
     limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
