@@ -83,11 +83,11 @@ def compensate(
     nominal = None if postures is None else _checked("postures", postures, arm.links)
     if targets is not None:
         points = _checked("targets", targets, arm.dimension)
+    elif nominal is None:
+        raise InputError(f"targets: none given, allowed: positions (k, {arm.dimension}) or postures (k, n)")
     else:
         # the nominal arm, without effects; where its base is not given it stands where the calibration has it, a planar
         # one turned by the offset of joint 1, and a spatial one with its points
-        allowed = f"allowed: positions (k, {arm.dimension}) or postures (k, n)"
-        require(nominal is not None, f"targets: none given, {allowed}")
         chain = arm.chain if arm.calibration is None else standing_in(arm.chain, arm.calibration.values)
         stands = tuple(spec for spec in arm.effects if spec.name == "base_offset")
         place = Calibration({name: model.best_known.get(name, 0.0) for name in BASE}) if stands else None
