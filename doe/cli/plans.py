@@ -452,15 +452,8 @@ def compare_files(
         rows = compare(loaded, runs, names, **asked)
         shown, summed = comparison_parts(rows), summary(rows)
         if job.out is not None:
-            from doe.report.page import svg
-            from doe.report.studies import profile_figure
-
-            files: dict[Path, str | bytes] = {
-                job.out / "summary.parquet": parquet(summed),
-                job.out / "profile.svg": svg(profile_figure(rows)),
-            }
-            write_together(files, force=True)
-            shown.append(f"rows, summary and picture written to {job.out}")
+            write_together({job.out / "summary.parquet": parquet(summed)}, force=True)
+            shown.append(f"rows and summary written to {job.out}")
         data = {"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}
         return Answer(data, Document(parts=shown))
 
