@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from doe.problem.model import turns
 from identification import Array
-from identification.bodies import Body
 
 ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss what it keeps
 TINY = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
@@ -70,26 +69,28 @@ class Clearance:
         self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
         self.usual = max(cell.clearance, 1.0)  # [mm] of a posture in touch no move is proven to be free
         # what stands still comes first; a line of sight is a capsule from the base to the measured point
-        bodies = sorted(cell.bodies, key=lambda body: body.joint)
+        bodies = sorted(([b.name, b.joint, b.capsules, b.boxes] for b in cell.bodies), key=lambda body: body[1])
         if cell.floor is not None:
-            bodies.insert(0, Body(FLOOR, boxes=np.r_[0.0, 0.0, cell.floor - DEEP, np.eye(3).ravel(), np.full(3, DEEP)]))
-        bodies += [Body(SIGHT, tip, np.r_[place, np.zeros(4)]) for place in trackers]
+            ground = np.r_[0.0, 0.0, cell.floor - DEEP, np.eye(3).ravel(), np.full(3, DEEP)]
+            bodies.insert(0, [FLOOR, 0, np.empty((0, 7)), ground[None]])
+        bodies += [[SIGHT, tip, np.r_[place, np.zeros(4)][None], np.empty((0, 15))] for place in trackers]
+        names, joints, *parts = zip(*bodies, strict=True)
         # pieces are capsules, then boxes
-        capsules, self._boxes = (np.concatenate([getattr(b, kind) for b in bodies]) for kind in ("capsules", "boxes"))
+        owner = np.concatenate([np.repeat(range(len(names)), [*map(len, each)]) for each in parts])
+        capsules, self._boxes = map(np.concatenate, parts)
         self._capsules, still = len(capsules), np.zeros(len(self._boxes), dtype=np.intp)
         self._ends, self._radii = np.stack([capsules[:, :3], capsules[:, 3:6]]), np.r_[capsules[:, 6], 0.0 * still]
-        joint = np.repeat([body.joint for body in bodies], [len(body.capsules) for body in bodies])
+        joint = np.array(joints)[owner[: self._capsules]]
         self._frames = np.stack([np.r_[np.where(joint == tip, 0, joint), still], np.r_[joint, still]])  # of both ends
-        owner = np.repeat([*range(len(bodies))] * 2, [len(b.capsules) for b in bodies] + [len(b.boxes) for b in bodies])
         pairs, pieces = list[tuple[str, str]](), list[tuple[int, int, int]]()
-        for k, one in enumerate(bodies):
-            for i, other in enumerate(bodies[:k]):
-                names = frozenset((one.name, other.name))
-                if one.joint == other.joint or names in cell.apart or names == {SIGHT, FLOOR}:
+        for one in range(len(names)):
+            for other in range(one):
+                pair = names[one], names[other]
+                if joints[one] == joints[other] or frozenset(pair) in cell.apart or {*pair} == {SIGHT, FLOOR}:
                     continue
-                first, second = (np.flatnonzero(owner == each).tolist() for each in (k, i))
+                first, second = (np.flatnonzero(owner == body).tolist() for body in (one, other))
                 pieces += [(len(pairs), a, b) for a in first for b in second]
-                pairs += [(one.name, other.name)] if first and second else []
+                pairs += [pair] if first and second else []
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
         self._last: Seen | None = None
         # of all pairs those that are looked at, by random postures: not those that always touch
