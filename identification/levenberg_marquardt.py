@@ -60,33 +60,18 @@ class LeastSquares:
 
 
 class Points(NamedTuple):
-    """State of k searches: number of the problem (k,), parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums
-    of squares (k,) and damping (k,)."""
+    """Where k searches are: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares (k,) and damping
+    (k,)."""
 
-    problems: Index
-    parameters: Array
+    x: Array
     residuals: Array
     jacobians: Array
     squares: Array
     damping: Array
 
-    def at(self, rows: NDArray[np.bool_]) -> Points:
-        """Some of them."""
-        return self if rows.all() else Points._make(array[rows] for array in self)
-
-    def with_rows(self, rows: Index | NDArray[np.bool_], others: Points) -> Points:
-        """With others in place of these."""
-        arrays = [array.copy() for array in self]
-        for array, other in zip(arrays, others, strict=True):
-            array[rows] = other
-        return Points._make(arrays)
-
-
-def _points(problem: LeastSquares, numbers: Index, parameters: Array, damping: Array) -> Points:
-    """Searches at parameters (k, p), which are moved inside the bounds first."""
-    parameters = np.clip(parameters, problem.lower, problem.upper)
-    residuals, jacobians = problem.linearize(parameters, numbers)
-    return Points(numbers, parameters, residuals, jacobians, np.einsum("kn,kn->k", residuals, residuals), damping)
+    def at(self, rows: Index | NDArray[np.bool_]) -> Points:
+        """Copies of some of them."""
+        return Points._make(array[rows] for array in self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,51 +120,59 @@ def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
     """Stationary points of K problems from starts (K, p), which are moved inside the bounds first."""
     count = len(starts)
     points = _points(problem, np.arange(count), starts, np.zeros(count))
-    failed, inactive = np.full(count, Status.solver_failed, dtype=object), np.zeros(starts.shape, dtype=bool)
-    solution = Solution(points.parameters.copy(), points.squares.copy(), failed, inactive, np.zeros(count, dtype=int))
-    points = points.at(np.isfinite(points.squares))
-    for iteration in range(problem.iterations + 1):
+    status, active = np.full(count, Status.solver_failed, dtype=object), np.zeros(starts.shape, dtype=bool)
+    iterations, on = np.zeros(count, dtype=int), np.flatnonzero(np.isfinite(points.squares))  # searches that go on
+    for iteration in range(problem.iterations + 1 if len(on) else 0):
         last, watched = iteration == problem.iterations, iteration >= PATIENCE
         # a flat curved valley (nearly undetermined combination, few rows) is left slowly, but by the whole step now and
         # then. What is missing at last is far below its standard deviation, where the next step explains less than 1e-4
         # sqrt(N) of those
         if last or (watched and iteration.bit_count() == 1):  # after 16, 32, 64 ....
-            points = points._replace(damping=np.zeros(len(points.problems)))
-        steps, stationary, active, explained, stiffness = _steps(problem, points)
-        ended = stationary | (points.damping > 1e12) | last
+            points.damping[on] = 0.0
+        before = points.at(on)
+        steps, stationary, held, explained, stiffness = _steps(problem, on, before)
+        ended = stationary | (before.damping > 1e12) | last
         good = outcomes(stationary, Status.converged, Status.almost_solved)
-        status = outcomes(explained <= 1e-4, Status.almost_solved, Status.iteration_limit) if last else good
-        numbers = points.problems[ended]
-        solution.parameters[numbers], solution.rss[numbers] = points.parameters[ended], points.squares[ended]
-        solution.status[numbers], solution.active[numbers] = status[ended], active[ended]
-        solution.iterations[numbers] = iteration
-        points = points.at(~ended)
-        if not len(points.problems):
+        good = outcomes(explained <= 1e-4, Status.almost_solved, Status.iteration_limit) if last else good
+        status[on[ended]], active[on[ended]], iterations[on[ended]] = good[ended], held[ended], iteration
+        on, before = on[~ended], before.at(~ended)
+        if not len(on):
             break
-        points = _moved(problem, points, steps[~ended], stiffness[~ended], watched=watched)
-    return solution
+        moved, better = _moved(problem, on, before, steps[~ended], stiffness[~ended], watched=watched)
+        for array, other in zip(points, moved, strict=True):
+            array[on[better]] = other[better]
+        points.damping[on] = moved.damping
+    return Solution(points.x, points.squares, status, active, iterations)
 
 
-def _steps(problem: LeastSquares, points: Points) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
+def _points(problem: LeastSquares, numbers: Index, x: Array, damping: Array) -> Points:
+    """Of the problems numbered (k,) at x (k, p), which is moved inside the bounds."""
+    x = np.clip(x, problem.lower, problem.upper)
+    residuals, jacobians = problem.linearize(x, numbers)
+    return Points(x, np.array(residuals), np.array(jacobians), np.einsum("kn,kn->k", residuals, residuals), damping)
+
+
+def _steps(
+    problem: LeastSquares, numbers: Index, points: Points
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
     """(k, p) damped steps inside the bounds; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm
     that a step explains; (k,) stiffness, see `damped_steps`."""
-    x, norms = points.parameters, np.sqrt(points.squares)
-    squares = np.einsum("knp,knp->kp", points.jacobians, points.jacobians)
-    lengths, zero = column_lengths(np.sqrt(squares), problem.scales)
+    x, residuals, jacobians, squares, damping = points
+    norms = np.sqrt(squares)
+    lengths, zero = column_lengths(np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians)), problem.scales)
     if problem.metric is not None:
         lengths = np.broadcast_to(problem.metric, lengths.shape)
-    columns = points.jacobians / lengths[:, None, :]
-    gradient = (np.swapaxes(columns, 1, 2) @ points.residuals[:, :, None])[:, :, 0]
+    columns = jacobians / lengths[:, None, :]
+    gradient = (np.swapaxes(columns, 1, 2) @ residuals[:, :, None])[:, :, 0]
     low, high = x <= problem.lower, x >= problem.upper
     active = (low & (gradient < 0.0)) | (high & (gradient > 0.0))
-    posed = columns, points.residuals, active | zero, points.damping
-    steps, gradient, stiffness = damped_steps(*posed, problem.tolerance)
-    limit = GRADIENT_TOLERANCE * norms + problem.rounding[points.problems]
+    steps, gradient, stiffness = damped_steps(columns, residuals, active | zero, damping, problem.tolerance)
+    limit = GRADIENT_TOLERANCE * norms + problem.rounding[numbers]
     stationary = np.max(np.abs(gradient), axis=1, initial=0.0) <= limit
     while np.any(out := (low & (steps < 0.0) | high & (steps > 0.0)) & ~stationary[:, None]):
         active |= out
         again = np.any(out, axis=1)
-        posed = columns[again], points.residuals[again], (active | zero)[again], points.damping[again]
+        posed = columns[again], residuals[again], (active | zero)[again], damping[again]
         steps[again], gradient[again], stiffness[again] = damped_steps(*posed, problem.tolerance)
     explained = np.sqrt(np.maximum(np.sum(gradient * steps, axis=1), 0.0)) / np.maximum(norms, np.finfo(float).tiny)
     return steps / lengths, stationary, active, explained, stiffness
@@ -224,40 +217,43 @@ def damped_steps(
     return steps, gradient, np.divide(lengths, softness, out=np.zeros_like(lengths), where=softness > 0.0)
 
 
-def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array, *, watched: bool) -> Points:
-    """The points after their steps, where those descend, elsewhere as before, with the damping with which a step would
-    have ended at the minimum of a parabola along it (Hebden 1973).
+def _moved(
+    problem: LeastSquares, numbers: Index, points: Points, steps: Array, stiffness: Array, *, watched: bool
+) -> tuple[Points, NDArray[np.bool_]]:
+    """The points after their steps, and where those descend, so that they are taken; all with the damping with which a
+    step would have ended at the minimum of a parabola along it (Hebden 1973).
 
     No more damping than before where the sum of squares falls nearly as the linear model predicts; where it falls by
     less than a quarter of that, so much that a step half as long at most comes next (More 1978). A search that is
     `watched` may climb by one step if the next one makes up for it.
     """
-    moved = _points(problem, points.problems, points.parameters + steps, points.damping)
+    x, residuals, jacobians, squares, damping = points
+    moved = _points(problem, numbers, x + steps, damping)
     # rounding of residuals and of their sum may hide the descent of the last steps
-    allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems] + 1e-14 * points.squares
-    better = moved.squares <= points.squares + allowance
-    step = (moved.parameters - points.parameters)[:, :, None]
+    allowance = 2.0 * np.sqrt(squares) * problem.rounding[numbers] + 1e-14 * squares
+    better = moved.squares <= squares + allowance
     with np.errstate(over="ignore", invalid="ignore"):  # a step may lead to where nothing is finite
-        change, change_after = ((each.jacobians @ step)[:, :, 0] for each in (points, moved))
-        slope = np.einsum("kn,kn->k", change, points.residuals)
+        change, change_after = ((each @ (moved.x - x)[:, :, None])[:, :, 0] for each in (jacobians, moved.jacobians))
+        slope = np.einsum("kn,kn->k", change, residuals)
         predicted = 2.0 * slope - np.einsum("kn,kn->k", change, change)
         # a small fall drowns in rounding; the slopes at both ends of the step do not (trapezoidal rule)
         slopes = slope + np.einsum("kn,kn->k", change_after, moved.residuals)
-        fall = np.where(predicted > SMALL_FALL * points.squares, points.squares - moved.squares, slopes)
+        fall = np.where(predicted > SMALL_FALL * squares, squares - moved.squares, slopes)
         share = slope / np.maximum(2.0 * slope - fall, np.finfo(float).tiny)
-    good = better & (fall >= np.where(points.damping > 0.0, 0.75, 0.25) * predicted)
+    good = better & (fall >= np.where(damping > 0.0, 0.75, 0.25) * predicted)
     poor = ~(better & (fall >= 0.25 * predicted))
     # of the step's length; at least a tenth where it failed
     share = np.clip(np.where(np.isfinite(fall), share, 0.0), np.where(good, 1.0, 0.1), np.where(poor, 0.5, np.inf))
-    damping = np.maximum(points.damping + (1.0 / share - 1.0) * stiffness, points.damping / 10.0)
-    damping = np.where(damping > 0.1 * (stiffness - points.damping), damping, 0.0)  # less is none
+    new_damping = np.maximum(damping + (1.0 / share - 1.0) * stiffness, damping / 10.0)
+    new_damping = np.where(new_damping > 0.1 * (stiffness - damping), new_damping, 0.0)  # less is none
     # in a curved valley the next step takes back what this one climbs its walls by
-    if watched and (climbs := poor & np.isfinite(moved.squares)).any():
+    if watched and len(climbs := np.flatnonzero(poor & np.isfinite(moved.squares))):
         climbed = moved.at(climbs)
-        back = _points(problem, climbed.problems, climbed.parameters + _steps(problem, climbed)[0], climbed.damping)
-        rows = np.flatnonzero(climbs)
-        lower = back.squares <= (points.squares - 0.25 * predicted)[rows]
-        moved, rows = moved.with_rows(rows[lower], back.at(lower)), rows[lower]
-        better[rows], damping[rows] = True, points.damping[rows]
-    stays = ~better
-    return (moved.with_rows(stays, points.at(stays)) if stays.any() else moved)._replace(damping=damping)
+        back = _points(
+            problem, numbers[climbs], climbed.x + _steps(problem, numbers[climbs], climbed)[0], climbed.damping
+        )
+        lower = back.squares <= (squares - 0.25 * predicted)[climbs]
+        for array, other in zip(moved, back, strict=True):
+            array[climbs[lower]] = other[lower]
+        better[climbs[lower]], new_damping[climbs[lower]] = True, damping[climbs[lower]]
+    return moved._replace(damping=new_damping), better

@@ -18,21 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.estimation.doubts import UNUSUAL, doubts, far_rows
-from identification.estimation.problem import (
-    Prior,
-    Problem,
-    check_measurements,
-    contradicted,
-    likeliest,
-    starts,
-)
+from identification.estimation.problem import Prior, Problem, check_measurements, contradicted, likeliest, starts
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
+from identification.levenberg_marquardt import GRADIENT_TOLERANCE, Index, Solution, outcomes
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model

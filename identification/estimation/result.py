@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -111,10 +112,7 @@ class Identification(Documented):
         self.identifiable.setflags(write=False)
 
     # -- parameters and their uncertainty --------------------------------------------------------------------------
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(p) names of the parameters."""
-        return self.model.names
+    names = property(attrgetter("model.names"))  # (p) of the parameters
 
     @property
     def arm(self) -> Arm | None:
@@ -183,26 +181,13 @@ class Identification(Documented):
         """Name -> value of every parameter, the known ones included."""
         return dict(self.model.fixed) | self.model.parameters.mapping(self.parameters)
 
-    @cached_property
-    def length_errors(self) -> Array:
-        """(n,) dl_j [mm]."""
-        return by_joint(self.values, LENGTH_ERROR)
-
-    @cached_property
-    def joint_offsets(self) -> Array:
-        """(n,) dq_j [rad]."""
-        return by_joint(self.values, JOINT_OFFSET)
+    length_errors = property(lambda self: by_joint(self.values, LENGTH_ERROR))  # (n,) dl_j [mm]
+    joint_offsets = property(lambda self: by_joint(self.values, JOINT_OFFSET))  # (n,) dq_j [rad]
 
     # -- quality of the fit ----------------------------------------------------------------------------------------
-    @property
-    def rms_before(self) -> float:
-        """Root mean square over rows of the distance [mm], arm as it was."""
-        return rms_distance(self.residuals_before)
-
-    @property
-    def rms_after(self) -> float:
-        """Root mean square over rows of the distance [mm], arm as identified."""
-        return rms_distance(self.residuals_after)
+    # root mean squares over rows of the distance [mm], arm as it was and as identified
+    rms_before = property(lambda self: rms_distance(self.residuals_before))
+    rms_after = property(lambda self: rms_distance(self.residuals_after))
 
     @property
     def largest(self) -> tuple[float, float]:
