@@ -435,7 +435,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs import RowTable, parquet
+    from doe.jobs import parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.studies.comparison import compare, summary
@@ -446,23 +446,14 @@ def compare_files(
     names = [*available_solvers()] if solvers is None else solvers
     loaded = [load_arm(arm) for arm in arms]
     asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
-    path = None if job.out is None else job.out / "rows.parquet"
+    asked |= {"path": job.out and job.out / "rows.parquet", **job.how(seed, progress, 1)}
     kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
     with interruptible(kept):
-        with RowTable(path, resume=job.resume, force=job.force) as table:
-            asked |= {"table": table, "workers": job.where(1), "seed": seed, "progress": progress}
-            rows = compare(loaded, runs, names, **asked)
+        rows = compare(loaded, runs, names, **asked)
         shown, summed = comparison_parts(rows), summary(rows)
         if job.out is not None:
-            from doe.report.page import svg
-            from doe.report.studies import profile_figure
-
-            files: dict[Path, str | bytes] = {
-                job.out / "summary.parquet": parquet(summed),
-                job.out / "profile.svg": svg(profile_figure(rows)),
-            }
-            write_together(files, force=True)
-            shown.append(f"rows, summary and picture written to {job.out}")
+            write_together({job.out / "summary.parquet": parquet(summed)}, force=True)
+            shown.append(f"rows and summary written to {job.out}")
         data = {"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}
         return Answer(data, Document(parts=shown))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from doe.cli.verb import Count, JobOptions, interruptible
 from identification import InputError, JobError, Progress
@@ -74,7 +74,6 @@ def study_files(
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder = job.out or Path(study).with_suffix(".results")
     with interruptible(f"finished rows are kept in {folder}, go on with --resume"):
-        options: dict[str, Any] = {"seed": seed, "resume": job.resume, "force": job.force, "progress": progress}
         if study in BUILT_IN:
             from doe.report.studies import blind_parts, reliability_figure
             from doe.studies.blind.cells import CELLS
@@ -83,9 +82,8 @@ def study_files(
             offered = {name: spec.reported for name, spec in CELLS.items() if spec.space == (study == "blind-spatial")}
             if further := [name for name in cells if name not in offered]:
                 raise InputError.unknown(f"--cell: unknown name of the study {study}", further[0], offered)
-            tables = blind_study(
-                cells or [name for name in offered if offered[name]], replications, folder, job.where(), **options
-            )
+            asked = cells or [name for name in offered if offered[name]]
+            tables = blind_study(asked, replications, folder, **job.how(seed, progress))
             if len(tables["reliability"]):
                 picture = reliability_figure(tables["reliability"])
                 write_together({folder / "reliability.png": picture}, force=True)
@@ -97,7 +95,7 @@ def study_files(
         from doe.report.studies import monte_carlo_parts
         from doe.studies.monte_carlo import Study, run_study
 
-        tables = run_study(Study.load(Path(study), replications), folder, job.where(), **options)
+        tables = run_study(Study.load(Path(study), replications), folder, **job.how(seed, progress))
         made, blocks = tables["cells"], tables["blocks"]
         if "done" not in blocks["status"]:
             reason = re.sub(r"\b[A-Z]\w*Error: ", "", blocks["error"][0])  # users need no exception types

@@ -96,7 +96,7 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
         if fit.scatter is not None and not np.isclose(fit.scatter, fit.sigma or 0.0):  # a prior's fit has no less
             chi2 += f": the residuals scatter {number(fit.scatter, 5)} {unit}"
     if fit.rms_angles is not None:
-        angles = "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
+        angles = "from {:.4g} to {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return {
         "method": f"{fit.method}: {outcome}",
         "left at most": f"{fit.largest[1]:.4g} {unit}",

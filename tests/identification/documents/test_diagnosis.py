@@ -13,7 +13,7 @@ import pytest
 from identification import Arm, Diagnosis, Measurements, diagnose
 from identification.document import Sheet
 from identification.documents.diagnosis import (
-    curve_parts,
+    curve_table,
     diagnosis_actions,
     diagnosis_verdict,
     effects_in_words,
@@ -130,7 +130,7 @@ def test_shapes_of_curves_are_said_in_short() -> None:
     curve = {"joint": 2, "angle_deg": [-10.0, 0.0, 10.0], "error_deg": [0.03] * 3, "std_deg": [0.01] * 3}
     told = "waves: 11 per turn, 0.02 deg; 14 per turn, 0.01 deg; 2 per turn, 0.01 deg (88 %) over -10 to 10 deg"
     curves = [curve | {"shape": told, "waves": waves}, curve | {"shape": "smooth curve over 1 to 2 deg", "waves": []}]
-    table = curve_parts({"curves": curves})[0]
+    table = curve_table({"curves": curves})
     assert isinstance(table, Sheet)
     assert [row[-1] for row in table.rows] == ["waves 11, 14, 2 (88 %)", "smooth curve"]
 

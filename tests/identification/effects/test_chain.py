@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
-from identification import Arm, Conditions, EffectSpec, Gravity, InputError
+from identification import PRISMATIC, Arm, Conditions, EffectSpec, Gravity, InputError
 from identification.conditions import condition_columns
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock
+from identification.kinematics.chain import DHRow, chain_of
 
 LENGTHS, MASSES, CENTERS = np.array([400.0, 300.0]), np.array([5.0, 3.0]), np.array([0.5, 0.4])
 ARM = Arm(LENGTHS, gravity=Gravity([2.0, -9.0], MASSES, CENTERS))
@@ -48,6 +51,21 @@ def test_the_joint_from_zero() -> None:
     assert build(EffectSpec("backlash", 2), PAIR.chain).link_length == 200.0
     with pytest.raises(InputError, match="thermal_growth needs a joint, allowed: 1 to 2"):
         _ = build(EffectSpec("thermal_growth"), PAIR.chain).joint_index
+
+
+def test_what_a_sliding_joint_is_off_by_is_a_length() -> None:
+    """Newtons bend it by millimetres; of the turning joint beside it torques and angles are as ever."""
+    rows = [DHRow(300.0, np.pi / 2, 0.0), replace(DHRow(0.0, 0.0, 100.0), type=PRISMATIC, limits=(0.0, 200.0))]
+    slider = chain_of(rows)
+    keys = [
+        p.toml_key
+        for name in ("joint_compliance", "backlash")
+        for j in (1, 2)
+        for p in build(EffectSpec(name, j), slider).parameters
+    ]
+    assert keys == ["c_rad_per_N_m", "c_mm_per_N", "b_deg", "b_mm"]
+    every = build(EffectSpec("joint_compliance"), slider).parameters
+    assert [p.file_unit for p in every] == ["rad/(N m)", "mm/N"]
 
 
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))

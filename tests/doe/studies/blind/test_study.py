@@ -108,7 +108,7 @@ def test_the_bars_of_few_sets(small: Path) -> None:
     check(found, (ONE, "in the set"))
     row = found.filter(cell=ONE, measure="gap / true").row(0, named=True)
     assert row["value"] <= 1.05 + 4.0 * row["standard_error"]
-    rows = polars.read_parquet(small / blind.ROWS).filter(cell=BEYOND)
+    rows = polars.read_parquet(small / "sets.parquet").filter(cell=BEYOND)
     for row in rows.iter_rows(named=True):  # some of these shapes have become effects of the library
         assert (row["place"] is None) == bool(row["hidden"]) == (row["outside"] is None)
     assert (small / "reliability.png").stat().st_size > 1000
@@ -116,8 +116,8 @@ def test_the_bars_of_few_sets(small: Path) -> None:
 
 def test_an_extended_study_keeps_what_is_done(small: Path, tmp_path: Path) -> None:
     shutil.copytree(small, tmp_path / "study")
-    before, more = polars.read_parquet(small / blind.ROWS), blind_study([NONE], 3, tmp_path / "study", resume=True)
-    after = polars.read_parquet(tmp_path / "study" / blind.ROWS)
+    before, more = polars.read_parquet(small / "sets.parquet"), blind_study([NONE], 3, tmp_path / "study", resume=True)
+    after = polars.read_parquet(tmp_path / "study" / "sets.parquet")
     assert (len(before), len(after), len(more["sets"])) == (6, 7, 3)
     assert after["seconds"].to_list()[:2] == before["seconds"].to_list()[:2]  # not done again
 
