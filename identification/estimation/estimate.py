@@ -111,7 +111,7 @@ def _with_prior(
 
     # zeros that another reading of the rows has are where the search starts
     x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
-    before, steps = np.inf, 0
+    before, steps = np.inf, np.zeros(1, dtype=int)
     for _ in range(10):  # the model is nearly linear, so that the second round changes little
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}

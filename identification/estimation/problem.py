@@ -405,9 +405,10 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
     x = posed.minimized(x[None]).parameters[0]
     covariance = noise**2 * spectrum(posed.linearized(x)[1], model.scales, prior=posed.prior_rows).covariance
     p, variance = model.parameters[k := model.names.index(name)], np.asarray(earlier.about({name}).covariance)[0, 0]
-    figures = p.to_file * np.array([earlier.values[name], np.sqrt(variance), x[k], np.sqrt(covariance[k, k])])
+    figures = earlier.values[name], np.sqrt(variance), x[k], np.sqrt(covariance[k, k])
+    before, before_std, value, std = (float(figure * p.to_file) for figure in figures)
     instead = tuple(other for other, least in zip(drops, p_less, strict=True) if least > 0.05 and other != name)
-    return Contradiction(name, p.file_unit, *figures.tolist(), instead)
+    return Contradiction(name, p.file_unit, before, before_std, value, std, instead)
 
 
 def released_drops(problem: Problem, earlier: Calibration, x: Array) -> dict[str, float]:

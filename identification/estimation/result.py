@@ -450,7 +450,7 @@ def _differences(table: Any, values: Values, steps: Values) -> dict[Any, dict[st
     for name, step in steps.items():
         up, down = (table({**values, name: values.get(name, 0.0) + sign * step}) for sign in (1.0, -1.0))
         for key, of_key in slopes.items():
-            if (rise := up[key] - down[key]) != 0.0:
+            if abs(rise := up[key] - down[key]) > 1e-10:  # [mm, deg] less is rounding
                 of_key[name] = (rise - _turns(rise, key[1])) / (2.0 * step)
     return slopes
 
