@@ -25,6 +25,7 @@ from identification.documents import identification as shown
 from identification.estimation.doubts import hardly_determined, tip_of
 from identification.estimation.problem import Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
+from identification.information import VISIBLE
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
 from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
 from identification.kinematics.frames import pose, pose_table
@@ -336,12 +337,15 @@ class _Spread(NamedTuple):
         """A value with what is known of it;  slopes : its derivatives by parameters [API unit]; all else in file units,
         of one parameter its name is said."""
         slope = np.array([slopes.get(each, 0.0) for each in self.names])
-        at, deviation, prior = np.flatnonzero(slope), np.nan, None
+        at, deviation, freedom, prior = np.flatnonzero(slope), np.nan, np.inf, None
         slope, before = slope[at], self.before[at]
         undetermined = any(slopes.get(each) for each in self.unknown)
         if self.covariance is not None and at.size and not undetermined:
-            deviation = max(float(slope @ self.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
-        half = float(quantile_95(self.freedom[at].min(initial=np.inf))) * deviation
+            covariance = self.covariance[np.ix_(at, at)]
+            deviation = max(float(slope @ covariance @ slope), 0.0) ** 0.5
+            parts = np.abs(slope) * np.sqrt(np.diag(covariance))
+            freedom = self.freedom[at][parts >= VISIBLE * parts.max()].min()  # less is rounding of differences
+        half = float(quantile_95(freedom)) * deviation
         figures = [np.nan if undetermined else value, deviation, *np.clip([value - half, value + half], *bounds)]
         corrected, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
         if at.size and np.all(np.any(before != 0.0, axis=1)):
@@ -450,7 +454,7 @@ def _differences(table: Any, values: Values, steps: Values) -> dict[Any, dict[st
     for name, step in steps.items():
         up, down = (table({**values, name: values.get(name, 0.0) + sign * step}) for sign in (1.0, -1.0))
         for key, of_key in slopes.items():
-            if abs(rise := up[key] - down[key]) > 1e-10:  # [mm, deg] less is rounding
+            if (rise := up[key] - down[key]) != 0.0:
                 of_key[name] = (rise - _turns(rise, key[1])) / (2.0 * step)
     return slopes
 
