@@ -103,7 +103,7 @@ class Clearance:
         never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*drawings} for pair in pairs]
         for k in np.flatnonzero(never):
             worst = self._frames_at(drawn[np.argsort(apart[:, k])[:60]])
-            never[k] = not drawn_touch(*(drawings[name] for name in pairs[k]), worst)
+            never[k] = not drawn_touch(drawings[pairs[k][0]], drawings[pairs[k][1]], worst)
         kept = (largest > 0.0) & ~never
         self.touching, self.clear, self.pairs = (
             tuple(pairs[k] for k in np.flatnonzero(chosen)) for chosen in (~kept & ~never, never, kept)
