@@ -69,23 +69,23 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------
 def monte_carlo_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
-    """One table per cell, up to twelve, of errors, deviations and coverage of each parameter (dashes where no fit
-    succeeded), and the cells that could not be simulated."""
+    """What kept cells from being simulated, equal sentences once; one table per cell that was, up to twelve, of errors,
+    deviations and coverage of each parameter (dashes where no fit succeeded)."""
     cells, done = tables["cells"], tables["blocks"].filter(status="done")
     fits = done.group_by("key").first()["fits"].sum() if "fits" in done.columns else 0
-    failures = len(tables["blocks"]) - len(done)
-    parts: list[Any] = [f"{cells.select(CELL).n_unique()} cells, {fits} fits, {failures} failures"]
-    each = cells.partition_by(*CELL, maintain_order=True)
+    count = cells.select(CELL).n_unique()
+    failed = cells.filter(pl.col("error").is_not_null()).group_by("arm", "error", maintain_order=True)
+    kinds = failed.agg(pl.struct(CELL).n_unique().alias("cells")).iter_rows(named=True)
+    parts: list[Any] = [f"{count} cells, {fits} fits"]
+    parts += [f"{kind['arm']}: {kind['cells']} of {count} cells failed: {kind['error']}" for kind in kinds]
+    each = cells.filter(pl.col("error").is_null()).partition_by(*CELL, maintain_order=True)
     for cell in each[:12]:
         first = cell.row(0, named=True)
         title = "{arm}, plan {plan}, {runs} runs, sigma {sigma_mm:g} mm, truth {truth}, model {model}".format(**first)
-        if first["error"] is not None:
-            parts.append(f"{title}: {first['status']}: {first['error']}")
-            continue
-        failed = f", {first['failed']} failed" if first["failed"] else ""
-        title += f": {first['fits']} fits{failed}, RMS {cell_text(first['rms_mm'])} mm"
+        lost = f", {first['failed']} failed" if first["failed"] else ""
+        title += f": {first['fits']} fits{lost}, RMS {cell_text(first['rms_mm'])} mm"
         parts.append(sheet(cell.iter_rows(named=True), ESTIMATED, title))
-    return [*parts, *([f"first 12 of {len(each)} cells"] if len(each) > 12 else [])]
+    return [*parts, *([f"first 12 of {len(each)} cells that were simulated"] if len(each) > 12 else [])]
 
 
 # -- armcal study blind ------------------------------------------------------------------------------------------------
