@@ -126,10 +126,9 @@ def test_limits_that_look_like_radians_warn(tmp_path: Path) -> None:
 
 def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     arm = load(tmp_path, BY_URDF)
-    nominal = read_urdf(URDF).chain("world", "tool0")
-    chain = arm.chain
-    assert [joint.name for joint in chain.joints] == [joint.name for joint in nominal.joints]
+    nominal, chain = read_urdf(URDF).chain("world", "tool0"), arm.chain
     for joint, other in zip(chain.joints, nominal.joints, strict=True):
+        assert joint.name == other.name
         np.testing.assert_array_equal(joint.origin, other.origin)
     assert (arm.name, arm.links, arm.dimension, arm.sigma) == ("six", 6, 3, 0.05)
     assert (arm.lower[0], arm.upper[0]) == (-300.0, 500.0)
@@ -137,27 +136,18 @@ def test_arm_of_a_urdf_file(tmp_path: Path) -> None:
     turn = Rotation.from_euler("XYZ", (10.0, -20.0, 130.0), degrees=True).as_matrix()  # capitals: own axes
     np.testing.assert_allclose(chain.base, pose((1000.0, -200.0, 50.0), turn), atol=1e-12)
     assert chain.settled == {BASE, TOOL}
-    assert {name: place.tolist() for name, place in chain.tools.items()} == {
-        "left": [60.0, 20.0, 50.0],
-        "right": [-70.0, 0.0, 0.0],
-    }
-    assert arm.machining == Machining(1.0, np.radians(0.2))
-    assert arm.gear_ratios[5] == 0.0
+    places = {name: place.tolist() for name, place in chain.tools.items()}
+    assert places == {"left": [60.0, 20.0, 50.0], "right": [-70.0, 0.0, 0.0]}
+    assert (arm.machining, arm.gear_ratios[5]) == (Machining(1.0, np.radians(0.2)), 0.0)
     assert arm.gravity.acceleration.tolist() == [0.0, 0.0, -9.81]
     assert arm.gravity.payload_at.tolist() == [10.0, -20.0, 80.0]
     assert arm.effects[0].values == {"e": 0.0005}
+    sight = (np.radians(25.0), (0.0, 200.0, 500.0), (500.0, 5000.0), (0.0, 0.0, 1.0), np.radians(30.0))
     assert arm.constraints == (
         WorkspaceBox((-400.0, 600.0), (0.0, 650.0), (100.0, 2000.0)),
         KeepOutCircle((350.0, 200.0, 100.0), 60.0),
         KeepOutCylinder((350.0, 200.0, 0.0), (350.0, 200.0, 900.0), 60.0),
-        LineOfSight(
-            (1500.0, 300.0, 1000.0),
-            np.radians(25.0),
-            (0.0, 200.0, 500.0),
-            (500.0, 5000.0),
-            (0.0, 0.0, 1.0),
-            np.radians(30.0),
-        ),
+        LineOfSight((1500.0, 300.0, 1000.0), *sight),
     )
 
 
@@ -212,23 +202,6 @@ def test_instruments(tmp_path: Path, head: str, lines: str, instrument: Instrume
     assert arm.chain.instrument == instrument
     np.testing.assert_allclose(arm.chain.base[:3, 3], base)
     assert head == LENGTHS or not arm.chain.settled
-
-
-def test_examples_of_the_page_load(tmp_path: Path) -> None:
-    page = Path(__file__).parents[3] / "identification/files/README.md"
-    section = page.read_text().split("### Spatial arms")[1].split("\n## ")[0]
-    blocks = re.findall(r"^```toml\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
-    by_urdf, by_table, by_cell, by_lengths, joints = blocks
-    shutil.copy(URDF, tmp_path / "robot.urdf")
-    arm = load(tmp_path, by_urdf)
-    assert (arm.links, len(arm.constraints), list(arm.chain.tools)) == (6, 2, ["top"])
-    chain = load(tmp_path, by_table).chain
-    assert (len(chain), chain.settled) == (2, {BASE})
-    assert load(tmp_path, f"links_mm = [4, 3, 2, 1]\n{joints}").counting is not None
-    (tmp_path / "robot.srdf").write_text('<robot name="six"/>')
-    assert load(tmp_path, f"{by_urdf}\n{by_cell}").cell is not None
-    bar = load(tmp_path, f"{by_urdf}\n{by_lengths}").chain
-    assert bar.coordinates == 1
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
