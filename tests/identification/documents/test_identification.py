@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identification.arm import Arm
 from identification.compensate import Compensation
 from identification.document import Sheet
 from identification.documents.identification import (
@@ -109,7 +110,7 @@ def commands(errors: list[float], missed: list[float]) -> Compensation:
     k = len(errors)
     angles, targets = np.full((k, 1), 0.5), np.zeros((k, 2))
     barred = tuple("constraint 1 (box) is missed by 2 mm" if by > 0.0 else "" for by in missed)
-    return Compensation(targets, angles, np.array(errors), barred=barred)
+    return Compensation(Arm([100.0]), targets, angles, np.array(errors), barred=barred)
 
 
 def test_counts_of_targets_without_a_command() -> None:
