@@ -154,8 +154,8 @@ class Urdf:
             for joint in self.by_child.values():
                 for near, far in ((joint.parent, joint.child), (joint.child, joint.parent)):
                     if near == link and far not in places:
-                        step = self.origin(joint.element)
-                        step = step if far == joint.child else np.linalg.inv(step)
+                        down = self.origin(joint.element)
+                        step = down if far == joint.child else np.linalg.inv(down)
                         places[far] = number, place @ step, aside or joint.type != FIXED
                         reached.append(far)
         return places
