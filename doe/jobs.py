@@ -40,7 +40,7 @@ Workers = int | str  # processes of this machine, 1: this one, one task at a tim
 KEY = "key"  # column with the key's canonical text
 SEED = "seed"  # column; a key with an entry of this name brings its own
 EVERY = 5.0  # [s] between two writings of a table
-LOST = "the workers were lost; finished rows are kept, go on with --resume"
+LOST = "a worker was lost, killed or out of memory; finished rows are kept, go on with --resume"
 # of a new process: nothing is imported from the folder it starts in, no traceback
 QUIET = {"PYTHONSAFEPATH": "1", "PYTHONFAULTHANDLER": ""}
 
@@ -144,9 +144,9 @@ def run_tasks(
     resume : go on with a table that exists;  force : replace it, at once
     payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
 
-    A task that raises, or whose worker dies when it runs alone, becomes a row with `status` "failed" and `error`; every
-    row has its key's entries, `status` and `seconds`. After Ctrl-C or an error the table has all that is finished.
-    Raises `JobError` if the workers are lost, `InputError` as `finished_rows`, and for rows of another seed.
+    A task that raises becomes a row with `status` "failed" and `error`; every row has its key's entries, `status` and
+    `seconds`. After Ctrl-C or an error the table has all that is finished. Raises `JobError` if a worker dies or all
+    are lost, `InputError` as `finished_rows`, and for rows of another seed.
     """
     rows = {} if path is None else finished_rows(path, resume=resume, force=force)
     asked = {canonical(key): key for key in keys}
@@ -156,11 +156,6 @@ def run_tasks(
             raise InputError(f"{path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     waiting, running = deque(text for text in asked if text not in rows), dict[Future[Any], str]()
     done, failed, written = len(asked) - len(waiting), 0, time.monotonic()
-
-    def task(text: str) -> tuple[Any, ...]:
-        """The arguments of `perform`."""
-        key = asked[text]
-        return function, dict(key), seed, *(() if payload is None else (payload(key),))
 
     def save() -> None:
         """In the order of the keys, whichever finished first."""
@@ -180,33 +175,28 @@ def run_tasks(
 
     progress(done, len(asked), "")
     try:
-        while waiting:
-            try:
-                with executor_of(workers) as (executor, count):
-                    while waiting or running:
-                        # three tasks per worker, so that none waits; a million tasks are never in flight at once
-                        while waiting and len(running) < (count * 3 if count > 1 else 1):
-                            future = executor.submit(perform, *task(waiting[0]))
-                            running[future] = waiting.popleft()
-                        for future in wait(running, 0.2, FIRST_COMPLETED).done:
-                            if future.cancelled():
-                                raise JobError(LOST)
-                            if isinstance(error := future.exception(), BrokenExecutor):
-                                raise error
-                            text = running.pop(future)  # the executor's own error: rows that cannot travel
-                            store(text, [_failure(asked[text], seed, error)] if error else future.result())
-                        # a dask client loses its scheduler once and for all, and some futures never end: what fails
-                        # while a result is fetched is logged and dropped
-                        if (client := getattr(executor, "_client", None)) and client.status != "running":
-                            raise JobError(LOST)
-            except BrokenExecutor:
-                if not running:
-                    raise JobError(LOST) from None
-                for text in running.values():  # one of these killed its worker, and took the others with it
-                    of_task, alone = call(perform, *task(text), seconds=None)
-                    died = JobError(f"the worker process died when it ran this task alone ({alone['error']})")
-                    store(text, of_task or [_failure(asked[text], seed, died)])
-                running.clear()
+        with executor_of(workers) as (executor, count):
+            while waiting or running:
+                # three tasks per worker, so that none waits; a million tasks are never in flight at once
+                while waiting and len(running) < (count * 3 if count > 1 else 1):
+                    key = asked[text := waiting.popleft()]
+                    sent = () if payload is None else (payload(key),)
+                    running[executor.submit(perform, function, dict(key), seed, *sent)] = text
+                for future in wait(running, 0.2, FIRST_COMPLETED).done:
+                    if future.cancelled() or isinstance(error := future.exception(), BrokenExecutor):
+                        raise JobError(LOST)
+                    text = running.pop(future)
+                    if error:  # the executor's own: rows that cannot travel
+                        failure = {"status": "failed", "error": one_line(error), "seconds": 0.0}
+                        store(text, [{SEED: seed, **asked[text], **failure}])
+                    else:
+                        store(text, future.result())
+                # a dask client loses its scheduler once and for all, and some futures never end: what fails while a
+                # result is fetched is logged and dropped
+                if (client := getattr(executor, "_client", None)) and client.status != "running":
+                    raise JobError(LOST)
+    except BrokenExecutor:  # while a task was sent
+        raise JobError(LOST) from None
     finally:
         save()
     return frame_of([row for text in asked for row in rows[text]])
@@ -218,13 +208,9 @@ def perform(function: Callable[..., list[Row]], key: dict[str, Any], seed: int, 
     try:
         rows = function(key, seed_of(key, seed), *payload)
     except Exception as error:  # noqa: BLE001 - failures are rows; the study goes on
-        return [_failure(key, seed, error, time.perf_counter() - started)]
-    seconds = time.perf_counter() - started
-    return [{SEED: seed, **key, "status": "done", "error": None, "seconds": seconds, **row} for row in rows or [{}]]
-
-
-def _failure(key: Key, seed: int, error: BaseException | None, seconds: float = 0.0) -> Row:
-    return {SEED: seed, **key, "status": "failed", "error": one_line(error), "seconds": seconds}
+        rows = [{"status": "failed", "error": one_line(error)}]
+    told = {"status": "done", "error": None, "seconds": time.perf_counter() - started}
+    return [{SEED: seed, **key, **told, **row} for row in rows or [{}]]
 
 
 def one_line(error: BaseException | None) -> str:
@@ -258,11 +244,10 @@ def _pool(number: int) -> Iterator[Executor]:
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is for the one that asked
     try:
-        environment = {**SINGLE_THREAD, **QUIET}
-        pool = ProcessPoolExecutor(number, env=environment, initializer=_end_with, initargs=(os.getpid(),))
+        pool = ProcessPoolExecutor(
+            number, env={**SINGLE_THREAD, **QUIET}, initializer=_end_with, initargs=(os.getpid(),)
+        )
         pool.submit(int)  # starts them
-    except OSError as error:  # no semaphores: a /dev/shm that is read-only
-        raise JobError(f"no processes can share work here ({error.strerror}), allowed: --workers 1") from None
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from doe import SINGLE_THREAD
-from doe.cli import demo, plans, study  # noqa: F401 - they declare their verbs
+from doe.cli import verbs  # noqa: F401 - it declares them
 from doe.cli.verb import command, in_one_line, say
 from identification import InputError
 from identification.document import Answer, Document

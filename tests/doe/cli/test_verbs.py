@@ -106,7 +106,7 @@ def test_help_formats_and_versions(folder: Folder) -> None:
     shown = folder.armcal("--version")
     assert shown.code == 0
     assert shown.out == f"armcal {version('armcal')}\n"
-    example = folder.armcal("study --help").out.partition("(names of files are beside it):\n")[2]
+    example = formats["text"].partition("## Study file")[2].partition("```toml")[2].partition("```")[0]
     study = StudyFile.model_validate(tomllib.loads(example))
     assert (study.replications, [truth.name for truth in study.truths]) == (10_000, ["eccentric"])
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import importlib
 import logging
 import multiprocessing
 import os
@@ -13,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,7 @@ import polars as pl
 import pytest
 
 from doe import jobs
-from doe.jobs import LOST, Workers, call, cluster, run_tasks
+from doe.jobs import Workers, call, cluster, run_tasks
 from identification import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -80,20 +78,13 @@ def test_ctrl_c_among_processes_leaves_what_is_finished_and_no_failures(tmp_path
     assert kept["value"].to_list() == work.drawn([{"task": task} for task in kept["task"][::2]])
 
 
-def test_killed_processes_lose_nothing_and_a_task_that_kills_them_is_a_row(tmp_path: Path, run_by: Any) -> None:
-    keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 5 else ""} for task in range(12)]
-    frame, others = rows(work.die, 2, keys), pl.col("task") != 9
-    assert (tmp_path / "mark").exists()
-    expected = rows(work.draw, 1, keys).filter(others)
-    assert frame.filter(others).drop("error").equals(expected.drop("error"))
-    (killer,) = frame.filter(~others).to_dicts()
-    assert (killer["status"], killer["value"]) == ("failed", None)
-    assert killer["error"] == "JobError: the worker process died when it ran this task alone (signal 9)"
-    executor = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))  # does not come back
-    run_by(executor, 1)
+def test_a_killed_process_ends_the_run_and_nothing_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
     with pytest.raises(JobError, match="--resume"):
-        rows(work.die, keys=keys[9:])
-    executor.shutdown()
+        run_tasks(work.die_at_nine, KEYS, path, 2)
+    assert len(pl.read_parquet(path)) < 24
+    again = run_tasks(work.draw, KEYS, path, resume=True)
+    assert again["value"].to_list() == work.drawn(KEYS)
 
 
 # -- a cluster ---------------------------------------------------------------------------------------------------------
@@ -181,31 +172,6 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
     assert kept["value"].to_list() == work.drawn(MANY[: len(kept) // 2])
 
 
-class Scheduler(Executor):
-    """Stands for the executor of a dask client whose scheduler dies when a number of tasks are done: dask drops what
-    fails while it fetches a result, so the others never end."""
-
-    def __init__(self, tasks: int) -> None:
-        self.tasks, self.status, self._client = tasks, "running", self
-
-    def submit(self, function: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
-        future = Future[Any]()
-        if self.tasks:
-            future.set_result(function(*arguments, **named))
-        self.status = "running" if self.tasks else "connecting"
-        self.tasks -= bool(self.tasks)
-        return future
-
-
-@pytest.mark.parametrize("done", [0, 1, 9])
-def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int, run_by: Any) -> None:
-    path = tmp_path / "rows.parquet"
-    run_by(Scheduler(done), 3)
-    with pytest.raises(JobError, match=LOST):
-        run_tasks(work.draw, MANY, path)
-    assert len(pl.read_parquet(path)) / 2 == done if done else not path.exists()
-
-
 @pytest.mark.parametrize(
     ("address", "said"),
     [
@@ -220,19 +186,6 @@ def test_bad_address_is_one_line_at_once(address: str, said: str) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match=f"--cluster.*{said}"):
         cluster(address, patience=0.2).__enter__()
-
-
-def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A system whose shared memory is read-only (EROFS)."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
-    # by its full name: as an attribute of its package it is multiprocessing's until somebody has imported it
-    locks = importlib.import_module("joblib.externals.loky.backend.synchronize")
-    monkeypatch.setattr(locks.SemLock, "__init__", refuse)
-    with pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
-        rows(work.draw, 2)
 
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------
