@@ -53,7 +53,7 @@ def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     assert "this says nothing about others" in said
     assert "removed" not in said
     left_out = identification_verdict(fit | {"cross_validated_mm": 2.0})
-    assert left_out.endswith("to 0.250 mm; of postures left out of the fit it is 2.00 mm (noise included).")
+    assert left_out.endswith("to 0.250 mm; for postures left out of the fit it is 2.00 mm (noise included).")
 
 
 def test_a_value_that_no_controller_tells_from_the_drawing_is_left_out() -> None:
