@@ -341,24 +341,6 @@ def rows_listed(rows: Sequence[int]) -> str:
     return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"
 
 
-def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
-    """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
-
-    digits : decimals of commands, two more than of targets
-    """
-    rows = []
-    for row, (target, command, error) in enumerate(zip(targets, commands, miss, strict=True), start=1):
-        values = (number(value, digits) for value in command)
-        rows.append([str(row), *(f"{value:.{digits - 2}f}" for value in target), *values, miss_text(error)])
-    return rows
-
-
-def miss_text(error: float) -> str:
-    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy; a dash for
-    NaN."""
-    return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
-
-
 # -- armcal effects ----------------------------------------------------------------------------------------------------
 def library_document(entries: Sequence[dict[str, Any]]) -> Document:
     """Name, cause and needs of every effect, by kind."""
