@@ -2,7 +2,7 @@
 page (doe/report/page.py) are renderings; and numbers as people read them.
 
 A paragraph is a string. Everything is ready text, taken to the letter: `[mm]` is no markup, `<b>` no element. Each part
-has `html(picture, name)` for notebook and page and `__rich_console__` for a terminal.
+has `html(picture)` for notebook and page and `__rich_console__` for a terminal.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Sheet:
             yield table
             yield from [Text(rest)] if rest else []
 
-    def html(self, picture: Picture, name: str) -> str:
+    def html(self, picture: Picture) -> str:
         """A table, and what it leaves out."""
         lines, rest = self.cut(200)  # where the text of the table says that there may be more
         # texts, which may be broken, begin at the left
@@ -93,9 +93,7 @@ class Sheet:
         )
         table = f"<table>\n{head}<tbody>\n{''.join(f'<tr>{row}</tr>' + chr(10) for row in rows)}</tbody>\n</table>"
         title = f"<h3>{escape(self.title)}</h3>\n" * bool(self.title)
-        label = escape(f"{name}, table".removeprefix(", "))
-        box = f'{title}<div class="scroll" tabindex="0" role="region" aria-label="{label}">{table}</div>\n'
-        return (box + html(rest)) * bool(lines)
+        return f'{title}<div class="scroll" tabindex="0">{table}</div>\n{html(rest)}' * bool(lines)
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class Pictures:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         yield from ()
 
-    def html(self, picture: Picture, name: str) -> str:
+    def html(self, picture: Picture) -> str:
         """The paragraphs, and then the figures."""
         drawn = self.draw() if picture else ()
         shown = "".join(picture(one) for one in drawn if picture and not isinstance(one, str))
@@ -130,9 +128,9 @@ class Section:
         yield from [Text(f"\n{self.title}", "bold italic")] if shown else []
         yield from (Text(part) if isinstance(part, str) else part for part in shown)
 
-    def html(self, picture: Picture, name: str = "") -> str:
+    def html(self, picture: Picture) -> str:
         """Its title and what is in it."""
-        inside = "".join(html(part, picture, self.title) for part in self.parts)
+        inside = "".join(html(part, picture) for part in self.parts)
         head = f"<h2>{escape(self.title)}</h2>\n"
         return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if self.folded else head + inside
 
@@ -184,7 +182,7 @@ class Document:
         for text, command in self.actions:
             yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
 
-    def html(self, picture: Picture, name: str) -> str:
+    def html(self, picture: Picture) -> str:
         """All of it but the title."""
         first = "".join(f"<p><b>{escape(line)}</b></p>\n" for line in (*self.warnings, *self.verdict) if line)
         steps = "".join(html(f"{text} {command}".strip()) for text, command in self.actions)
@@ -237,9 +235,9 @@ def html_image(figure: Figure) -> str:
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">\n'
 
 
-def html(part: Part, picture: Picture = html_image, name: str = "") -> str:
-    """A part as HTML, everything escaped;  name : of the section around it, for those who hear it"""
-    return f"<p>{escape(part)}</p>\n" * bool(part) if isinstance(part, str) else part.html(picture, name)
+def html(part: Part, picture: Picture = html_image) -> str:
+    """A part as HTML, everything escaped."""
+    return f"<p>{escape(part)}</p>\n" * bool(part) if isinstance(part, str) else part.html(picture)
 
 
 # -- numbers as people read them ---------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ Data = Mapping[str, Any]  # what a command says with --json
 
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
-    "and only of such a fit is the error at the tip that is expected here"
+    "and the error at the tip expected here is that of such a fit alone"
 )
 
 
@@ -274,8 +274,8 @@ TIP_ERRORS = {
     "effects_missing_prior": "library\nprior\n[mm]",
 }
 RIGHT = (
-    "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
-    "at the worst of these poses."
+    "Expected errors of the tip where nothing was measured, if the model is right: RMS over the workspace, and at the "
+    "worst of its poses."
 )
 BOUND_CUT = (
     "The search for the bound was cut by the time limit: plans may be better than their efficiency says. Raise "

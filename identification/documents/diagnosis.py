@@ -73,7 +73,7 @@ def diagnosis_verdict(data: Data) -> list[str]:
     effects, sets, verdict, lines = data["effects"], data["candidates"], data["verdict"], []
     named, several = effects_in_words(effects), len({label.partition(":")[0] for label in effects}) > 1
     if data["confirmed"] is False:
-        partly = "Not confirmed as predicted: rows that no fit has seen gain less."
+        partly = "Not confirmed as predicted: the error on rows that no fit has seen falls by less."
         lines.append(partly if shrinks(data) else "Not confirmed on rows that no fit has seen.")
     if not is_offered(data):
         lines.append(hardly_better(data["offered"]))
@@ -84,26 +84,26 @@ def diagnosis_verdict(data: Data) -> list[str]:
     if verdict == "named":
         return [*lines, f"Missing from the model: {named}."]
     if verdict == "ambiguous" and len(sets) == 1:
-        return [*lines, f"Likeliest, but less likely than not: {named}."]
+        return [*lines, f"Most likely, but with a probability below one half: {named}."]
     if verdict == "ambiguous":
         likeliest = number(sets[0]["probability"], 2)
         spelt = [effects_in_words(c["effects"]) or "nothing" for c in sets[:MOST]]
         spelt += [f"{len(sets) - MOST} more"] * (len(sets) > MOST)
-        count = f"{len(sets)} explanations remain, the likeliest with probability {likeliest}."
+        count = f"{len(sets)} explanations remain, the most likely with probability {likeliest}."
         return [*lines, count, as_sentence("; or ".join(spelt))]
     lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
     if is_described(data):
         curves = sorted(curve["joint"] for curve in data["curves"])
         words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
         lines.append(f"{words.format(of_joints(curves))} it; its cause is open.")
-    return [*lines, *([f"Beside it: {named}."] if effects else [])]
+    return [*lines, *([f"In addition: {named}."] if effects else [])]
 
 
 def findings(data: Data) -> list[str]:
     """What belongs to the verdict, in sentences: a shape, scatter that is not explained, sessions."""
     lines = [f"Its shape: {data['shape']}."] if data["shape"] and not is_described(data) else []
     if (misfit := data["misfit"]) and misfit["significant"]:
-        lines.append(f"Scatter {misfit['ratio']:.3g} x sigma_mm, not explained.")
+        lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm, which nothing here explains.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
         if effects := [one["effect"] for one in data["replication"] if one["replicates"] is answer]:
             lines.append(f"{says} across sessions: {' + '.join(effects)}.")
@@ -115,13 +115,13 @@ def gap_in_words(data: Data) -> str:
     test, unit = data["confirmation"], data.get("reading_unit", "mm")
     if test is not None:
         before, after, expected = (in_a_sentence(test[f"{key}_mm"]) for key in ("before", "after", "predicted"))
-        figures = f"from {before} to {after} {unit}; {expected} {unit} were predicted"
+        figures = f"from {before} to {after} {unit}; {expected} {unit} was predicted"
         return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}."
     before, after = (in_a_sentence(data["gap"][f"rms_{when}_mm"]) for when in ("before", "after"))
     if data["verdict"] == "none":
         return f"The model leaves {after} {unit} RMS of the data; no rows were held out."
     figures = f"from {before} to {after} {unit}"
-    return f"On the data, the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
+    return f"On the data, with the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
 
 
 def effects_in_words(labels: Sequence[str]) -> str:
@@ -156,7 +156,7 @@ def is_described(data: Data) -> bool:
 
 def place_in_words(data: Data) -> str:
     """`at joint 3`, `in time`."""
-    where = str(data["where"] or "a place that is not known").replace(":", " ")
+    where = str(data["where"] or "an unknown place").replace(":", " ")
     return {"time": "in time", "workspace": "in the workspace"}.get(where, f"at {where}")
 
 
@@ -177,7 +177,7 @@ def diagnosis_actions(
         f"{again} --holdout other.csv",
     )
     if data["confirmed"] is False:
-        gain = " yet: rows that no fit has seen gain less than predicted"
+        gain = " yet: the error on rows that no fit has seen falls by less than predicted"
         why = gain if shrinks(data) else ": rows that no fit has seen speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
@@ -192,7 +192,7 @@ def diagnosis_actions(
     actions = [] if data["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
         part = "the error curves, within the angles measured," if is_described(data) else "the named part"
-        meanwhile = f"; {part} may be used meanwhile" if named else ""
+        meanwhile = f"; {part} may be used in the meantime" if named else ""
         actions.insert(0, Action(f"Look for a cause {place_in_words(data)}{meanwhile}."))
     if written is None:
         actions.append(Action("Keep the extended model:", f"{again} --out extended.toml"))
@@ -251,7 +251,7 @@ def diagnosis_document(
     how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
     sections.append(Section("Against time and torque", [how, picture("against_figure")], folded=True))
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
-    sizes = Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data))
+    sizes = Sheet(("effect", "joints", "detectable from (90 % power)", "tip [mm]"), excluded_by_kind(data))
     shown: list[Part] = [sizes, SMALLER, Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish")]
     # folded but where nothing is named
     sections.append(Section("What these postures can and cannot show", shown, folded=bool(data["effects"])))

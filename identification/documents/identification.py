@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from identification.arrays import Array
 from identification.document import (
     Action,
     Document,
@@ -98,7 +97,7 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
         angles = "from {:.4g} to {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return {
         "method": f"{fit.method}: {'Closed form, the exact global minimum.' if closed else fit.status.value}",
-        "left at most": f"{fit.largest[1]:.4g} {unit}",
+        "largest residual": f"{fit.largest[1]:.4g} {unit}",
         "orientations, RMS": angles,
         "expected error": tip,
         "sigma": f"{sigma}, {fit.dof} degrees of freedom",
@@ -159,7 +158,7 @@ def identification_verdict(data: Data, before: str = "") -> str:
     was = was if drawn is None else drawing_in_words(drawn, unit=unit)
     # many parameters, held by a prior or not, come as near to the rows they are fitted to as one likes
     left = data.get("cross_validated_mm")
-    others = f"; of postures left out of the fit it is {in_a_sentence(left)} {unit} (noise included)"
+    others = f"; for postures left out of the fit it is {in_a_sentence(left)} {unit} (noise included)"
     sentence = (
         f"On its own data the calibration takes the RMS error from {was} to {in_a_sentence(data['rms_after_mm'])}"
     )
@@ -168,12 +167,12 @@ def identification_verdict(data: Data, before: str = "") -> str:
 
 def hardly_better(offered: Data) -> str:
     """That a model predicts what it has not seen no better than the geometry alone, or only within chance."""
-    sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "no better beyond chance"
+    sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "not significantly better"
     model, geometry = (
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
-    placed = ", each with the arm placed anew" if offered["by"] == "holdout" else ""
+    placed = ", each with the place of the arm refitted" if offered["by"] == "holdout" else ""
     seen = f"in rows that no fit has seen{placed}"
     return f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."
 
@@ -189,10 +188,10 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool =
     together, and which the measurements do not determine."""
     listed, lines = [row for row in rows if row.std is not None or row.parameter is None or "." not in row.name], []
     if len(rows) - len(listed) > MOST_HELD:
-        lines.append(f"And {len(rows) - len(listed)} parameters of effects without intervals, which the file has.")
+        lines.append(f"And {len(rows) - len(listed)} parameters of effects without intervals; the file has them.")
         rows = listed
     if any(row.name.startswith("zero of") for row in rows):
-        lines.append("Zeros: add to the zero of the joint (real = reading + this), or take off every command.")
+        lines.append("Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.")
     if any(row.parameter == "base_offset.x0" for row in rows):
         typed = "type them into the controller only if the measurements are in the controller's own frame"
         lines.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
@@ -259,9 +258,9 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
         unsure = "These rows are too few to say that --library-prior helps. The geometry alone, to compare on others:"
         keep.append(Action(unsure, f"armcal identify {arm} {rows} --{ALONE} --out geometry.toml"))
     elif not offered["better"]:
-        alone = "Leave --library-prior away, since the geometry alone predicts no worse:"
+        alone = "Leave out --library-prior, since the geometry alone predicts no worse:"
         keep, use = [Action(alone, identify_command(arm, rows, ALONE))], [correct("calibrated.toml")]
-    why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
+    why = "Effects that may be missing are allowed for, and none is named. To find out which there are:"
     return [*keep, *use, Action(why, look.command)]
 
 
@@ -285,10 +284,10 @@ def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
-def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
+def validation_verdict(data: Data, model: str = "the model", rows: str = "") -> str:
     """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
-    better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    seen, unit, drawn = seen or FITTED in data.get("notes", ()), data.get("reading_unit", "mm"), data["rms_nominal_mm"]
+    better;  model, rows : names of files"""
+    seen, unit, drawn = FITTED in data["notes"], data.get("reading_unit", "mm"), data["rms_nominal_mm"]
     which = f"{rows}, which it was fitted to," if seen else f"{rows},"
     which = which if rows else "the model's own measurements," if seen else "other measurements,"
     figures = f"from {drawing_in_words(drawn, data['refit'], unit)} to {in_a_sentence(data['rms_mm'])} {unit}"
@@ -340,24 +339,6 @@ def validation_sections(data: Data) -> list[Section]:
 def rows_listed(rows: Sequence[int]) -> str:
     """`row 3`, `rows 1, 5`; of many the first eight."""
     return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"
-
-
-def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
-    """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
-
-    digits : decimals of commands, two more than of targets
-    """
-    rows = []
-    for row, (target, command, error) in enumerate(zip(targets, commands, miss, strict=True), start=1):
-        values = (number(value, digits) for value in command)
-        rows.append([str(row), *(f"{value:.{digits - 2}f}" for value in target), *values, miss_text(error)])
-    return rows
-
-
-def miss_text(error: float) -> str:
-    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy; a dash for
-    NaN."""
-    return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
 
 
 # -- armcal effects ----------------------------------------------------------------------------------------------------
