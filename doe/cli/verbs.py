@@ -212,8 +212,8 @@ def design_files(
     expected = ExpectedTip.of(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
-    data |= driven.to_json()
-    extra += driven.in_words()
+    data |= driven.data
+    extra += driven.lines
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
     files: dict[Path | None, tuple[str, Any]] = {out: ("plan", text)}
     if picture is not None:
