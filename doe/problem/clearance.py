@@ -255,8 +255,6 @@ class Clearance:
         """k."""
         return len(self.pairs)
 
-    values = margin
-
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
         run, nearest = np.repeat(np.arange(len(postures)), self.count), self._seen(postures).nearest
