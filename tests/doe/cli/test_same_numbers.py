@@ -1,4 +1,4 @@
-"""The same seed gives the same bytes on one machine, and the same answer on the kernels of other processors."""
+"""The same seed gives the same answer on the kernels of other processors, and with more threads."""
 
 from __future__ import annotations
 
