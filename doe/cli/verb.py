@@ -359,14 +359,11 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
-        from rich.table import Column
 
-        # a terminal too narrow for all of it cuts the text, never the times
-        text = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True))
-        elapsed, left = (Column(no_wrap=True, min_width=len("0:00:00")) for _ in range(2))
-        times = TimeElapsedColumn(table_column=elapsed), TimeRemainingColumn(table_column=left)
-        columns = text, BarColumn(bar_width=8), *times
-        with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
+        # first the times, so that a narrow terminal cuts the text and not them
+        text = TextColumn("{task.description}", markup=False)
+        columns = TimeElapsedColumn(), TimeRemainingColumn(), BarColumn(bar_width=8), text
+        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(title, total=None, visible=False)
 
             def report(done: float, total: float | None, message: str) -> None:
