@@ -11,7 +11,7 @@ linear about its solution; sizes are tried from a few values each.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from types import MappingProxyType
@@ -27,15 +27,7 @@ from identification.errors import InputError
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
-from identification.levenberg_marquardt import (
-    ITERATIONS,
-    Index,
-    LeastSquares,
-    Linearize,
-    Solution,
-    compressed,
-    levenberg_marquardt,
-)
+from identification.levenberg_marquardt import Index, LeastSquares, Linearize, Solution, compressed, levenberg_marquardt
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
@@ -53,62 +45,64 @@ class Prior(ByValue):
         to a fit it is noise
     """
 
-    deviations: Mapping[str, float]
-    earlier: Calibration | None = None
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    earlier: Calibration = field(default_factory=lambda: Calibration({}, (), np.zeros((0, 0))))
     own_error: float = 0.0
 
     def __post_init__(self) -> None:
-        first = Calibration({}, (), np.zeros((0, 0))) if self.earlier is None else self.earlier
-        variances = dict(zip(first.parameter_names, np.asarray(first.covariance).diagonal().tolist(), strict=True))
-        for what, named in (("variance", variances), ("standard deviation", self.deviations)):
+        variances = np.asarray(self.earlier.covariance).diagonal().tolist()
+        of_earlier = dict(zip(self.earlier.parameter_names, variances, strict=True))
+        for what, named in (("variance", of_earlier), ("standard deviation", self.deviations)):
             for name, value in named.items():
                 if not 0.0 < value < np.inf:
                     raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
-        independent = {name: deviation for name, deviation in self.deviations.items() if name not in variances}
+        independent = {name: deviation for name, deviation in self.deviations.items() if name not in of_earlier}
         object.__setattr__(self, "deviations", MappingProxyType(independent))
 
     @property
     def names(self) -> frozenset[str]:
         """Of all parameters that have one."""
-        return frozenset(self.deviations) | frozenset(() if self.earlier is None else self.earlier.parameter_names)
+        return frozenset((*self.deviations, *self.earlier.parameter_names))
 
     def released(self, names: Collection[str], machining: Mapping[str, float]) -> Prior:
         """Without what the earlier calibration says of these; that of the machining (name -> deviation) stays."""
-        assert self.earlier is not None
         kept = self.earlier.about(set(self.earlier.parameter_names) - set(names))
         machined = {name: size for name, size in machining.items() if name in names}
-        return Prior({**machined, **self.deviations}, kept if kept.parameter_names else None)
+        return Prior({**machined, **self.deviations}, kept)
 
-    def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
-        """(r, p) rows for the Jacobian, one for each parameter that has a prior; its residuals are rows @ (center -
-        values);  noise : standard deviation of the other residuals, 1 where those are divided by sigma"""
-        precisions = noise / parameters.vector(self.deviations, default=np.inf)
-        return np.concatenate([np.diag(precisions)[precisions > 0.0], noise * self._roots(parameters)[1].T])
+    def center(self, parameters: ParameterSet) -> Array:
+        """(p,) means, zero where there is no prior."""
+        return parameters.vector({n: self.earlier.values[n] for n in self.earlier.parameter_names}, default=0.0)
 
     def factor(self, parameters: ParameterSet) -> Array:
-        """(p, r) F, with the covariance F F^T, zero where there is no prior."""
-        deviations = parameters.vector(self.deviations, default=0.0)
-        return np.concatenate([np.diag(deviations)[:, deviations > 0.0], self._roots(parameters)[0]], axis=1)
-
-    def _roots(self, parameters: ParameterSet) -> Array:
-        """(2, p, k) L with the covariance L L^T of the earlier calibration, and L^-T, at the places of parameters."""
-        if self.earlier is None:
-            return np.zeros((2, len(parameters), 0))
-        here = self.earlier.about(parameters.names)
-        covariance = np.asarray(here.covariance)
+        """(p, r) F, with the covariance F F^T; zero in the rows of parameters without a prior."""
+        independent = np.diag(parameters.vector(self.deviations, default=0.0))
+        earlier = self.earlier.about(parameters.names)
+        covariance = np.asarray(earlier.covariance)
         sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
         values, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
-        root = np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
-        roots = np.zeros((2, len(parameters), len(sizes)))
-        roots[:, [parameters.index(name) for name in here.parameter_names]] = (
-            sizes[:, None] * vectors * root,
-            vectors / root / sizes[:, None],
+        root = np.zeros((len(parameters), len(sizes)))
+        root[[parameters.index(name) for name in earlier.parameter_names]] = (
+            sizes[:, None] * vectors * np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
         )
-        return roots
+        return np.concatenate([independent[:, independent.any(axis=0)], root], axis=1)
+
+    def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
+        """(r, p) rows for the Jacobian, F^-1, one for each parameter that has a prior; its residuals are rows @ (center
+        - values);  noise : standard deviation of the other residuals, 1 where those are divided by sigma"""
+        factor = self.factor(parameters)
+        held = factor.any(axis=1)
+        sizes = np.linalg.norm(factor[held], axis=1)
+        rows = np.zeros(factor.T.shape)
+        rows[:, held] = noise * np.linalg.inv(factor[held] / sizes[:, None]) / sizes
+        return rows
+
+
+NO_PRIOR = Prior()
 
 
 # -- the problem -------------------------------------------------------------------------------------------------------
-def check_measurements(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
+def check_measurements(model: Model, measurements: Measurements, prior: Prior = NO_PRIOR) -> None:
     """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
 
     prior : of parameters that need no equation, besides those of the model
@@ -139,7 +133,7 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
         ):
             if lacks and need in effect.needs:
                 raise InputError(f"effects: {effect.key} needs {what}")
-    p -= len({*model.prior, *(() if prior is None else prior.names)} & set(model.names))
+    p -= len({*model.prior, *prior.names} & set(model.names))
     if d * m < p:
         counted = f"{d} m = {d * m} < p = {p}"
         file = measurements.provenance.get("file", "measurements")
@@ -167,7 +161,7 @@ class Problem:
     sigma: float | None = None
     reliance: str | None = None
     tolerance: float = RANK_TOLERANCE
-    prior: Prior | None = None
+    prior: Prior = NO_PRIOR
     noise: float = 1.0
 
     @classmethod
@@ -176,7 +170,7 @@ class Problem:
         model: Model,
         measurements: Measurements,
         sigma: ArrayLike | str | None = None,
-        prior: Prior | None = None,
+        prior: Prior = NO_PRIOR,
     ) -> Problem:
         """The problem of one data set;  sigma : as of `estimate`. Which sigma holds: argument, then rows, then
         arm. Of rows that are copied the first counts, the others have no weight. Raises `InputError`."""
@@ -203,7 +197,7 @@ class Problem:
     def exact_form(self) -> PlanarClosedForm | None:
         """The model's closed form if that is the solution; None: there is none, or it is a start only."""
         form = self.model.closed_form
-        return form if form is not None and form.exact and self.prior is None else None
+        return form if form is not None and form.exact and not self.prior.names else None
 
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
@@ -233,15 +227,12 @@ class Problem:
     @cached_property
     def prior_rows(self) -> Array:
         """(r, p) rows of the prior in the Jacobian, see `Prior.rows`."""
-        parameters = self.model.parameters
-        return np.zeros((0, len(parameters))) if self.prior is None else self.prior.rows(parameters, self.noise)
+        return self.prior.rows(self.model.parameters, self.noise)
 
     @cached_property
     def prior_center(self) -> Array:
-        """(p,) means of the prior; zero where there is none."""
-        earlier = None if self.prior is None else self.prior.earlier
-        means = {} if earlier is None else {name: earlier.values[name] for name in earlier.parameter_names}
-        return self.model.parameters.vector(means, default=0.0)
+        """(p,) means of the prior, see `Prior.center`."""
+        return self.prior.center(self.model.parameters)
 
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
@@ -268,7 +259,7 @@ class Problem:
     def linearized(self, parameters: Array) -> tuple[Array, Array]:
         """Weighted (N,) residual and (N, p) Jacobian of the first data set about parameters (p,), without the prior, in
         as few rows as say the same."""
-        bare = self if self.prior is None else replace(self, prior=None)
+        bare = replace(self, prior=NO_PRIOR)
         residuals, jacobians = compressed(*bare.linearize(parameters[None], np.arange(1)))
         return residuals[0], jacobians[0]
 
@@ -277,30 +268,12 @@ class Problem:
         jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
         return jacobian.reshape(-1, jacobian.shape[-1])
 
-    def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
+    def minimized(self, starts: Array, linearize: Linearize | None = None) -> Solution:
         """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
         rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
         parameters, scales = self.model.parameters, self.model.scales
         bounds = parameters.lower, parameters.upper
-        form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
-        return levenberg_marquardt(form, starts)
-
-    def released_drops(self, earlier: Calibration, x: Array) -> dict[str, float]:
-        """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units
-        of the noise, fall where its own prior is released and the others' stay, linear about x (p,).
-
-        Released, a mean of the prior is one more unknown: its column is that of the calibration's rows.
-        """
-        names = [name for name in self.model.names if name in earlier.parameter_names]
-        (residual, jacobian), rows = self.linearized(x), self.prior_rows
-        whole = np.concatenate([jacobian, rows])
-        shifts = np.zeros((len(whole), len(names)))
-        shifts[-len(names) :] = rows[-len(names) :, [self.model.names.index(name) for name in names]]
-        target = np.concatenate([residual, rows @ (self.prior_center - x)])
-        basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
-        left = shifts - basis @ (basis.T @ shifts)
-        squares = np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny)
-        return dict(zip(names, ((left.T @ target) ** 2 / squares / self.noise**2).tolist(), strict=True))
+        return levenberg_marquardt(LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance), starts)
 
 
 # -- noise and sizes ---------------------------------------------------------------------------------------------------
@@ -345,9 +318,9 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     residual, jacobian : of `Problem.linearized` about x (p,)
     """
     holds, parameters, prior = problem.reliance == "given", problem.model.parameters, problem.prior
-    factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
+    factor = prior.factor(parameters)
     held = factor.any(axis=1)
-    sized = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
+    sized = problem.model.prior.keys() & prior.deviations.keys()
     machined = np.array([name in sized for name in parameters.names])
     zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
     target = residual + jacobian @ np.where(held, x - problem.prior_center, 0.0)  # all at the center of the prior
@@ -407,7 +380,7 @@ class Contradiction(NamedTuple):
         return f"{sentence}. The fit is right for neither. {either}"
 
 
-def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array) -> Contradiction | None:
+def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | None:
     """The parameter whose prior, an earlier calibration, the measurements contradict most clearly; None: none.
 
     The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
@@ -425,7 +398,7 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
         freedom = np.inf
     if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
         return None
-    drops = replace(problem, noise=noise).released_drops(earlier, x)
+    drops, earlier = released_drops(replace(problem, noise=noise), x), prior.earlier
     name = max(drops, key=drops.__getitem__)
     less = np.array([drops[name], *(drops[name] - drop for drop in drops.values())])
     p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
@@ -439,6 +412,23 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
     before, before_std, value, std = (float(figure * p.to_file) for figure in figures)
     instead = tuple(other for other, least in zip(drops, p_less, strict=True) if least > 0.05 and other != name)
     return Contradiction(name, p.file_unit, before, before_std, value, std, instead)
+
+
+def released_drops(problem: Problem, x: Array) -> dict[str, float]:
+    """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units of
+    the noise, fall where its own prior is released and the others' stay, linear about x (p,).
+
+    Released, a mean of the prior is one more unknown: its column is that of the prior's rows.
+    """
+    names, (residual, jacobian), rows = problem.model.names, problem.linearized(x), problem.prior_rows
+    places = [k for k, name in enumerate(names) if name in problem.prior.earlier.parameter_names]
+    whole = np.concatenate([jacobian, rows])
+    shifts = np.concatenate([np.zeros((len(jacobian), len(places))), rows[:, places]])
+    target = np.concatenate([residual, rows @ (problem.prior_center - x)])
+    basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
+    left = shifts - basis @ (basis.T @ shifts)
+    drops = (left.T @ target) ** 2 / np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny) / problem.noise**2
+    return {names[k]: drop for k, drop in zip(places, drops.tolist(), strict=True)}
 
 
 # -- where a search starts ---------------------------------------------------------------------------------------------

@@ -153,7 +153,7 @@ CASES: list[Case] = [
     case(f"design {LONG} --runs 8", "cannot be read"),
     case(
         f"study study.toml --workers 1 --out {LONG}",
-        "cannot be written",
+        "File name too long",
         study=STUDY + 'plans = ["random"]\nruns = [6]\n',
     ),
     case("design arm.toml --runs 8 --out arm.toml/plan.csv", "'arm.toml'; folder"),
