@@ -27,7 +27,6 @@ from doe.studies.blind.cells import CELLS, SAME_ARM, TABLE, DataSet, data_set, t
 from identification import (
     Arm,
     Array,
-    Diagnosis,
     InputError,
     design_model,
     diagnose,
