@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from time import perf_counter
 
 import numpy as np
@@ -29,7 +28,7 @@ from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
 from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives
-from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
+from doe.problem.postures import grid, listed_candidates, put_inside, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
 from identification import Array, InputError, JobError, Status, newton_ascent
 
@@ -81,7 +80,7 @@ class ContinuousSet:
 
     Constraints are kept by a logarithmic barrier, lowered step by step, so that a climb can follow a wall. What it ends
     at is a numerical maximum; branch and bound makes it a theorem where the model allows.
-    also : (k, n) starts beside the landmarks and random ones
+    also : (k, n) starts beside random ones
     """
 
     problem: DesignProblem
@@ -105,37 +104,41 @@ class ContinuousSet:
         hessian += self._derivatives.bend(postures, weighted)
         return slope / (1.0 + self.prior.runs), 2.0 * hessian / (1.0 + self.prior.runs)
 
+    def drawn(self, count: int, generator: Generator) -> Array:
+        """(k, n) feasible postures: anywhere; with each joint at a limit, in the middle of its range or anywhere; and
+        of such ones that break constraints some that are moved onto these walls.
+
+        Maxima are narrow where walls meet limits: postures anywhere do not come near them.
+        """
+        problem, shape = self.problem, (count, self.problem.joints)
+        low, high = (np.broadcast_to(limit, shape) for limit in (problem.lower, problem.upper))
+        places = np.stack([low, high, 0.5 * (low + high), generator.uniform(low, high)])
+        on_faces = np.choose(generator.integers(0, 4, shape), places)
+        allowed, kinds = problem.feasible(on_faces), [random_postures(problem, count // 4, generator)]
+        if len(broken := on_faces[~allowed][: count // 10]):
+            at_walls = put_inside(problem, broken)
+            kinds.append(at_walls[problem.feasible(at_walls)])
+        return np.concatenate([*kinds, on_faces[allowed]])
+
     @cached_property
     def starts(self) -> Array:
-        """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
-        problem, generator = self.problem, np.random.default_rng(0)
-        active, middle = list(problem.active_joints), 0.5 * (problem.lower + problem.upper)
-        most = 3**7  # limits and middle of seven joints
-        if 3 ** len(active) <= most:
-            places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
-        else:
-            places = generator.integers(0, 3, (most, len(active)))
-        landmarks = np.tile(middle, (len(places), 1))
-        landmarks[:, active] = np.stack([problem.lower, problem.upper, middle])[places, active]
+        """(k, n) of the cheap search."""
         also = [] if self.also is None else [np.atleast_2d(self.also)]
-        anywhere = random_postures(problem, 2000, generator)  # beside the landmarks
-        return np.concatenate([landmarks[problem.feasible(landmarks)], *also, anywhere])
+        return np.concatenate([*also, self.drawn(8000, np.random.default_rng(0))])
 
     def best(
         self, gradient: Array, near: Array, generator: Generator | None = None, stop: Stop = never
     ) -> tuple[Array, Array]:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
-        Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
-        the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
+        Starts are `near` (j, n) and the best of `starts`; with a generator, a search as thorough as is affordable: the
+        best of many fresh postures, and others whatever their value, for a high maximum may be narrow.
         `stop` ends the climb on its way.
         """
-        pool = self.starts if generator is None else random_postures(self.problem, 20_000, generator)
-        order, climbers = np.argsort(-self.sensitivities(pool, gradient)), 64
-        promising = (
-            [pool[order[:climbers]]] if generator is None else [pool[order[: 4 * climbers]], pool[: 4 * climbers]]
-        )
-        postures = self.climb(np.concatenate([near, *promising]), gradient, stop)
+        pool, climbers = (self.starts, 64) if generator is None else (self.drawn(30_000, generator), 256)
+        others = pool[:0] if generator is None else generator.choice(pool, 64)
+        promising = pool[np.argsort(-self.sensitivities(pool, gradient))[:climbers]]
+        postures = self.climb(np.concatenate([near, promising, others]), gradient, stop)
         values = self.sensitivities(postures, gradient)
         order = np.argsort(-values)
         order = order[distinct(self.problem.comparable(postures[order]))]

@@ -34,7 +34,9 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     headings = ("solver", "best", "median", "effi-\nciency", "hits", "time\n[s]", "to hit\n[s]", "wrong")
     for part in summary(rows).partition_by(*PROBLEM, maintain_order=True):
         arm, arm_hash, criterion, m = (part[name][0] for name in PROBLEM)
-        bounds = runs.filter(arm_hash=arm_hash, criterion=criterion, runs=m)["bound"].drop_nulls().to_list()
+        bounds = (
+            runs.filter(arm_hash=arm_hash, criterion=criterion, runs=m).drop_nulls("bound").sort("bound", "bound_cut")
+        )
         cells = []
         for row in part.iter_rows(named=True):
             best, median = (
@@ -44,7 +46,8 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
             times = [cell_text(row[name], ".2g") for name in ("seconds", "seconds_to_hit")]
             name, wrong = label((row["solver"], row["starts"])), str(row["not_correct"] or "-")
             cells.append([name, best, median, cell_text(row["efficiency"], ".5f"), hits, *times, wrong])
-        bound = f", bound {min(bounds):z.7f}" if bounds else ""
+        bound = f", bound {bounds['bound'][0]:z.7f}" if len(bounds) else ""
+        bound += ", its search cut by the time limit" if len(bounds) and bounds["bound_cut"][0] else ""
         parts.append(Sheet(headings, cells, f"{arm}, {criterion}, {m} runs{bound}"))
     failed = runs.filter(pl.col("status") != "done")
     kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "status", "error", maintain_order=True).len()
@@ -108,8 +111,9 @@ def monte_carlo_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     succeeded), and the cells that could not be simulated."""
     cells, done = tables["cells"], tables["blocks"].filter(status="done")
     fits = done.group_by("key").first()["fits"].sum() if "fits" in done.columns else 0
-    failures = len(tables["blocks"]) - len(done)
-    parts: list[Any] = [f"{cells.select(CELL).n_unique()} cells, {fits} fits, {failures} failures"]
+    failed = len(tables["blocks"]) - len(done)
+    of_blocks = f"; {failed} of {tables['blocks']['key'].n_unique()} blocks of data sets failed" if failed else ""
+    parts: list[Any] = [f"{cells.select(CELL).n_unique()} cells, {fits} fits{of_blocks}"]
     formats = {"parameter": "", "mean_error": ".4g", "std": ".4g", "expected_std": ".4g", "coverage": ".2%", "unit": ""}
     headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
     each = cells.partition_by(*CELL, maintain_order=True)
