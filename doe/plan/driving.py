@@ -20,7 +20,7 @@ from doe.problem.constraints import KINDS, Constraint
 from doe.problem.model import turns
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, JobError, Plan
+from identification import Array, Plan
 
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (False, False), "positive": (True, False), "negative": (False, True), "alternate": (True, True)}
@@ -37,6 +37,8 @@ class Drive:
     order : `given`, `random` or `travel`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
+    sideways : runs from 1 that no free way leads to from the side that was asked for;  not_free : as `unproven` has it
+    wound : joints from 1 with limits of more than one turn
     cut : whether time ended before free moves were found: then it has none
     """
 
@@ -48,6 +50,9 @@ class Drive:
     before: float = 0.0
     shortest: float = 0.0
     replaced: int = 0
+    sideways: Sequence[int] = ()
+    not_free: Sequence[Mapping[str, Any]] = ()
+    wound: Sequence[int] = ()
     cut: bool = False
 
     def to_json(self) -> dict[str, Any]:
@@ -66,7 +71,8 @@ class Drive:
         ]
         vias = int(self.moves.via.sum())
         moves = {"vias": vias, "replaced": self.replaced, "shortest_deg": shortest, "approach": self.approach}
-        return data | {"moves": moves | {"rows": rows}}
+        lacking = {"no_approach": [*self.sideways], "not_free": [*self.not_free]}
+        return data | {"moves": moves | lacking | {"rows": rows}}
 
     def in_words(self) -> list[str]:
         """What is to be said of the order, and of the moves."""
@@ -91,9 +97,19 @@ class Drive:
             if self.approach != "any":
                 how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
                 lines.append(f"every joint comes to each posture {how}; plan and bound leave room for it at the limits")
+            if self.sideways:
+                runs = f"run{'s' * (len(self.sideways) != 1)} {', '.join(map(str, self.sideways))}"
+                lines.append(f"but not to {runs}: no free way was found there from that side")
             if self.replaced:
                 were = "1 of the postures was" if self.replaced == 1 else f"{self.replaced} of the postures were"
                 lines.append(f"{were} replaced: no free way led there from the others")
+            if self.wound and (self.replaced or self.not_free):
+                limits = f"[joint_limits_deg] of one turn for joint{'s' * (len(self.wound) != 1)}"
+                lines.append(
+                    f"No free way leads into all turns of the joints: of the others the plan says little. {limits} "
+                    f"{', '.join(map(str, self.wound))}, as armcal init writes them, give a plan of where the arm gets."
+                )
+            lines += in_sentences(self.not_free)
         return lines
 
 
@@ -112,7 +128,7 @@ def drive(
     approach : of `SENSES`;  signs : (n) of each joint as the controller counts it, empty: as the model does
     stop : asked now and then; where it ends the search, the plan has its order and no moves
 
-    Raises `JobError` where postures are left that cannot be reached.
+    Where postures are left that no free way leads to, or none from the side that is asked for, it says which.
     """
     bodies, generator = room_of(problem.constraints, 0.02), np.random.default_rng(seed)
     if bodies is None and approach == "any" and order is None:
@@ -126,7 +142,7 @@ def drive(
     shuffled = np.random.default_rng(seed).permutation(len(plan)) if order == "random" else np.arange(len(plan))
     turn = (lambda rows: rows) if bodies is None else one_turn(problem, bodies, generator)
     postures = turn(plan.postures[shuffled])
-    senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
+    first, senses = postures, np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
     senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
 
     def margin(postures: Array) -> Array:
@@ -136,19 +152,17 @@ def drive(
 
     kept_margin, room = room.margin, room._replace(margin=margin)
     try:
-        for _ in range(5):
+        for attempt in range(5):
             entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
-            lost = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
+            lost = sideways = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
+            if entries is not None and attempt == 4:  # what is left is approached from anywhere
+                entries[sideways], lost = postures[sideways], []
             if not lost:
                 path = route(postures, room, space, entries=entries, keep_order=order != "travel", seed=seed)
                 lost = path.unreached
-            if not lost:
+            if not lost or attempt == 4:
                 break
             postures = another(problem, postures, lost, room, space, turn, generator)
-            replaced |= {*lost}
-        else:
-            runs = ", ".join(str(row + 1) for row in lost)
-            raise JobError(f"no free way was found to run {runs}; another --seed, or --candidates, may have more luck")
     except TimeoutError:
         rows = np.arange(len(plan))
         if order == "travel":
@@ -157,6 +171,7 @@ def drive(
         travel = space.length(cut.postures)
         return Drive(cut, None, order, approach, travel, before, travel, cut=True)
     ways = [np.vstack([way, postures[row]]) for way, row in zip(path.vias, path.rows, strict=True)]
+    ways = [way[:-1] if row in sideways else way for way, row in zip(ways, path.rows.tolist(), strict=True)]
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
     whole = replace(plan, postures=np.concatenate(ways), via=via)
     shortest = space.length(postures[path.rows])
@@ -164,7 +179,12 @@ def drive(
         shortest = min(shortest, space.length(postures[shortest_path(space.travel(postures[:, None], postures))]))
     moves = None if bodies is None and approach == "any" else whole
     measured = replace(plan, postures=postures[path.rows])
-    return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
+    replaced = int(np.any(postures != first, axis=1).sum())
+    travel, not_free = space.length(whole.postures), unproven(problem.constraints, whole.postures) if lost else None
+    wide = (turns(problem.model) & (problem.upper - problem.lower > 1.01 * 2.0 * np.pi)).nonzero()[0] + 1
+    runs = (np.flatnonzero(np.isin(path.rows, sideways)) + 1).tolist()
+    lacking = runs, not_free or (), wide.tolist()
+    return Drive(measured, moves, order, approach, travel, before, shortest, replaced, *lacking)
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]] | None:

@@ -8,17 +8,13 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from matplotlib import colormaps
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import NullFormatter
 
 from doe.studies.blind.study import ALL, KEEPS, OUTCOMES, OUTSIDE
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL
-from identification import Array
 from identification.document import Sheet
-
-Setting = tuple[str, int]  # solver and starts
 
 
 def cell_text(value: Any, kind: str = ".4g") -> str:
@@ -44,7 +40,7 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
             )
             hits = f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}"
             times = [cell_text(row[name], ".2g") for name in ("seconds", "seconds_to_hit")]
-            name, wrong = label((row["solver"], row["starts"])), str(row["not_correct"] or "-")
+            name, wrong = label(row["solver"], row["starts"]), str(row["not_correct"] or "-")
             cells.append([name, best, median, cell_text(row["efficiency"], ".5f"), hits, *times, wrong])
         bound = f", bound {bounds['bound'][0]:z.7f}" if len(bounds) else ""
         bound += ", its search cut by the time limit" if len(bounds) and bounds["bound_cut"][0] else ""
@@ -52,7 +48,7 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     failed = runs.filter(pl.col("status") != "done")
     kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "status", "error", maintain_order=True).len()
     lines = [
-        f"{row['arm']}, {row['criterion']}, {row['runs']} runs, {label((row['solver'], row['starts']))}: "
+        f"{row['arm']}, {row['criterion']}, {row['runs']} runs, {label(row['solver'], row['starts'])}: "
         f"{row['len']} x {row['status']}: {row['error']}"
         for row in kinds.iter_rows(named=True)
     ]
@@ -60,49 +56,9 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     return [*parts, *lines[:10], *rest]
 
 
-def label(setting: Setting) -> str:
+def label(solver: str, starts: int) -> str:
     """`ipopt, 10 starts`; only `ipopt` with its own number of starts."""
-    solver, starts = setting
     return f"{solver}, {starts} start{'s' * (starts > 1)}" if starts else solver
-
-
-def performance_profile(rows: pl.DataFrame) -> dict[Setting, Array]:
-    """Setting -> sorted ratios of its time to the fastest setting's, one per instance, infinite where it is no hit.
-
-    An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
-    E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
-    equations 1 and 2.
-    """
-    timed = with_hits(rows).with_columns(time=pl.when("hit").then("seconds").otherwise(float("inf")))
-    ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")
-    timed = timed.with_columns(ratio=pl.when("hit").then(ratio).otherwise(float("inf")))
-    parts = timed.partition_by(*SETTING, maintain_order=True)
-    return {(part["solver"][0], part["starts"][0]): part["ratio"].sort().to_numpy() for part in parts}
-
-
-def profile_figure(rows: pl.DataFrame) -> Figure:
-    """The performance profile: on the left who is fastest, on the right who gets there at all."""
-    curves = performance_profile(rows)
-    solvers, starts = (list(dict.fromkeys(values)) for values in zip(*curves, strict=True))
-    end = 1.3 * max([1.0, *(ratio for ratios in curves.values() for ratio in ratios if np.isfinite(ratio))])
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for above, ((solver, number), ratios) in enumerate(curves.items()):
-        color, dashes = colormaps["tab10"](solvers.index(solver) % 10), ("-", "--", ":", "-.")[starts.index(number) % 4]
-        width = 1.5 + 1.2 * (len(curves) - 1 - above)  # the narrow ones on top: equal curves hide none
-        solved = ratios[np.isfinite(ratios)]
-        share = np.arange(len(solved) + 1) / len(ratios)
-        name = f"{label((solver, number))}: {100.0 * share[-1]:.0f} %"
-        x, y = np.r_[0.9, solved, end], np.r_[share, share[-1]]
-        axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=name)
-    axes.set(xscale="log", xlim=(1.0, end), ylim=(-0.04, 1.04))
-    # 1, 2, 5, 10 along the axis: powers of ten crowd each other where there is less than a decade
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
-    figure.legend(fontsize=8, loc="outside right center", title="solved in the end", title_fontsize=8)
-    return figure
 
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------

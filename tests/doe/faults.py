@@ -179,12 +179,11 @@ def verdict(
         os.kill(one, signal.SIGKILL)
     wrong += ["processes left behind"] if left else []
     for name, held in content(command, folder).items():
-        # as in the reference, or a table with fewer rows, or another plan with as many, or, where nobody could tidy up,
-        # the journal of a table
+        # as in the reference, or a table with fewer rows, or another plan with as many
         if "nothing was written" in errors:
             wrong.append(f"{name} was written")
         elif name not in reference.files:
-            wrong += [] if name.endswith(".parquet.journal") and code < 0 else [f"{name} left behind"]
+            wrong.append(f"{name} left behind")
         elif held != reference.files[name] and not name.endswith(".parquet"):
             lines = reference.files[name].count(b"\n") if command.best_so_far else None
             wrong += [] if held.count(b"\n") == lines else [f"{name} is half written"]

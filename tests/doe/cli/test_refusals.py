@@ -162,7 +162,6 @@ CASES: list[Case] = [
         case(words, f"'{meant}'")
         for words, meant in (
             ("idenitfy", "identify"),
-            ("calibrate", "identify"),
             ("help format", "formats"),
             ("design arm.toml --run 8", "--runs"),
             ("effects joint_hysteresys", "joint_hysteresis"),

@@ -156,7 +156,7 @@ def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(tmp_
         return Study.of(arms, ["analytic", "random"], runs=[*runs], replications=150)
 
     folder, alone = tmp_path / "out", run_study(small(4, 5), seed=1)
-    first = run_study(small(4), folder, 2, seed=1)
+    first = run_study(small(4), folder, workers=2, seed=1)
     with pytest.raises(InputError, match="--resume"):
         run_study(small(4, 5), folder, seed=1)
     both = run_study(small(4, 5), folder, seed=1, resume=True)

@@ -534,3 +534,13 @@ def test_a_calibration_in_space_goes_round(tmp_path: Path) -> None:
     same(arm.calibration, again.calibration)
     same(arm.chain.base, again.chain.base)
     same(arm.chain.tools, again.chain.tools)
+
+
+def test_of_a_plane_those_turns_go_round_that_were_fitted(tmp_path: Path) -> None:
+    """All but that about the axis of the base which is nearest to the normal: x before the fit, z after it."""
+    text, names = f'{HEAD}[instrument]\nkind = "plane"\n', ("base.z", "base.ry", "base.rz")
+    after = pose((0.0, 0.0, -400.0), Rotation.from_euler("y", -43.0, degrees=True).as_matrix())
+    found = Calibration({"base.z": 2.0, "base.ry": np.radians(3.0), "base.rz": 0.0}, names, np.eye(3), base=after)
+    again = load(tmp_path, with_calibration(text, found))
+    same(found, again.calibration)
+    assert set(names) <= set(Model(again).names)
