@@ -63,29 +63,28 @@ def label(solver: str, starts: int) -> str:
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------
 def monte_carlo_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
-    """One table per cell, up to twelve, of errors, deviations and coverage of each parameter (dashes where no fit
-    succeeded), and the cells that could not be simulated."""
+    """What kept cells from being simulated, equal sentences once; one table per cell that was, up to twelve, of errors,
+    deviations and coverage of each parameter (dashes where no fit succeeded)."""
     cells, done = tables["cells"], tables["blocks"].filter(status="done")
     fits = done.group_by("key").first()["fits"].sum() if "fits" in done.columns else 0
-    failed = len(tables["blocks"]) - len(done)
-    of_blocks = f"; {failed} of {tables['blocks']['key'].n_unique()} blocks of data sets failed" if failed else ""
-    parts: list[Any] = [f"{cells.select(CELL).n_unique()} cells, {fits} fits{of_blocks}"]
+    count = cells.select(CELL).n_unique()
+    parts: list[Any] = [f"{count} cells, {fits} fits"]
+    failed = cells.filter(pl.col("error").is_not_null()).group_by("arm", "error", maintain_order=True)
+    kinds = failed.agg(pl.struct(CELL).n_unique().alias("cells")).iter_rows(named=True)
+    parts += [f"{kind['arm']}: {kind['cells']} of {count} cells failed: {kind['error']}" for kind in kinds]
     formats = {"parameter": "", "mean_error": ".4g", "std": ".4g", "expected_std": ".4g", "coverage": ".2%", "unit": ""}
     headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
-    each = cells.partition_by(*CELL, maintain_order=True)
+    each = cells.filter(pl.col("error").is_null()).partition_by(*CELL, maintain_order=True)
     for cell in each[:12]:
         rows = cell.to_dicts()
         first = rows[0]
         plan = f"{first['arm']}, plan {first['plan']}, {first['runs']} runs, sigma {first['sigma_mm']:g} mm"
         title = f"{plan}, truth {first['truth']}, model {first['model']}"
-        if first["error"] is not None:
-            parts.append(f"{title}: {first['status']}: {first['error']}")
-            continue
-        failed = f", {first['failed']} failed" if first["failed"] else ""
+        lost = f", {first['failed']} failed" if first["failed"] else ""
         figures = [[cell_text(row[name], kind) for name, kind in formats.items()] for row in rows]
         rms = f"RMS {cell_text(first['rms_mm'])} mm"
-        parts.append(Sheet(headings, figures, f"{title}: {first['fits']} fits{failed}, {rms}"))
-    return [*parts, *([f"first 12 of {len(each)} cells"] if len(each) > 12 else [])]
+        parts.append(Sheet(headings, figures, f"{title}: {first['fits']} fits{lost}, {rms}"))
+    return [*parts, *([f"first 12 of {len(each)} cells that were simulated"] if len(each) > 12 else [])]
 
 
 # -- armcal study blind ------------------------------------------------------------------------------------------------

@@ -109,7 +109,7 @@ def at_joint(chain: KinematicChain, joint: int, unit: str, scale: float) -> tupl
     """Unit and scale of what is added to the position of a joint (from 1), as of one that turns: sliding ones have
     lengths for angles and forces for torques."""
     slides = chain.joints[joint - 1].type == PRISMATIC and unit in SLIDING
-    return (SLIDING[unit], 1.0) if slides else (unit, scale)
+    return (SLIDING[unit], scale / float(chain.levers[joint - 1])) if slides else (unit, scale)
 
 
 SLIDING = {"rad": "mm", "rad/(N m)": "mm/N"}

@@ -50,7 +50,7 @@ READERS = {
 
 
 @pytest.mark.parametrize("name", READERS)
-@few(60)
+@few(40)
 @given(data=st.data())
 def test_files(tmp_path_factory: pytest.TempPathFactory, name: str, data: st.DataObject) -> None:
     """Each is read or refused."""

@@ -73,6 +73,9 @@ def test_cells_pool_blocks_as_if_there_were_none() -> None:
     lost = frame_of([rows[0] | {"fits": 0, "mean_error": None, "squares": None, "rms_mm": None, "expected_std": None}])
     [_, sheet] = monte_carlo_parts({"cells": pooled_rows(lost), "blocks": lost.with_columns(key=pl.lit(""))})
     assert sheet.title.endswith("0 fits, 1 failed, RMS - mm")
+    none = pooled_rows(lost.with_columns(status=pl.lit("failed"), error=pl.lit("no arm")))
+    said = monte_carlo_parts({"cells": none, "blocks": lost.with_columns(key=pl.lit(""), status=pl.lit("failed"))})
+    assert said == ["1 cells, 0 fits", "a: 1 of 1 cells failed: no arm"]
 
 
 def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
