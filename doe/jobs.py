@@ -100,7 +100,7 @@ def finished_rows(path: Path, *, resume: bool, force: bool) -> dict[str, list[Ro
 
     Raises `InputError` if there is one and it is neither to be resumed nor replaced, or none can be written.
     """
-    check_writable(path if path.parent.is_dir() else path.parent, force=True)
+    check_writable(path if os.path.isdir(path.parent) else path.parent, force=True)
     if not path.exists():
         return {}
     if not (resume or force):

@@ -20,9 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, readonly
-from identification.document import Document, Documented, Sheet
-from identification.documents.identification import command_rows, miss_text, rows_listed
+from identification.arrays import Array, readonly, rows_in_words
+from identification.document import Document, Documented, Sheet, number
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
@@ -136,16 +135,21 @@ def _figure(arm: Arm, key: str) -> float | None:
     return value if isinstance(value, float | int) else None
 
 
+def miss_text(error: float) -> str:
+    """What the calibrated model misses, [mm] or [deg], not to be read as the robot's accuracy; a dash for NaN."""
+    return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
+
+
 def barred_by(constraints: Constraints, postures: Array) -> tuple[str, ...]:
     """(k) what postures (k, n) miss of the constraints, in words, of bodies with the two that come nearest to what they
     keep; empty where all hold."""
     clauses = [list[str]() for _ in postures]
-    for number, each in enumerate(constraints if len(postures) else (), start=1):
+    for place, each in enumerate(constraints if len(postures) else (), start=1):
         margins, pairs = each.margin(postures), getattr(each, "pairs", ())
         for k in np.flatnonzero(margins.min(axis=1) < -TOLERANCE).tolist():
             worst = int(np.argmin(margins[k]))
             name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
-            clauses[k].append(f"constraint {number} ({name}) is missed by {-margins[k, worst]:.4g} mm")
+            clauses[k].append(f"constraint {place} ({name}) is missed by {-margins[k, worst]:.4g} mm")
     return tuple("; ".join(of_row) for of_row in clauses)
 
 
@@ -287,17 +291,22 @@ class Compensation(Documented):
             most = float(np.degrees(np.max(self.angles[reached])))
             verdict += f"; orientations are those wanted to {miss_text(most)} deg, by the same model"
         verdict += "."
-        if missed := (np.flatnonzero(~reached) + 1).tolist():
+        if missed := int(np.count_nonzero(~reached)):
             counts = {"out of reach": np.sum(~near), "barred by a constraint": np.sum(near & ~reached)}
             why = [f"{count} {reason}" for reason, count in counts.items() if count]
             counted = ", ".join(why) if len(why) > 1 else why[0].partition(" ")[2]
-            have = "have" if len(missed) > 1 else "has"
-            verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
+            have = "have" if missed > 1 else "has"
+            verdict += f" {missed} {have} no command (angles left empty): {counted} ({rows_in_words(~reached)})."
         reasons = [f"target {k} ! {message}" for k, message in enumerate(self.messages, start=1) if message]
         rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
         commands, dimension = posture_columns(self.safe_commands, self.arm.joint_types), self.targets.shape[1]
         digits = 3 if len(commands) + dimension <= 6 else 2  # of more joints and axes than 80 columns have room
-        rows = command_rows(self.targets, np.column_stack([*commands.values()]), self.misses["error_mm"], digits)
+        rows = [
+            [str(row), *(f"{x:.{digits - 2}f}" for x in target), *(number(q, digits) for q in command), miss_text(miss)]
+            for row, (target, command, miss) in enumerate(
+                zip(self.targets, np.column_stack([*commands.values()]), self.misses["error_mm"], strict=True), start=1
+            )
+        ]
         joints = [name.replace("_deg", "").replace("_mm", " [mm]") for name in commands]
         headings = ["row", *"xyz"[:dimension], *joints, "miss"]
         table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)

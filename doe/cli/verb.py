@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
+from shutil import get_terminal_size
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, Union, get_args, get_origin, get_type_hints
 
@@ -395,11 +396,8 @@ def shown(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
-    columns = os.environ.get("COLUMNS", "")
-    width = None if sys.stdout.isatty() else 110
-    if columns.isdecimal() and int(columns):
-        width = int(columns)
-    console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
+    # a pipe has no width; brackets of effects are no markup
+    console = Console(width=get_terminal_size((110, 0)).columns, highlight=False, markup=False)
     # names in files may have control characters, which a terminal would obey
     segments = (
         Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)

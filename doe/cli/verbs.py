@@ -591,24 +591,22 @@ def report_files(
 ) -> Answer:
     """One page of a campaign's files.
 
-    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate). The page has the
-    verdict (first the error on rows that no fit has seen), what to do next, corrected values, errors with their sign,
-    and plans that can be stepped through and edited; it is one file that needs no network.
+    Arm files (nominal, calibrated, extended), plans and measurements. The page has the verdict (first the error on rows
+    that no fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped
+    through and edited; it is one file that needs no network.
 
     out : Write the page.
     """
     from doe.report.design import plan_section
     from doe.report.page import hashes
-    from identification import Campaign
+    from identification import campaign_document
 
-    campaign = Campaign.of(files, show_plan=plan_section, package_dirs=package_dir)
-    text = page(campaign.document(), files)
+    document, kinds = campaign_document(files, package_dir, plan_section)
     listed = [
-        {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
-        for name, size, digest in hashes(files)
+        {"file": name, "kind": kinds[name], "bytes": size, "sha256": digest} for name, size, digest in hashes(files)
     ]
-    data = {"page": out, "verdict": campaign.verdict, "files": listed}
-    return Answer(data, Document(parts=campaign.verdict), files={out: ("page", text)})
+    data = {"page": out, "verdict": document.verdict, "files": listed}
+    return Answer(data, Document(parts=document.verdict), files={out: ("page", page(document, files))})
 
 
 # -- studies, and the demo ---------------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from identification.arrays import Array
 from identification.document import (
     Action,
     Document,
@@ -285,10 +284,10 @@ def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
-def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
+def validation_verdict(data: Data, model: str = "the model", rows: str = "") -> str:
     """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
-    better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    seen, unit, drawn = seen or FITTED in data.get("notes", ()), data.get("reading_unit", "mm"), data["rms_nominal_mm"]
+    better;  model, rows : names of files"""
+    seen, unit, drawn = FITTED in data["notes"], data.get("reading_unit", "mm"), data["rms_nominal_mm"]
     which = f"{rows}, which it was fitted to," if seen else f"{rows},"
     which = which if rows else "the model's own measurements," if seen else "other measurements,"
     figures = f"from {drawing_in_words(drawn, data['refit'], unit)} to {in_a_sentence(data['rms_mm'])} {unit}"
@@ -340,24 +339,6 @@ def validation_sections(data: Data) -> list[Section]:
 def rows_listed(rows: Sequence[int]) -> str:
     """`row 3`, `rows 1, 5`; of many the first eight."""
     return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"
-
-
-def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
-    """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
-
-    digits : decimals of commands, two more than of targets
-    """
-    rows = []
-    for row, (target, command, error) in enumerate(zip(targets, commands, miss, strict=True), start=1):
-        values = (number(value, digits) for value in command)
-        rows.append([str(row), *(f"{value:.{digits - 2}f}" for value in target), *values, miss_text(error)])
-    return rows
-
-
-def miss_text(error: float) -> str:
-    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy; a dash for
-    NaN."""
-    return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
 
 
 # -- armcal effects ----------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from identification.arm import Arm
 from identification.compensate import Compensation
 from identification.document import Sheet
 from identification.documents.identification import (
+    FITTED,
     corrected_section,
     identification_actions,
     identification_verdict,
@@ -47,7 +48,7 @@ def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     assert f"{drawing} 0.250 mm" in identification_verdict(fit | {"rms_drawing_mm": 1.0})
     assert f"{drawing[:10]}px" in identification_verdict(fit | {"rms_drawing_mm": 1.0, "reading_unit": "px"})
     figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base", "notes": []}
-    said = validation_verdict(figures, "c.toml", "d.csv", seen=True)
+    said = validation_verdict(figures | {"notes": [FITTED]}, "c.toml", "d.csv")
     assert said.startswith(f"On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error {drawing} 0.100 mm")
     assert "this says nothing about others" in said
     assert "removed" not in said
