@@ -99,8 +99,8 @@ class MisidentificationBound:
             shares += [float(weights[number]) / len(shown) for _ in shown]
         # (D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters
         self.directions, probabilities = np.array(directions), np.array(shares) / np.sum(shares)
-        # of each rival its basis (K, s), a ridge that keeps the inverse of one that a plan hides, and probabilities (D,)
-        # of the others; the first explains nothing, and what the base model explains on any plan is no rival
+        # of each rival its basis (K, s), a ridge that keeps the inverse of one that a plan hides, and (D,) how probable
+        # the others are; the first explains nothing, and what the base model explains on any plan is no rival
         self.rivals = [(np.empty((len(schur), 0)), 0.0, probabilities)]
         for number in dict.fromkeys(owners):
             basis, others = bases[number], probabilities * (np.array(owners) != number)
