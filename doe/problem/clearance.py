@@ -97,6 +97,7 @@ class Clearance:
         largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
         kept = largest > 0.0
         self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
+        self.unseen = [", ".join(each) for each in [getattr(cell.bodies, "unseen", ())] if each]  # without meshes
         self.asked = np.minimum(self.usual, 0.25 * largest)[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
@@ -157,6 +158,7 @@ class Clearance:
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),
+            ("Not looked at, since their meshes are not found", self.unseen),
         ):
             rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
             lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []
@@ -259,7 +261,7 @@ class Clearance:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
         run, nearest = np.repeat(np.arange(len(postures)), self.count), self._seen(postures).nearest
         slopes = self._gradients(postures, run, nearest.ravel())
-        return self.margin(postures), np.swapaxes(slopes.reshape(len(postures), self.count, -1), 1, 2)
+        return self.margin(postures), np.swapaxes(slopes.reshape(len(postures), self.count, postures.shape[1]), 1, 2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
         """(m, n) gradients of the sums with weights (m, k)."""

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe import DesignProblem
+from doe import DesignProblem, solve
 from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
@@ -223,3 +223,10 @@ def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None
     first = clearance.too_near(postures)[0]
     pair = clearance.pairs.index(tuple(first["bodies"]))
     assert first["distance_mm"] == clearance.distance(postures)[first["run"] - 1, pair]
+
+
+def test_two_links_have_no_pair_that_could_touch() -> None:
+    """A joint connects them: there is nothing to keep, and a plan all the same."""
+    links = [Body(f"link {j}", j, np.array([[0.0, 0, 0, length, 0, 0, 20]])) for j, length in ((1, 300.0), (2, 200.0))]
+    cell = Cell(tuple(links), apart=frozenset([frozenset(["link 1", "link 2"])]))
+    assert solve(DesignProblem.of(Model(Arm(np.array([300.0, 200.0]), cell=cell))), 6).certified_optimal
