@@ -361,11 +361,11 @@ def identify_files(
 
     def fit(rows: Measurements) -> Identification:
         effects = library(rows)
-        wide, held = (with_sessions(bare, rows), None) if effects is None else (effects.arm, effects.prior)
-        model = reuse.only(wide, [*chosen, *(held.deviations if held else ())], rows) if chosen else Model(wide)
+        wide, held = (with_sessions(bare, rows), Prior()) if effects is None else (effects.arm, effects.prior)
+        model = reuse.only(wide, [*chosen, *held.deviations], rows) if chosen else Model(wide)
         if old is not None:
             try:
-                held = replace(held or Prior({}), earlier=reuse.earlier(old, model, rows))
+                held = replace(held, earlier=reuse.earlier(old, model, rows))
             except InputError as error:
                 raise InputError(f"{prior_from}: {error}") from None
         return with_repeats_doubted(estimation.estimate(model, rows, prior=held), rows)
@@ -380,13 +380,13 @@ def identify_files(
         lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
     else:
         fitted, rows = fit(measurements), measurements
-    if fitted.prior is not None and (earlier := fitted.prior.earlier) is not None:
+    if old is not None:
         free = [name for name in fitted.names if name not in {*fitted.prior.names, *fitted.model.prior}]
         contradicted = [] if fitted.contradiction is None else [fitted.contradiction._asdict()]
-        keys["prior_from"] = {"file": str(prior_from), "parameters": list(earlier.parameter_names)}
+        keys["prior_from"] = {"file": str(prior_from), "parameters": list(fitted.prior.earlier.parameter_names)}
         keys["prior_from"] |= {"anew": free, "contradicted": contradicted}
         without = f"; without a prior: {', '.join(free)}" if free else ""
-        lines.append(f"Prior: {len(earlier.parameter_names)} parameters from {prior_from}{without}.")
+        lines.append(f"Prior: {len(fitted.prior.earlier.parameter_names)} parameters from {prior_from}{without}.")
     if chosen:
         keys["only"] = chosen
         fitted = reuse.with_base_doubt(fitted, with_sessions(bare, rows), chosen, rows)

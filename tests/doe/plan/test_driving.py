@@ -11,10 +11,10 @@ import pytest
 
 from doe import DesignProblem
 from doe.plan.driving import MOVING, drive, one_turn, room_of, with_approach
-from doe.plan.moves import APPROACH, free
+from doe.plan.moves import APPROACH
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
-from identification import Arm, Array, EffectSpec, Model, Plan
+from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
 from identification.bodies import Body, Cell
 from identification.workspace import LineOfSight, WorkspaceBox
 from tests.doe.problem.test_clearance import cell_of
@@ -42,16 +42,16 @@ def test_a_wall_may_be_left_and_reached_again() -> None:
     )
     box = WorkspaceBox((-600.0, 300.0), (-600.0, 600.0))
     arm = Arm(np.array([300.0, 200.0]), cell=Cell(ball), constraints=(box,))
-    room = room_of(constraints_of(Model(arm)))
-    assert room is not None
+    room = room_of(ArmModel(arm), constraints_of(arm))
     out = np.arccos(200.0 / 300.0 - 1.0 / 3.0)  # the tip is 300 cos q1 + 200 cos (q1 + q2)
     ends = np.array([[out, -out], [-out, out]])
     folded = np.array([[np.pi / 2, np.pi / 2 - 0.01]])
     tips = 300.0 * np.cos(ends[:, 0]) + 200.0 * np.cos(ends.sum(axis=1))
     np.testing.assert_allclose(tips, 300.0)
-    assert free(ends[:1], folded, room).all()
-    assert not free(ends[:1], ends[1:], room).any()  # the stretched arm reaches 500 mm
-    assert room_of(constraints_of(Model(replace(arm, cell=None)))) is None  # nothing is known without bodies
+    assert room.free(ends[:1], folded).all()
+    assert not room.free(ends[:1], ends[1:]).any()  # the stretched arm reaches 500 mm
+    bare = replace(arm, cell=None)  # nothing is known without bodies
+    assert room_of(ArmModel(bare), constraints_of(bare)).free(ends[:1], ends[1:]).all()
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -164,8 +164,7 @@ def test_joints_are_turned_into_one_turn(effects: tuple[EffectSpec, ...], listed
     postures = drawn[problem.feasible(drawn)][:20]
     if listed:
         problem = replace(problem, choices=postures)
-    room = room_of(problem.constraints)
-    assert room is not None
+    room = room_of(problem.model, problem.constraints)
     turned = one_turn(problem, room, np.random.default_rng(0))(postures)
     turns = (turned - postures) / (2.0 * np.pi)
     if effects or listed:
