@@ -31,14 +31,6 @@ from identification.model.minimal import practical
 from identification.running import Progress, Status, single_thread
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 
-KINDS = {
-    "time": "smooth in time",
-    "workspace": "smooth over the workspace",
-    "wobble": "tilt or shift across the axis",
-    "shared": "depends on other joints too",
-    "history": "depends on the direction of approach",
-}
-
 
 @single_thread()
 def diagnose(
@@ -139,8 +131,8 @@ def diagnose(
     sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
-    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in shown.outside if b.place == place)
-    shape = next(filter(None, kinds), None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
+    forms = (b.effect.summary for b in shown.outside if b.effect is not None and b.place == place)
+    shape = next(forms, None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
     # properties of the noise that are likelier than not
     of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
     scatter = [Finding(noise.name, 1.0 - p, noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
