@@ -99,7 +99,7 @@ class Number(NamedTuple):
 
     short: str
     unit: str
-    typical: float
+    typical: float | None
     scale: float | Callable[[Any], float] = 1.0
     lower: float = -inf
     upper: float = inf

@@ -27,9 +27,9 @@ of_any_form = partial(add_effect, unlisted=True)
 of_joint = partial(of_any_form, per_joint="required", prior=0.3)
 
 
-def numbers(count: int, unit: str, typical: float, *scale: Any) -> list[Number]:
-    """`v1`, `v2` .. of so many functions."""
-    return [Number(f"v{k}", unit, typical, *scale) for k in range(1, count + 1)]
+def numbers(count: int, unit: str, *scale: Any) -> list[Number]:
+    """`v1`, `v2` .. of so many functions, which have no typical size."""
+    return [Number(f"v{k}", unit, None, *scale) for k in range(1, count + 1)]
 
 
 def turning_waves(angle: ca.SX, orders: Iterable[int]) -> ca.SX:
@@ -86,28 +86,28 @@ def _across_the_axis(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
 of_joint(
     "two_joint_error",
     "depends on other joints too: waves of the other's angle, and once per turn of both angles",
-    numbers(8, "rad", 1e-4, LEVER),
+    numbers(8, "rad", LEVER),
     settings={"other": Setting(1, 99, _other_joints, whole=True, symbolic=False)},
     joint_angles=_with_other,
 )
 of_joint(
     "approach_error",
     "depends on the direction of approach: s (v1 + v2 cos q + v3 sin q + v4 exp(-|last move|))",
-    numbers(4, "rad", 1e-4, LEVER),
+    numbers(4, "rad", LEVER),
     needs=frozenset({"directions", "past"}),
     joint_angles=_by_approach,
 )
 of_joint(
     "load_error",
     "depends on the load: v1 t + v2 |t| + v3 t |t| + v4 sign t, t the gravity torque",
-    numbers(4, "rad", 1e-4, LEVER),
+    numbers(4, "rad", LEVER),
     needs=frozenset({"gravity"}),
     joint_angles=_by_load,
 )
 of_joint(
     "axis_error",
     "tilt or shift across the axis: waves of the joint's angle, tilts at the reach",
-    numbers(8 * SLOW, "mm", 0.01),
+    numbers(8 * SLOW, "mm"),
     dimensions=SPACE,
     joint_turns=lambda self, chain, values: _across_the_axis(self, chain, values[: 4 * SLOW] / self.reach),
     joint_shifts=lambda self, chain, values: _across_the_axis(self, chain, values[4 * SLOW :]),
@@ -144,7 +144,7 @@ def _moving(
         places[1]: lambda self, chain, values: moved(self, chain, values)[1],
     }
     size = lambda self: count * sum(widths(self.chain)[place] for place in places)  # noqa: E731
-    of_any_form(name, about, lambda self: numbers(size(self), unit, 0.01), **formulas, **more)
+    of_any_form(name, about, lambda self: numbers(size(self), unit), **formulas, **more)
 
 
 BASE, GEOMETRY = ("base_translation", "base_rotation"), ("joint_shifts", "joint_turns")
@@ -177,7 +177,7 @@ of_warmth(
 of_any_form(
     "time_load",
     "load that changes in time: angles by the gravity torque, as slow waves over the session",
-    lambda self: numbers(SLOW * len(self.chain), "rad/session", 1e-4, self.reach),
+    lambda self: numbers(SLOW * len(self.chain), "rad/session", self.reach),
     needs=frozenset({"time", "gravity"}),
     once=True,
     prior=0.3,
@@ -190,48 +190,64 @@ of_any_form(
 
 
 # -- over the workspace ------------------------------------------------------------------------------------------------
-def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX]) -> None:
-    """Add an effect that shifts what is measured, along each axis by functions of the place: of its coordinates along
-    the axes of the base, from there, in units of the reach."""
+def _place(self: Effect, point: ca.SX) -> ca.SX:
+    """(d,) of a point, from the base along its axes, in units of the reach."""
+    d, base = self.chain.dimension, ca.DM(self.chain.base)
+    return ca.mtimes(base[:d, :d].T, point - base[:d, 3]) / self.reach
 
-    def shifted(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
-        d, base = self.chain.dimension, ca.DM(self.chain.base)
-        place = ca.mtimes(base[:d, :d].T, point - base[:d, 3]) / self.reach
-        return ca.mtimes(ca.reshape(values, d, -1), functions(place))
+
+def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX]) -> None:
+    """Add an effect that shifts what is measured, along each axis, by functions of its place."""
 
     def counted(self: Effect) -> list[Number]:
         d = self.chain.dimension
-        return numbers(d * functions(ca.SX.sym("place", d)).numel(), "mm", 0.01)
+        return numbers(d * functions(ca.SX.sym("place", d)).numel(), "mm")
+
+    def shifted(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
+        return ca.mtimes(ca.reshape(values, self.chain.dimension, -1), functions(_place(self, point)))
 
     of_any_form(name, about, counted, of_positions=True, prior=0.25, instrument=shifted)
 
 
-def _waves(place: ca.SX) -> ca.SX:
-    """Products of waves along the axes."""
+def _fast(x: ca.SX) -> ca.SX:
+    """Waves between 0 and 1, the slow ones larger."""
+    return half_waves(x, FAST) / ca.sqrt(ca.DM(range(1, FAST + 1)))
+
+
+def _products(place: ca.SX) -> ca.SX:
+    """Slow waves along the axes, and products of them."""
     along = [ca.vertcat(1.0, half_waves(0.5 * (x + 1.0), SLOW)) for x in ca.vertsplit(place)]
-    orders = [k for k in product(range(SLOW + 1), repeat=len(along)) if 1 <= sum(k) <= SLOW]
+    orders = [np.array(k) for k in product(range(SLOW + 1), repeat=len(along)) if 1 <= sum(k) <= SLOW]
     return ca.vertcat(
-        *(prod(w[k] for w, k in zip(along, order, strict=True)) / (1.0 + np.dot(order, order)) for order in orders)
+        *(prod(w[int(k)] for w, k in zip(along, each, strict=True)) / (1.0 + each @ each) for each in orders)
     )
 
 
-def _fast(coordinates: Iterable[ca.SX]) -> ca.SX:
-    """Waves of each coordinate from 0 to 1."""
-    return ca.vertcat(*(half_waves(x, FAST) / ca.sqrt(ca.DM(range(1, FAST + 1))) for x in coordinates))
+def _outwards(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
+    """Away from the base, by waves of the distance."""
+    place = _place(self, point)
+    distance = ca.norm_2(place)
+    return place / ca.fmax(distance, 1e-9) * ca.dot(_fast(distance), values)
 
 
-SMOOTH = "smooth over the workspace"
-_over_workspace("workspace_waves", f"{SMOOTH}: slow waves along the axes of the base, and their products", _waves)
 _over_workspace(
-    "workspace_axes",
-    f"{SMOOTH}: waves along each axis of the base",
-    lambda place: _fast(ca.vertsplit(0.5 * (place + 1.0))),
+    "workspace_waves", "smooth over the workspace: slow waves along the axes of the base, and products", _products
 )
 _over_workspace(
-    "workspace_radius", f"{SMOOTH}: waves of the distance from the base", lambda place: _fast([ca.norm_2(place)])
+    "workspace_axes",
+    "smooth over the workspace: waves along each axis of the base",
+    lambda place: ca.vertcat(*(_fast(0.5 * (x + 1.0)) for x in ca.vertsplit(place))),
 )
 _over_workspace(
     "workspace_squares",
-    f"{SMOOTH}: squares and products of the coordinates from the base",
+    "smooth over the workspace: squares and products of the coordinates from the base",
     lambda place: ca.vertcat(*(a * b for a, b in combinations_with_replacement(ca.vertsplit(place), 2))),
+)
+of_any_form(
+    "workspace_radius",
+    "smooth over the workspace: outwards, by waves of the distance from the base",
+    numbers(FAST, "mm"),
+    of_positions=True,
+    prior=0.25,
+    instrument=_outwards,
 )

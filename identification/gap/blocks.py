@@ -364,9 +364,9 @@ def curve_waves(angles: Array, start: float, stop: float) -> Array:
 def error_curves(at: At) -> Iterator[tuple[Block, Array]]:
     """The error curve of each joint that has none and moves, with its (m, d, K) columns."""
     joints, unseen = at.model.arm.chain.joints, untested_joints(at)
-    unseen |= {spec.joint for spec in at.model.arm.effects if spec.curve is not None}
+    curved = {spec.joint for spec in at.model.arm.effects if spec.curve is not None}
     for j, angles in enumerate(at.rows.postures.T):
-        if j + 1 not in unseen and np.ptp(angles) > 1e-9:
+        if j + 1 not in unseen | curved and np.ptp(angles) > 1e-9:
             ends = measured_range(angles, joints[j].type == REVOLUTE)
             waves = at.levers[:, :, j, None] * curve_waves(angles, *ends)[:, None, :]
             yield Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *ends)), waves
@@ -431,7 +431,9 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     tables, taken = [np.zeros((0, len(u)))] * len(blocks), [np.zeros((0, u.shape[1]))] * len(blocks)
     for width in np.unique(sizes):
         alike = np.flatnonzero(sizes == width)
-        for some in np.array_split(alike, max(len(alike) * width // 256, 1)):  # of more than can be held at once
+        for some in map(
+            np.ndarray.tolist, np.array_split(alike, max(len(alike) * width // 256, 1))
+        ):  # of more than can be held at once
             white = np.ascontiguousarray(rows.whiten(np.concatenate([columns[k] for k in some], axis=2)).T)
             inside = white @ u
             rest = (white - inside @ u.T).reshape(len(some), width, -1)
@@ -474,7 +476,7 @@ def _roots(grams: Array, before: Array, rows: int, blocks: Sequence[Block]) -> A
     counts = np.maximum(np.sum(seen, axis=1, keepdims=True), 1)
     factors = np.where(inside[:, None], np.sqrt(np.maximum(values, 1e-300) * counts), 1.0)
     roots = np.where(seen[:, None, :], vectors / factors[:, None, :] / lengths[:, :, None], 0.0)
-    for k in (k for k in np.flatnonzero(visible) if blocks[k].family):
+    for k in (k for k in np.flatnonzero(visible).tolist() if blocks[k].family):
         alike = 1.0 + 0.3**2 * np.eye(grams.shape[1])
         roots[k] = np.linalg.cholesky(alike / np.sum(grams[k] * alike))
     return np.abs(roots) if grams.shape[1] == 1 else roots

@@ -118,7 +118,9 @@ def diagnose(
 
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
-    if worse_than_geometry(tests):
+    before = base.residuals(measurements)
+    # tests are linear; an average that is beyond what physics allows may be worse than that where it is clipped
+    if worse_than_geometry(tests) or rms_distance(after[kept]) > rms_distance(before[kept]):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
@@ -127,7 +129,7 @@ def diagnose(
     figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
 
     # what these rows show
-    before, floor = base.residuals(measurements), noise_floor(after, measurements, kept, library.arm.sigma)
+    floor = noise_floor(after, measurements, kept, library.arm.sigma)
     sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})

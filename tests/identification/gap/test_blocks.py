@@ -133,10 +133,11 @@ def test_columns_are_derivatives_by_the_effects_parameters() -> None:
     """Central differences of models with the effect, at the base model's values and, of a parameter that cannot be
     zero, at its neutral value; steps that move the tip by a hundredth of a mm err by 1e-9 of the column."""
     library = known()
-    found = library.columns(At(library.base, library.base.parameters.vector(BASE), rows()))
-    of = {b.label: (b.spec, c) for b, c in zip(library.members, found, strict=True) if b.spec is not None}
+    blocks = [*library.members, *library.unlisted]
+    found = library.columns(At(library.base, library.base.parameters.vector(BASE), rows()), blocks)
+    of = {b.label: (b.spec, c) for b, c in zip(blocks, found, strict=True) if b.spec is not None}
     jumps = [label for label in of if label.startswith("link_jump:3")]
-    for spec, columns in (of[label] for label in (*LABELS, *jumps[:2])):
+    for spec, columns in (of[label] for label in (*LABELS, *jumps[:2], *(b.label for b in library.unlisted))):
         model = Model(ARM.with_effects(*ARM.effects, spec))
         start = model.parameters.vector(BASE)
         for k, parameter in enumerate(model.effects[-1].parameters):
