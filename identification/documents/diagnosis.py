@@ -146,7 +146,9 @@ def is_described(data: Data) -> bool:
 def place_in_words(data: Data) -> str:
     """`at joint 3`, `in time`."""
     where = str(data["where"] or "a place that is not known").replace(":", " ")
-    return {"time": "in time", "workspace": "in the workspace"}.get(where, f"at {where}")
+    return {"time": "in time", "temperature": "with the temperature", "workspace": "in the workspace"}.get(
+        where, f"at {where}"
+    )
 
 
 def tests_of(data: Data) -> list[Data]:
@@ -180,7 +182,7 @@ def diagnosis_actions(
     if not is_offered(data):
         use = Action("Use the calibration of the geometry, unless other rows show that it is worse:", alone)
         return [use, correct("calibrated.toml"), confirm]
-    actions = [] if data["confirmed"] else [confirm]
+    actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
         part = "the error curves, within the angles measured," if is_described(data) else "the named part"
         meanwhile = f"; {part} may be used meanwhile" if data["effects"] or is_described(data) else ""
@@ -219,9 +221,7 @@ def diagnosis_document(
         sections.append(replication_section(data["replication"]))
     gap = [*gap_parts(data, nominal), picture("gap_figure")]
     sections.append(Section("The gap, before and after", gap))
-    arm = diagnosis.extended_arm(diagnosis.named)
-    unknown = [p.name for p in diagnosis.named.parameters if np.isnan(p.std)]
-    values = corrected_values(arm, diagnosis.named.calibration, unknown=unknown)
+    values = corrected_values(diagnosis.extended_arm(), diagnosis.predicting.calibration)
     doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"
     sections.append(corrected_section(title, values, folded=doubted))

@@ -120,7 +120,7 @@ def diagnose(
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
     before = base.residuals(measurements)
     # tests are linear; an average that is beyond what physics allows may be worse than that where it is clipped
-    if worse_than_geometry(tests) or rms_distance(after[kept]) > rms_distance(before[kept]):
+    if alone := worse_than_geometry(tests) or rms_distance(after[kept]) > rms_distance(before[kept]):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
@@ -178,7 +178,7 @@ def diagnose(
         replication=replications(fitted, measurements.session_names, named.effects),
         curves=curves,
     )
-    result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted)))
+    result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted, alone)))
     progress(1.0, 1.0, result.sentence)
     if arm is given:
         return result
@@ -225,8 +225,11 @@ def worse_than_geometry(tests: Sequence[Confirmation]) -> bool:
     return tests[0].shrinks is False and tests[0].after > tests[0].before
 
 
-def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit) -> Iterator[str]:
-    """Sentences to read before the verdict is trusted;  best : fit of the likeliest set"""
+def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit, alone: bool) -> Iterator[str]:
+    """Sentences to read before the verdict is trusted.
+
+    best : fit of the likeliest set;  alone : whether the geometry alone predicts better
+    """
     for effect in result.effects:
         waves = [(like, share) for key, like, share in result.aliases if key == effect and "[" in like]
         if waves:
@@ -240,8 +243,8 @@ def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, b
         ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
         beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
         yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
-    if worse_than_geometry(result.cross_validation):
-        yield "other rows are predicted better by the geometry alone: that is what --out writes"
+    if alone:
+        yield "the geometry alone predicts better: that is what --out writes"
     yield from untested(posterior.library.skipped)
     if len(measurements) > MOST_ROWS:
         searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"
