@@ -105,7 +105,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         waves = {f"curve:{joint + 1}": partial(curve_waves, start=start, stop=stop)}
         of_curves.append(((joint, start, stop), waves | functions))
     absorbed = [label for _, functions in of_curves for label in functions]
-    members = [b for b in kept if b.spec is not None and b.label not in absorbed]
+    members = [b for b in kept if b.spec is not None and b.listed and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
     renamed = library.renamed(plain)
@@ -144,7 +144,13 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         # beside all else that goes with it: what they exchange makes no difference to any point
         std = np.sqrt(np.maximum(np.sum((values_at @ beside) * values_at, axis=1), 0.0))
         curves.append(Curve(joint + 1, table, std))
-    entries = (*specs, *(curve.spec for curve in curves))
+    # errors of any form keep their values, as curves do: no fit without their prior should change them
+    fixed = [(b.label, b.spec, b.effect) for b in kept if b.spec and b.effect and b.effect.unlisted]
+    tables = list[EffectSpec]()
+    for label, spec, effect in fixed:
+        held = dict(zip((p.short for p in effect.parameters), mean[places[label]].tolist(), strict=True))
+        tables.append(replace(spec, values={**spec.values, **held}))
+    entries = (*specs, *tables, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
 
     # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
@@ -153,9 +159,13 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     normal = posterior.problems[posterior.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
     jacobian = At(model, values, posterior.at.rows).linearized[1]
-    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[name] for name in absorbed)])
-    tables = [whole.columns[whole.numbers[name]] for name in absorbed]
-    every, tall = [*index, *known], np.concatenate([jacobian, *tables], axis=2).reshape(posterior.at.left.size, -1)
+    given = [*absorbed, *(label for label, _, _ in fixed)]
+    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[name] for name in given)])
+    functions_of = [whole.columns[whole.numbers[name]] for name in given]
+    every, tall = (
+        [*index, *known],
+        np.concatenate([jacobian, *functions_of], axis=2).reshape(posterior.at.left.size, -1),
+    )
     gram = tall.T @ tall / len(jacobian)  # of a covariance C the mean square distance is the sum of gram * C
     inside, beside = gram[: len(index), : len(index)], beside_known(covariance, index, known)
     spread /= max(float(np.sum(inside * spread)), 1e-300)
