@@ -1,16 +1,14 @@
-"""Many tasks, and tables of their rows that outlive a crash; on processes of this machine or on a dask cluster.
+"""Many tasks, and the table of their rows; on processes of this machine or on a dask cluster.
 
 A task is a key (what to do, in JSON types) of a function that workers import by name: what cannot be pickled (CasADi,
 IPOPT) is built there. Its rows depend on key and seed, never on workers or order.
 
-A table is one Parquet file. While work goes on, finished rows are appended to a journal beside it (one line of JSON per
-key, floats to the last bit); closing the table turns both into the Parquet file. After a kill the journal remains, and
-`resume` reads it; a line cut short by the crash is passed over, and its key is done again.
+The table is one Parquet file, written whole every few seconds while work goes on and when it ends: a kill loses the
+tasks of these seconds, and `resume` does what the table does not have.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import io
 import json
@@ -24,10 +22,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -38,11 +36,11 @@ from identification.files.io import check_writable, write_together
 
 Key = Mapping[str, Any]  # JSON types only; says everything that the rows depend on
 Row = dict[str, Any]
-Function = Callable[..., list[Row]]  # (key, seed sequence), and the key's payload where there is one
 Workers = int | str  # processes of this machine, 1: this one, one task at a time; or the address of a dask scheduler
 KEY = "key"  # column with the key's canonical text
 SEED = "seed"  # column; a key with an entry of this name brings its own
-LOST = "the workers were lost; finished rows are kept, go on with --resume"
+EVERY = 5.0  # [s] between two writings of a table
+LOST = "a worker was lost, killed or out of memory; finished rows are kept, go on with --resume"
 # of a new process: nothing is imported from the folder it starts in, no traceback
 QUIET = {"PYTHONSAFEPATH": "1", "PYTHONFAULTHANDLER": ""}
 
@@ -59,19 +57,17 @@ def canonical(key: Key) -> str:
 def short_hash(*data: Any) -> str:
     """Twelve hexadecimal digits that identify long inputs in the keys of tasks, of plain data and dataclasses, the same
     in every process."""
-    return hashlib.sha256(_text(data).encode()).hexdigest()[:12]
 
+    def text(value: Any) -> str:
+        if is_dataclass(value):
+            return type(value).__name__ + text([getattr(value, each.name) for each in fields(value)])
+        if isinstance(value, Mapping | Set):
+            return f"{{{', '.join(sorted(map(text, value.items() if isinstance(value, Mapping) else value)))}}}"
+        if isinstance(value, np.ndarray | np.generic):
+            return text(value.tolist())
+        return f"[{', '.join(map(text, value))}]" if isinstance(value, list | tuple) else repr(value)
 
-def _text(data: Any) -> str:
-    if is_dataclass(data):
-        return type(data).__name__ + _text([getattr(data, each.name) for each in fields(data)])
-    if isinstance(data, Mapping):
-        return f"{{{', '.join(sorted(map(_text, data.items())))}}}"
-    if isinstance(data, np.ndarray | np.generic):
-        return _text(data.tolist())
-    if isinstance(data, Set):
-        return f"{{{', '.join(sorted(map(_text, data)))}}}"
-    return f"[{', '.join(map(_text, data))}]" if isinstance(data, list | tuple) else repr(data)
+    return hashlib.sha256(text(data).encode()).hexdigest()[:12]
 
 
 def seed_of(key: Key, seed: int = 0) -> np.random.SeedSequence:
@@ -99,91 +95,29 @@ def with_columns(frame: pl.DataFrame, types: Mapping[str, Any]) -> pl.DataFrame:
     return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
 
 
-class RowTable:
-    """Rows by the text of their key, in memory and in the journal.
+def finished_rows(path: Path, *, resume: bool, force: bool) -> dict[str, list[Row]]:
+    """Rows of an earlier run by the text of their key, if they are to be kept; else a table of this name is removed.
 
-    path : the Parquet file, in a folder that is made; written on the way out of `with`, also after Ctrl-C or an error,
-        if a row is of a finished task; None: in memory only
-    resume : continue a table that exists;  force : replace it, at once: what is resumed later is of one run
-
-    Raises `InputError` if the table exists and neither is given, or another process is writing it.
+    Raises `InputError` if there is one and it is neither to be resumed nor replaced, or none can be written.
     """
-
-    def __init__(self, path: Path | str | None = None, *, resume: bool = False, force: bool = False) -> None:
-        self.rows: dict[str, list[Row]] = {}
-        self.path = None if path is None else Path(path).absolute()
-        if self.path is None:
-            return
-        self._made = not os.path.exists(self.path.parent)
-        try:
-            self.path.parent.mkdir(exist_ok=True)
-        except OSError as error:
-            reason = f"cannot be made ({error.strerror})"
-            raise InputError(f"{self.path.parent}: {reason}, allowed: a folder in an existing one") from None
-        check_writable(self.path, force=True)
-        self.journal = self.path.with_name(self.path.name + ".journal")  # finished rows, while work goes on
-        for file in (self.path, self.journal):
-            if file.exists() and not (resume or force):
-                allowed = "a new name, --resume to go on, or --force to replace it"
-                raise InputError(f"{file}: exists, allowed: {allowed}")
-        if resume and self.path.exists():
-            try:
-                self.rows = pl.read_parquet(self.path).rows_by_key(KEY, named=True, include_key=True)
-            except (pl.exceptions.PolarsError, OSError) as error:
-                reason = f"not a Parquet file with a column {KEY!r} ({str(error).splitlines()[0]})"
-                raise InputError(f"{self.path}: {reason}, allowed: a table written by armcal") from None
-        try:
-            self._open = self.journal.open("ab", buffering=0)
-            fcntl.flock(self._open, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._open.close()
-            raise InputError(f"{self.journal}: another run is writing this table, allowed: one at a time") from None
-        except OSError as error:
-            reason = f"cannot be written ({error.strerror})"
-            raise InputError(f"{self.journal}: {reason}, allowed: a writable place") from None
-        if resume:
-            for line in self.journal.read_bytes().splitlines():
-                with suppress(ValueError):  # cut short by a crash
-                    text, rows = json.loads(line)
-                    self.rows[text] = [{KEY: text, **row} for row in rows]
-            self._open.write(b"\n")
-        else:
-            self.path.unlink(missing_ok=True)
-            self._open.truncate(0)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.path is None:
-            return
-        with self._open:
-            if any(row.get("status") != "failed" for rows in self.rows.values() for row in rows):
-                every = frame_of([row for rows in self.rows.values() for row in rows])
-                write_together({self.path: parquet(every)}, force=True)
-            self.journal.unlink(missing_ok=True)
-        if self._made:
-            with suppress(OSError):  # there are files in it
-                self.path.parent.rmdir()
-
-    def add(self, text: str, rows: Sequence[Row]) -> None:
-        """The rows of the key with this text, in the journal before this returns. Raises `JobError` if that cannot be
-        written."""
-        self.rows[text] = [{KEY: text, **row} for row in rows]
-        if self.path is None:
-            return
-        line = json.dumps([text, list(rows)]).encode() + b"\n"
-        try:
-            while line:
-                line = line[self._open.write(line) :]
-        except OSError as error:
-            reason = f"cannot be written ({error.strerror}); finished rows are kept, go on with --resume"
-            raise JobError(f"{self.journal}: {reason}") from None
+    check_writable(path if os.path.isdir(path.parent) else path.parent, force=True)
+    if not path.exists():
+        return {}
+    if not (resume or force):
+        raise InputError(f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
+    if not resume:
+        path.unlink()  # so that what is resumed later is of one run
+        return {}
+    try:
+        return pl.read_parquet(path).rows_by_key(KEY, named=True, include_key=True)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        reason = f"not a Parquet file with a column {KEY!r} ({str(error).splitlines()[0]})"
+        raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
 class _Serial(Executor):
-    """Runs each task in this process when it is submitted; one that raises is a row."""
+    """Runs each task in this process when it is submitted."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -192,90 +126,91 @@ class _Serial(Executor):
 
 
 def run_tasks(
-    function: Function,
+    function: Callable[..., list[Row]],
     keys: Sequence[Key],
-    table: RowTable,
+    path: Path | None = None,
     workers: Workers = 1,
     *,
     seed: int = 0,
+    resume: bool = False,
+    force: bool = False,
     payload: Callable[[Key], Any] | None = None,
     progress: Progress = Progress(),
 ) -> pl.DataFrame:
     """The rows of all keys, in the order of the keys; those that the table has already are not done again.
 
     function : importable by name where the workers are; `function(key, seed_sequence)` gives the rows of one key
+    path : of the table, in a folder that is made; written if a row is of a finished task. None: no table
+    resume : go on with a table that exists;  force : replace it, at once
     payload : what a task needs besides its key, sent along as a third argument; it must follow from the key
-    A task that raises, or whose worker dies when it runs alone, becomes a row with `status` "failed" and `error`; every
-    row has its key's entries, `status` and `seconds`. Rows are in the table as soon as they are finished: Ctrl-C or a
-    crash loses only what was being computed.
-    Raises `JobError` if the workers are lost, `InputError` if the table's rows are those of another seed.
+
+    A task that raises becomes a row with `status` "failed" and `error`; every row has its key's entries, `status` and
+    `seconds`. After Ctrl-C or an error the table has all that is finished. Raises `JobError` if a worker dies or all
+    are lost, `InputError` as `finished_rows`, and for rows of another seed.
     """
+    rows = {} if path is None else finished_rows(path, resume=resume, force=force)
     asked = {canonical(key): key for key in keys}
-    for made in (row.get(SEED, seed) for text in asked for row in table.rows.get(text, ())):
+    for made in (row.get(SEED, seed) for text in asked for row in rows.get(text, ())):
         if made != seed:
             allowed = f"--seed {made} to go on, or --force to replace them"
-            raise InputError(f"{table.path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
-    waiting, running = deque(text for text in asked if text not in table.rows), dict[Future[Any], str]()
-    done, failed = len(asked) - len(waiting), 0
+            raise InputError(f"{path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
+    waiting, running = deque(text for text in asked if text not in rows), dict[Future[Any], str]()
+    done, failed, written = len(asked) - len(waiting), 0, time.monotonic()
 
-    def task(text: str) -> tuple[Any, ...]:
-        """The arguments of `perform`."""
-        key = asked[text]
-        return function, dict(key), seed, *(() if payload is None else (payload(key),))
+    def save() -> None:
+        """In the order of the keys, whichever finished first."""
+        every = [row for text in (asked | rows) for row in rows.get(text, ())]
+        if path is not None and any(row.get("status") != "failed" for row in every):
+            path.parent.mkdir(exist_ok=True)
+            write_together({path: parquet(frame_of(every))}, force=True)
 
-    def store(text: str, rows: list[Row] | None, error: BaseException | None) -> None:
-        nonlocal done, failed
-        table.add(text, rows or [_failure(asked[text], seed, error)])
-        done, failed = done + 1, failed + (rows is None or rows[0]["status"] != "done")
+    def store(text: str, of_task: list[Row]) -> None:
+        nonlocal done, failed, written
+        rows[text] = [{KEY: text, **row} for row in of_task]
+        done, failed = done + 1, failed + (of_task[0]["status"] != "done")
+        if time.monotonic() - written > EVERY:
+            save()
+            written = time.monotonic()
         progress(done, len(asked), f"{failed} failed" if failed else "")
 
     progress(done, len(asked), "")
     try:
-        while waiting:
-            try:
-                with executor_of(workers) as (executor, count):
-                    while waiting or running:
-                        # three tasks per worker, so that none waits; a million tasks are never in flight at once
-                        while waiting and len(running) < (count * 3 if count > 1 else 1):
-                            future = executor.submit(perform, *task(waiting[0]))
-                            running[future] = waiting.popleft()
-                        for future in wait(running, 0.2, FIRST_COMPLETED).done:
-                            if future.cancelled():
-                                raise JobError(LOST)
-                            if isinstance(error := future.exception(), BrokenExecutor):
-                                raise error
-                            text = running.pop(future)  # the executor's own error: rows that cannot travel
-                            store(text, None if error else future.result(), error)
-                        # a dask client loses its scheduler once and for all, and some futures never end: what fails
-                        # while a result is fetched is logged and dropped
-                        if (client := getattr(executor, "_client", None)) and client.status != "running":
-                            raise JobError(LOST)
-            except BrokenExecutor:
-                if not running:
-                    raise JobError(LOST) from None
-                for text in running.values():  # one of these killed its worker, and took the others with it
-                    rows, alone = call(perform, *task(text), seconds=None)
-                    died = f"the worker process died when it ran this task alone ({alone['error']})"
-                    store(text, rows, JobError(died))
-                running.clear()
-    finally:  # in the order of the keys, whichever finished first
-        table.rows = {text: table.rows[text] for text in (asked | table.rows) if text in table.rows}
-    return frame_of([row for text in asked for row in table.rows[text]])
+        with executor_of(workers) as (executor, count):
+            while waiting or running:
+                # three tasks per worker, so that none waits; a million tasks are never in flight at once
+                while waiting and len(running) < (count * 3 if count > 1 else 1):
+                    key = asked[text := waiting.popleft()]
+                    sent = () if payload is None else (payload(key),)
+                    running[executor.submit(perform, function, dict(key), seed, *sent)] = text
+                for future in wait(running, 0.2, FIRST_COMPLETED).done:
+                    if future.cancelled() or isinstance(error := future.exception(), BrokenExecutor):
+                        raise JobError(LOST)
+                    text = running.pop(future)
+                    if error:  # the executor's own: rows that cannot travel
+                        failure = {"status": "failed", "error": one_line(error), "seconds": 0.0}
+                        store(text, [{SEED: seed, **asked[text], **failure}])
+                    else:
+                        store(text, future.result())
+                # a dask client loses its scheduler once and for all, and some futures never end: what fails while a
+                # result is fetched is logged and dropped
+                if (client := getattr(executor, "_client", None)) and client.status != "running":
+                    raise JobError(LOST)
+    except BrokenExecutor:  # while a task was sent
+        raise JobError(LOST) from None
+    finally:
+        save()
+    return frame_of([row for text in asked for row in rows[text]])
 
 
-def perform(function: Function, key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:
+def perform(function: Callable[..., list[Row]], key: dict[str, Any], seed: int, *payload: Any) -> list[Row]:
     """Run a task on a worker: the rows of its key, or one row that says how it failed."""
     started = time.perf_counter()
     try:
         rows = function(key, seed_of(key, seed), *payload)
     except Exception as error:  # noqa: BLE001 - failures are rows; the study goes on
-        return [_failure(key, seed, error, time.perf_counter() - started)]
-    seconds = time.perf_counter() - started
-    return [{SEED: seed, **key, "status": "done", "error": None, "seconds": seconds, **row} for row in rows or [{}]]
-
-
-def _failure(key: Key, seed: int, error: BaseException | None, seconds: float = 0.0) -> Row:
-    return {SEED: seed, **key, "status": "failed", "error": one_line(error), "seconds": seconds}
+        rows = [{"status": "failed", "error": one_line(error)}]
+    told = {"status": "done", "error": None, "seconds": time.perf_counter() - started}
+    return [{SEED: seed, **key, **told, **row} for row in rows or [{}]]
 
 
 def one_line(error: BaseException | None) -> str:
@@ -309,11 +244,10 @@ def _pool(number: int) -> Iterator[Executor]:
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is for the one that asked
     try:
-        environment = {**SINGLE_THREAD, **QUIET}
-        pool = ProcessPoolExecutor(number, env=environment, initializer=_end_with, initargs=(os.getpid(),))
+        pool = ProcessPoolExecutor(
+            number, env={**SINGLE_THREAD, **QUIET}, initializer=_end_with, initargs=(os.getpid(),)
+        )
         pool.submit(int)  # starts them
-    except OSError as error:  # no semaphores: a /dev/shm that is read-only
-        raise JobError(f"no processes can share work here ({error.strerror}), allowed: --workers 1") from None
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     try:

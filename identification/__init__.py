@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # isort: off
     from identification.files.arm import load_arm, with_effects
     from identification.files.measurement import Plan
     from identification.workflow import load_sessions
-    from identification.campaign import Campaign
+    from identification.campaign import campaign_document
 
     # what data say
     from identification.estimation import Identification, estimate, estimate_batch

@@ -1,13 +1,16 @@
 """Compensation: joint commands that bring the tip of the real arm, the calibrated model, to its targets.
 
+    min |g_k - f(q_k)|^2   within the joint limits,   q_k near a posture that is given,   constraints(q_k) >= 0
+
 Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
-Inverse kinematics is Levenberg-Marquardt on exact derivatives, all targets at once, from one start, and from many where
-that does not get there. What no start reaches goes on by Newton's method; postures of a redundant arm that miss a
-constraint are led away from what is in the way.
+Searches are Levenberg-Marquardt on exact derivatives, all targets at once: from the posture given, and where that does
+not get there from random ones whose tips are nearest. Postures of a redundant arm that miss a constraint are led away
+from what is in the way. Out of reach the nearest posture is found by Newton's method.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -17,14 +20,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtri
 
 from identification.arm import Arm, Calibration
-from identification.arrays import Array, readonly
-from identification.document import Document, Documented, Sheet
-from identification.documents.identification import command_rows, miss_text, rows_listed
-from identification.errors import InputError
+from identification.arrays import Array, readonly, rows_in_words
+from identification.document import Document, Documented, Sheet, number
+from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
 from identification.kinematics.corrected import standing_in
-from identification.kinematics.counting import counting_in, turned_into
+from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
 from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
@@ -39,8 +41,10 @@ from identification.workspace import PostureCondition
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
 QUICK = 20  # steps from a start: 99 of 100 that reach a target have reached it, the others creep along limits
 NEAR, MISSED, BEYOND = 1.0, 2.0, 1e9  # ranks from which a goal is reached nearly, not for constraints, not at all
-FEW = 4  # postures that each goal out of reach is neared from
+FEW = 4  # postures that are kept for each goal
 BEND = 1e-7  # [rad] of a joint, for derivatives by differences
+SEEDS, NEAREST = 256, 16  # random postures, and how many of them each goal is searched from
+AT_ONCE = 8_000  # searches, for memory
 Constraints = Sequence[PostureCondition]
 
 
@@ -74,7 +78,7 @@ def compensate(
     keeps_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     posed, arm = orientations is not None or keeps_nominal, in_own_frame(arm)
     arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))  # of an angle of a pose
-    model, provenance = Model(arm), identified(arm)
+    model = Model(arm)
     nominal = None if postures is None else _checked("postures", postures, arm.links)
     if targets is not None:
         points = _checked("targets", targets, arm.dimension)
@@ -91,46 +95,31 @@ def compensate(
         orientations = drawing.orientations(nominal) if keeps_nominal else orientations
     turned = None if orientations is None else np.asarray(orientations, dtype=float).reshape(-1, 3, 3)
     for name, rows in (("postures", nominal), ("orientations", turned)):
-        if rows is not None and len(rows) != len(points):
-            raise InputError(f"{name}: {len(rows)} rows for {len(points)} targets, allowed: as many")
+        number = len(points) if rows is None else len(rows)
+        require(number == len(points), f"{name}: {number} rows for {len(points)} targets, allowed: as many")
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
     # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
-    rms, tip = (
-        x if isinstance(x, float | int) else None for x in map(provenance.get, ("rms_after_mm", "expected_tip_mm"))
-    )
-    likely = float(np.hypot(rms or 0.0, tip or 0.0))
-    enough = max(TOLERANCE, likely * float(np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
+    likely = math.hypot(*(_figure(arm, key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
+    tolerance = max(TOLERANCE, float(likely * np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
     limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
     boxes = [limits] if nominal is not None or np.array_equal(familiar, limits) else [familiar, limits]
     where = replace(conditions or Conditions(), orientation=turned)
     near = np.tile(np.add(*familiar) / 2.0, (len(goals), 1)) if nominal is None else nominal
-    task, sided = Task(model, goals, near, where, *limits, constraints, enough), tuple[str, ...]()
-    commands = reaching(task, boxes) if nominal is None else nominal
+    task, sided = Task(model, goals, near, where, *limits, constraints, tolerance), tuple[str, ...]()
+    commands = task.reached_within(boxes) if nominal is None else nominal
     if where.directions is None and len(goals):  # effects whose error depends on the side that a joint comes from
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
         past = past_from_order(commands) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(commands), past=past)
     if nominal is not None or sided:
-        commands = reaching(task._replace(near=commands, conditions=where), boxes)
+        commands = task._replace(near=commands, conditions=where).reached_within(boxes)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
-    barred, beyond = barred_by(constraints, commands), outside(arm, commands)
-    if beyond is not None:  # nobody drives to what misses a constraint
-        beyond[[text != "" for text in barred]] = False
-    return Compensation(
-        points,
-        commands if where.directions is None else commands - servo_shift(arm, where.directions),
-        distances(left),
-        arm.joint_types,
-        turned,
-        None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach,
-        barred,
-        beyond,
-        rms,
-        sided,
-        enough,
-        model.reach,
-    )
+    angles = None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach
+    barred = barred_by(constraints, commands)
+    if where.directions is not None:
+        commands = commands - servo_shift(arm, where.directions)
+    return Compensation(arm, points, commands, distances(left), turned, angles, barred, sided, tolerance)
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:
@@ -140,16 +129,27 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
     return array
 
 
+def _figure(arm: Arm, key: str) -> float | None:
+    """What the arm's calibration says of itself [mm], None: nothing."""
+    value = identified(arm).get(key)
+    return value if isinstance(value, float | int) else None
+
+
+def miss_text(error: float) -> str:
+    """What the calibrated model misses, [mm] or [deg], not to be read as the robot's accuracy; a dash for NaN."""
+    return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
+
+
 def barred_by(constraints: Constraints, postures: Array) -> tuple[str, ...]:
     """(k) what postures (k, n) miss of the constraints, in words, of bodies with the two that come nearest to what they
     keep; empty where all hold."""
     clauses = [list[str]() for _ in postures]
-    for number, each in enumerate(constraints if len(postures) else (), start=1):
+    for place, each in enumerate(constraints if len(postures) else (), start=1):
         margins, pairs = each.margin(postures), getattr(each, "pairs", ())
         for k in np.flatnonzero(margins.min(axis=1) < -TOLERANCE).tolist():
             worst = int(np.argmin(margins[k]))
             name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
-            clauses[k].append(f"constraint {number} ({name}) is missed by {-margins[k, worst]:.4g} mm")
+            clauses[k].append(f"constraint {place} ({name}) is missed by {-margins[k, worst]:.4g} mm")
     return tuple("; ".join(of_row) for of_row in clauses)
 
 
@@ -157,31 +157,26 @@ def barred_by(constraints: Constraints, postures: Array) -> tuple[str, ...]:
 class Compensation(Documented):
     """Joint commands for k targets.
 
+    arm : the calibrated arm
     targets : (k, d) [mm];  orientations : (k, 3, 3) of the tool for the instrument, None: any will do
     commands : (k, n) postures [rad] for the real arm, within the joint limits; the nearest found where unreachable, at
         angles of the identification where no nominal postures were given
     errors : (k,) distance of the real arm's tip from the target [mm], by the calibrated model
     angles : (k,) between the orientation wanted and that of the tool [rad], None: any will do
-    joint_types : (n) of the arm, empty: all revolute
     barred : (k) constraints that a command misses, in words, empty where all hold; none at all: nothing is constrained
-    outside : (k, n) True where a joint is outside the angles of the identification, None: these are not known
-    model_rms : [mm] that the calibrated model left of its own measurements, None: not known
     sided : effects of the model for which the order of the targets was taken as that of the approach
-    tolerance : [mm] what counts as reached;  reach : of the arm [mm], at which an angle is that far
+    tolerance : [mm] what counts as reached
     """
 
+    arm: Arm
     targets: Array
     commands: Array
     errors: Array
-    joint_types: tuple[str, ...] = ()
     orientations: Array | None = None
     angles: Array | None = None
     barred: tuple[str, ...] = ()
-    outside: NDArray[np.bool_] | None = None
-    model_rms: float | None = None
     sided: tuple[str, ...] = ()
     tolerance: float = TOLERANCE
-    reach: float = np.inf
 
     def __post_init__(self) -> None:
         for name in ("targets", "commands", "errors"):
@@ -191,7 +186,7 @@ class Compensation(Documented):
     def near(self) -> NDArray[np.bool_]:
         """(k,) True where the error is at most `tolerance`, the angle no more at full reach, or 1e-8 rad."""
         near = self.errors <= self.tolerance
-        return near if self.angles is None else near & (self.angles <= max(1e-8, self.tolerance / self.reach))
+        return near if self.angles is None else near & (self.angles <= max(1e-8, self.tolerance / self.arm.reach))
 
     @property
     def reached(self) -> NDArray[np.bool_]:
@@ -199,14 +194,20 @@ class Compensation(Documented):
         return self.near & np.array([not text for text in self.barred]) if self.barred else self.near
 
     @property
+    def outside(self) -> NDArray[np.bool_] | None:
+        """(k, n) True where a joint is outside the angles of the identification, None: these are not known. Not where a
+        constraint is missed: nobody drives there."""
+        out = outside(self.arm, self.commands)
+        return out if out is None or not self.barred else out & (np.array(self.barred) == "")[:, None]
+
+    @property
     def messages(self) -> list[str]:
         """(k) why a target is not reached; empty where it is."""
-        messages = []
+        messages, out = [], self.outside
         for k, (error, near) in enumerate(zip(self.errors, self.near, strict=True)):
-            familiar = self.outside is not None and not self.outside[k].any()
-            nearest = f"the nearest posture{' (within the angles identified)' if familiar else ''} misses it by"
+            nearest = f"the nearest posture{'' if out is None or out[k].any() else ' (within the angles identified)'}"
             by = f"{error:.4g} mm{'' if self.angles is None else f' and {np.degrees(self.angles[k]):.4g} deg'}"
-            far = "" if near else f"out of reach within the joint limits: {nearest} {by}"
+            far = "" if near else f"out of reach within the joint limits: {nearest} misses it by {by}"
             messages.append("; ".join(filter(None, [far, *self.barred[k : k + 1]])))
         return messages
 
@@ -225,7 +226,7 @@ class Compensation(Documented):
     def text(self) -> str:
         """CSV `q1_deg..qn_deg, x_mm, y_mm, error_mm, reachable`: joint commands, empty where none may be driven to, the
         targets, and what is left [mm]; of poses `rx_deg..` and `error_deg`, and `message` where any says why not."""
-        columns = posture_columns(self.safe_commands, self.joint_types or None)
+        columns = posture_columns(self.safe_commands, self.arm.joint_types)
         columns |= {f"{axis}_mm": column for axis, column in zip("xyz", self.targets.T, strict=False)}
         columns |= {} if self.orientations is None else angle_columns(self.orientations)
         columns |= {**self.misses, "reachable": self.reached.astype(int)}
@@ -234,8 +235,8 @@ class Compensation(Documented):
     @property
     def warnings(self) -> list[str]:
         """What must be known of the commands, in sentences."""
-        outside = extrapolated(self.outside, "targets")
-        notes = [] if outside is None else [f"{outside}, and the error that is left may be larger than it says"]
+        beyond = extrapolated(self.outside, "targets")
+        notes = [] if beyond is None else [f"{beyond}, and the error that is left may be larger than it says"]
         # of more than half of the targets out of reach, the frame or the unit is likelier to be wrong than each of them
         if (out := np.count_nonzero(~self.near)) > 0.5 * len(self.targets):
             frame = "are they in mm, and in the frame of the measurements that calibrated the arm"
@@ -246,8 +247,8 @@ class Compensation(Documented):
             notes.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
         if self.sided and self.reached.any():
             # how joints that all rise move as the controller counts
-            counting, joints = counting_in(self.joint_types), self.commands.shape[1]
-            moves = np.ones(joints) if counting is None else counting.signs_of_columns(np.ones((1, joints)))[0]
+            counting, rise = self.arm.counting, np.ones((1, self.arm.links))
+            moves = (rise if counting is None else counting.signs_of_columns(rise))[0]
             falling = ", ".join(str(j) for j, sign in enumerate(moves, start=1) if sign < 0.0)
             rising = f"rising, but {falling} falling" if falling else "rising"
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"
@@ -257,7 +258,7 @@ class Compensation(Documented):
     def to_json(self) -> dict[str, Any]:
         """Counts, the largest error over targets reached, the others, and a row for each target
         (identification/files/README.md, "JSON keys")."""
-        reached, angles = self.reached, posture_columns(self.commands, self.joint_types or None)
+        reached, angles = self.reached, posture_columns(self.commands, self.arm.joint_types)
         rows = np.column_stack([*angles.values()]).tolist()
         commands = [row if drive else None for row, drive in zip(rows, reached.tolist(), strict=True)]
         columns = {
@@ -273,7 +274,7 @@ class Compensation(Documented):
             "reached": int(np.count_nonzero(reached)),
             **{f"max_{key}": float(x[reached].max()) if reached.any() else None for key, x in self.misses.items()},
             "tolerance_mm": self.tolerance,
-            "model_rms_mm": self.model_rms,
+            "model_rms_mm": _figure(self.arm, "rms_after_mm"),
             "unreachable": (np.flatnonzero(~reached) + 1).tolist(),
             "warnings": self.warnings,
             "commands_deg": commands,
@@ -284,23 +285,28 @@ class Compensation(Documented):
         """How many targets are reached and which are not, then joint commands for the first ones."""
         reached, near = self.reached, self.near
         verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
-        if self.model_rms is not None:
-            verdict += f" (RMS {self.model_rms:.4g} mm on its own measurements)"
+        if (rms := _figure(self.arm, "rms_after_mm")) is not None:
+            verdict += f" (RMS {rms:.4g} mm on its own measurements)"
         if self.angles is not None and reached.any():
             most = float(np.degrees(np.max(self.angles[reached])))
             verdict += f"; orientations are those wanted to {miss_text(most)} deg, by the same model"
         verdict += "."
-        if missed := (np.flatnonzero(~reached) + 1).tolist():
-            counts = {"out of reach": ~near, "barred by a constraint": near & ~reached}
-            why = {reason: int(np.count_nonzero(which)) for reason, which in counts.items() if which.any()}
-            counted = ", ".join(f"{count} {reason}" if len(why) > 1 else reason for reason, count in why.items())
-            have = "have" if len(missed) > 1 else "has"
-            verdict += f" {len(missed)} {have} no command (angles left empty): {counted} ({rows_listed(missed)})."
+        if missed := int(np.count_nonzero(~reached)):
+            counts = {"out of reach": np.sum(~near), "barred by a constraint": np.sum(near & ~reached)}
+            why = [f"{count} {reason}" for reason, count in counts.items() if count]
+            counted = ", ".join(why) if len(why) > 1 else why[0].partition(" ")[2]
+            have = "have" if missed > 1 else "has"
+            verdict += f" {missed} {have} no command (angles left empty): {counted} ({rows_in_words(~reached)})."
         reasons = [f"target {k} ! {message}" for k, message in enumerate(self.messages, start=1) if message]
         rest = [f"... and {len(reasons) - 24} more without a command; --out writes all"] if len(reasons) > 24 else []
-        commands, dimension = posture_columns(self.safe_commands, self.joint_types or None), self.targets.shape[1]
+        commands, dimension = posture_columns(self.safe_commands, self.arm.joint_types), self.targets.shape[1]
         digits = 3 if len(commands) + dimension <= 6 else 2  # of more joints and axes than 80 columns have room
-        rows = command_rows(self.targets, np.column_stack([*commands.values()]), self.misses["error_mm"], digits)
+        rows = [
+            [str(row), *(f"{x:.{digits - 2}f}" for x in target), *(number(q, digits) for q in command), miss_text(miss)]
+            for row, (target, command, miss) in enumerate(
+                zip(self.targets, np.column_stack([*commands.values()]), self.misses["error_mm"], strict=True), start=1
+            )
+        ]
         joints = [name.replace("_deg", "").replace("_mm", " [mm]") for name in commands]
         headings = ["row", *"xyz"[:dimension], *joints, "miss"]
         table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
@@ -325,34 +331,67 @@ class Task(NamedTuple):
     conditions: Conditions
     lower: Array
     upper: Array
-    constraints: Constraints = ()
-    enough: float = TOLERANCE
-
-    def at(self, rows: Index) -> Task:
-        """Of some of the goals."""
-        return self._replace(goals=self.goals[rows], near=self.near[rows], conditions=self.conditions.rows(rows))
-
-    def within(self, lower: Array, upper: Array) -> Task:
-        """With other limits, in which whole turns bring `near`; of joints that do not move 1e-9 rad."""
-        near = turned_into(self.near, lower, upper, self.model.joint_types)
-        return self._replace(near=near, lower=lower, upper=np.maximum(upper, lower + 1e-9))
+    constraints: Constraints
+    enough: float
 
     @property
     def units(self) -> Array:
         """(n,) length [mm] that stands for a unit of each joint: the reach for an angle."""
         return np.where(np.array(self.model.joint_types) == REVOLUTE, self.model.reach, 1.0)
 
-    def gaps(self, postures: Array, rows: Index) -> tuple[Array, Array]:
-        """Goals (k, d) of the rows less the positions of postures (k, n), and the positions' derivatives (k, d, n)."""
-        table = self.model.condition_table(postures, self.conditions.rows(rows))
-        values = np.broadcast_to(self.model.values, (len(postures), len(self.model.values)))
-        tips, jacobian = self.model.expressions.posture_jacobian(postures, table, values)
-        return self.goals[rows] - tips[..., 0], jacobian
+    def at(self, rows: Index) -> Task:
+        """Of some of the goals."""
+        return self._replace(goals=self.goals[rows], near=self.near[rows], conditions=self.conditions.rows(rows))
+
+    def reached_within(self, boxes: Sequence[tuple[Array, Array]]) -> Array:
+        """(k, n) postures that reach the goals within the first of the limits in which one does; where none does, the
+        closest to the goal within the first."""
+        kinds = self.model.joint_types
+        first, *wider = (
+            self._replace(near=turned_into(self.near, low, high, kinds), lower=low, upper=np.maximum(high, low + 1e-9))
+            for low, high in boxes
+        )
+        several, ranks = first.searched()
+        postures, rank = several[:, 0], ranks[:, 0]
+        for part in wider:
+            missed = np.flatnonzero(rank >= MISSED)
+            ends, ranks = part.at(missed).searched()
+            good = ranks[:, 0] < MISSED
+            postures[missed[good]], rank[missed[good]] = ends[good, 0], NEAR
+        if (beyond := np.flatnonzero(rank >= BEYOND)).size:
+            postures[beyond] = first.at(beyond).closest(several[beyond])
+        return postures
+
+    def searched(self) -> tuple[Array, Array]:
+        """The best few postures (k, f, n) and their ranks (k, f): what `near` leads to; of goals not reached what
+        the seeds with the nearest tips do, and more of them for the goals missed by least, while it helps."""
+        k, n = self.near.shape
+        postures, ranks = np.repeat(self.near[:, None], FEW, axis=1), np.full((k, FEW), np.inf)
+        seeds = np.random.default_rng(0).uniform(self.lower, self.upper, (SEEDS, n))
+        for count, bad in ((1, 0.0), (NEAREST, NEAR), (8 * NEAREST, MISSED)):
+            missed = np.flatnonzero(ranks[:, 0] >= bad)
+            missed = missed[np.argsort(ranks[missed, 0], kind="stable")]
+            for rows in np.split(missed, range(AT_ONCE // count, len(missed), AT_ONCE // count)) if len(missed) else ():
+                part, starts = self.at(rows), self.near[rows, None]
+                if bad:
+                    away, _ = part.gaps(np.tile(seeds, (len(rows), 1)), np.repeat(np.arange(len(rows)), SEEDS))
+                    order = np.argsort(np.linalg.norm(away, axis=1).reshape(-1, SEEDS), axis=1)
+                    starts = seeds[order[:, :count]]
+                postures[rows], ranks[rows] = merged((postures[rows], ranks[rows]), part.descended(starts))
+                barred = rows[(ranks[rows, 0] >= MISSED) & (ranks[rows, 0] < BEYOND)]
+                if n > self.goals.shape[1] and len(barred):
+                    # a redundant arm has more postures: the best are led away from what is in the way
+                    clear, _ = self.at(barred).descended(postures[barred], 8, clear=True)  # steps, more are effort
+                    led = self.at(barred).descended(clear)
+                    postures[barred], ranks[barred] = merged((postures[barred], ranks[barred]), led)
+                if bad == MISSED and np.all(ranks[rows, 0] >= bad):
+                    break
+        return postures, ranks
 
     def descended(self, starts: Array, steps: int = QUICK, *, clear: bool = False) -> tuple[Array, Array]:
-        """Postures (k, s, n) to which the shortest steps lead from starts (k, s, n), and ranks (k, s), best first:
-        those that reach the goal by their distance from `near`; those that nearly do; those that miss constraints, by
-        how much; the others, by what they leave.
+        """The best few postures (k, f, n) to which the shortest steps lead from starts (k, s, n), and ranks (k, f):
+        those that reach the goal by their distance from `near`; then those that nearly do; those that miss constraints,
+        by how much; the others, by what they leave.
 
         clear : with margins that are missed as further residuals, of a place 0.01 mm inside
         """
@@ -380,21 +419,16 @@ class Task(NamedTuple):
         for constraint in self.constraints:
             by = -constraint.margin(solution.parameters).min(axis=1).reshape(k, s)
             missed += np.where(by > TOLERANCE, by, 0.0)
-        free = np.where(left > TOLERANCE, NEAR + left / (self.enough + left), distance / (1.0 + distance))
-        rank = np.where(left > self.enough, BEYOND + left, np.where(missed > 0.0, MISSED + missed, free))
-        order = np.argsort(rank, axis=1)
-        return np.take_along_axis(postures, order[:, :, None], axis=1), np.take_along_axis(rank, order, axis=1)
+        rank = NEAR * (left > TOLERANCE) + distance / (1.0 + distance)
+        rank = np.where(left > self.enough, BEYOND + left, np.where(missed > 0.0, MISSED + missed, rank))
+        return merged((postures, rank))
 
-    def best(self, starts: Array) -> tuple[Array, Array]:
-        """The best few postures (k, f, n) that starts (k, s, n) lead to, and their ranks (k, f). A redundant arm has
-        more postures than starts find: where all miss a constraint, the best are led away from what is in the way."""
-        ends, ranks = (each[:, :FEW] for each in self.descended(starts))
-        barred = np.flatnonzero((ranks[:, 0] >= MISSED) & (ranks[:, 0] < BEYOND))
-        if ends.shape[2] > self.goals.shape[1] and barred.size:
-            part = self.at(barred)
-            clear, _ = part.descended(ends[barred], 8, clear=True)  # steps, more are effort
-            ends[barred], ranks[barred] = merged((ends[barred], ranks[barred]), part.descended(clear))
-        return ends, ranks
+    def gaps(self, postures: Array, rows: Index) -> tuple[Array, Array]:
+        """Goals (k, d) of the rows less the positions of postures (k, n), and the positions' derivatives (k, d, n)."""
+        table = self.model.condition_table(postures, self.conditions.rows(rows))
+        values = np.broadcast_to(self.model.values, (len(postures), len(self.model.values)))
+        tips, jacobian = self.model.expressions.posture_jacobian(postures, table, values)
+        return self.goals[rows] - tips[..., 0], jacobian
 
     def closest(self, starts: Array) -> Array:
         """(k, n) the closest postures to goals out of reach, by Newton's method from several each (k, f, n)."""
@@ -419,49 +453,7 @@ class Task(NamedTuple):
 
 
 def merged(*ranked: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Postures (k, f, n) and ranks (k, f), the best f of several: as many as the first are."""
+    """The best few postures (k, f, n) and ranks (k, f) of several, best first."""
     postures, ranks = (np.concatenate(each, axis=1) for each in zip(*ranked, strict=True))
-    order = np.argsort(ranks, axis=1, kind="stable")[:, : ranked[0][1].shape[1]]
+    order = np.argsort(ranks, axis=1, kind="stable")[:, :FEW]
     return np.take_along_axis(postures, order[:, :, None], axis=1), np.take_along_axis(ranks, order, axis=1)
-
-
-def reaching(task: Task, boxes: Sequence[tuple[Array, Array]]) -> Array:
-    """(k, n) postures that reach the goals within the first of the limits in which one does; where none does, the
-    closest to the goal within the first."""
-    if not len(task.goals):
-        return task.near
-    if len(task.goals) > 1_000:
-        parts = np.split(np.arange(len(task.goals)), range(1_000, len(task.goals), 1_000))
-        return np.concatenate([reaching(task.at(rows), boxes) for rows in parts])
-    first, *wider = (task.within(*limits) for limits in boxes)
-    several, ranks = tried(first)
-    postures, rank = several[:, 0], ranks[:, 0]
-    for further in wider if np.any(rank >= MISSED) else ():
-        missed = np.flatnonzero(rank >= MISSED)
-        ends, ranks = (each[:, 0] for each in tried(further.at(missed)))
-        reached = missed[ranks < MISSED]
-        postures[reached], rank[reached] = ends[ranks < MISSED], NEAR
-    if (beyond := np.flatnonzero(rank >= BEYOND)).size:
-        postures[beyond] = first.at(beyond).closest(several[beyond])
-    return postures
-
-
-def tried(task: Task) -> tuple[Array, Array]:
-    """The best few postures (k, f, n), and their ranks (k, f): what `near` leads to; where that does not reach the
-    goal, what seeds do: 8, of goals that none reaches 32, and the others for those missed by least, while it helps."""
-    n, (ends, ranks) = len(task.lower), task.best(task.near[:, None])
-    seeds = np.random.default_rng(0).uniform(task.lower, task.upper, (256, n))
-    # a branch that is nearer to a goal that is nearly reached, by less than anybody knows, is none to go to
-    ranks[(ranks >= NEAR) & (ranks < MISSED)] = NEAR
-    postures, rank = np.repeat(ends, FEW, axis=1), np.pad(ranks, ((0, 0), (0, FEW - 1)), constant_values=np.inf)
-    for first, last, bad in ((0, 8, NEAR), (8, 32, BEYOND), (32, 256, MISSED)):
-        missed = np.flatnonzero(rank[:, 0] >= bad)
-        missed = missed[np.argsort(rank[missed, 0], kind="stable")]
-        at_once = 8_000 // (last - first)
-        for start in range(0, len(missed), at_once):
-            rows = missed[start : start + at_once]
-            further = task.at(rows).best(np.broadcast_to(seeds[first:last], (len(rows), last - first, n)))
-            postures[rows], rank[rows] = merged((postures[rows], rank[rows]), further)
-            if bad == MISSED and np.all(rank[rows, 0] >= bad):
-                break
-    return postures, rank

@@ -1,7 +1,8 @@
 """What a result says, once: a document of paragraphs, tables, pictures and sections, of which terminal, notebook and
 page (doe/report/page.py) are renderings; and numbers as people read them.
 
-A paragraph is a string. Everything is ready text, taken to the letter: `[mm]` is no markup, `<b>` no element.
+A paragraph is a string. Everything is ready text, taken to the letter: `[mm]` is no markup, `<b>` no element. Each part
+has `html(picture)` for notebook and page and `__rich_console__` for a terminal.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
 
 
-SYMBOLS = {r"\bchi2\b": "χ²", r"\bsigma\b": "σ", "->": "→", r"\+-": "±"}
 FINEST = 1e-3  # standard deviation whose third significant digit is the fifth decimal
 NUMBER = re.compile(r"[<>]? ?[-+–]?([\d.,]+(e[-+]?\d+)?)?( \*|%)?", re.IGNORECASE)  # or a dash in place of one
 
@@ -51,53 +51,49 @@ class Sheet:
             return self.rows, ""
         return self.rows[:most], f"first {most} of {len(self.rows)}; {self.where}"
 
-    def table(self, rows: Sequence[Sequence[str]], width: int) -> RenderableType:
-        """Some rows of it in a terminal of this many characters: figures end at the right and are never broken; where
-        it would be too wide, columns stand closer together."""
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        """Figures end at the right and are never broken; where it would be too wide, columns stand closer together."""
         from rich import box
-        from rich.console import Console
         from rich.measure import Measurement
         from rich.table import Table
         from rich.text import Text
 
+        rows, rest = self.cut(self.most)
         bare: dict[str, Any] = {"show_header": False, "box": None, "padding": (0, 2, 0, 0)}
-        shown = Table(box=box.SIMPLE_HEAD) if self.headings else Table(**bare)
+        table = Table(box=box.SIMPLE_HEAD) if self.headings else Table(**bare)
         for k, heading in enumerate(self.headings):
             cells = [row[k].strip() for row in rows if row[k].strip()]
             figures = 2 * sum(bool(NUMBER.fullmatch(cell)) for cell in cells) > len(cells)
-            shown.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
+            table.add_column(Text(heading), justify="right" if figures else "left", overflow="fold", no_wrap=figures)
         for row in rows:
-            shown.add_row(*map(Text, row))
-        free = Console(width=10_000, force_jupyter=False)
-        for shown.padding in ((0, 0, 0, 1), 0) if self.headings else ():
-            if Measurement.get(free, free.options, shown).maximum <= width:
-                return shown
-        for column in shown.columns:
-            column.no_wrap = False  # a figure in two lines is better than one that is cut off
-        return shown
-
-    def html(self, name: str) -> str:
-        """A table, and what it leaves out;  name : of the section around it"""
-        lines, rest = self.cut(200)  # where the text of the table says that there may be more
-        if self.headings:
-            # texts, which may be broken, begin at the left
-            kinds = [' class="text"' * any(len(line[k]) > 24 for line in lines) for k in range(len(self.headings))]
-            heads = "".join(
-                f'<th scope="col"{k}>{escape(text)}</th>' for text, k in zip(self.headings, kinds, strict=True)
-            )
-            rows = [
-                "".join(f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds, strict=True))
-                for line in lines
-            ]
+            table.add_row(*map(Text, row))
+        free = options.update(max_width=10_000)
+        for table.padding in ((0, 0, 0, 1), 0) if self.headings else ():
+            if Measurement.get(console, free, table).maximum <= options.max_width:
+                break
         else:
-            heads, left = "", 'style="text-align: left"'
-            pairs = ([escape(in_symbols(text)) for text in line] for line in lines)
-            rows = [f'<th scope="row" {left}>{fact}</th><td {left}>{text}</td>' for fact, text in pairs]
-        head = f"<thead><tr>{heads}</tr></thead>\n" * bool(heads)
+            for column in table.columns:
+                column.no_wrap = False  # a figure in two lines is better than one that is cut off
+        if rows:
+            yield from [Text(self.title, "italic")] if self.title else []
+            yield table
+            yield from [Text(rest)] if rest else []
+
+    def html(self, picture: Picture) -> str:
+        """A table, and what it leaves out."""
+        lines, rest = self.cut(200)  # where the text of the table says that there may be more
+        # texts, which may be broken, begin at the left
+        kinds = [' class="text"' * any(len(line[k]) > 24 for line in lines) for k in range(len(self.headings))]
+        heads = zip(self.headings, kinds, strict=True)
+        head = "".join(f'<th scope="col"{kind}>{escape(text)}</th>' for text, kind in heads)
+        head = f"<thead><tr>{head}</tr></thead>\n" * bool(head)
+        rows = (
+            "".join(f"<td{kind}>{escape(text)}</td>" for text, kind in zip(line, kinds or ("", ""), strict=True))
+            for line in lines
+        )
         table = f"<table>\n{head}<tbody>\n{''.join(f'<tr>{row}</tr>' + chr(10) for row in rows)}</tbody>\n</table>"
         title = f"<h3>{escape(self.title)}</h3>\n" * bool(self.title)
-        label = escape(f"{name}, table".removeprefix(", "))
-        return f'{title}<div class="scroll" tabindex="0" role="region" aria-label="{label}">{table}</div>\n{html(rest)}'
+        return f'{title}<div class="scroll" tabindex="0">{table}</div>\n{html(rest)}' * bool(lines)
 
 
 @dataclass(frozen=True)
@@ -105,6 +101,16 @@ class Pictures:
     """Figures and paragraphs on how they are read, made where a rendering shows them, which no terminal does."""
 
     draw: Callable[[], Sequence[Figure | str]]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        yield from ()
+
+    def html(self, picture: Picture) -> str:
+        """The paragraphs, and then the figures."""
+        drawn = self.draw() if picture else ()
+        shown = "".join(picture(one) for one in drawn if picture and not isinstance(one, str))
+        box = f'<div class="pictures">{shown}</div>\n' if shown else ""
+        return "".join(html(one) for one in drawn if isinstance(one, str)) + box
 
 
 @dataclass(frozen=True)
@@ -115,9 +121,18 @@ class Section:
     parts: Sequence[Part]
     folded: bool = False
 
-    def html(self, picture: Callable[[Figure], str]) -> str:
-        """As a page has it;  picture : a figure as HTML"""
-        return html(self, picture)
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        from rich.text import Text
+
+        shown = [part for part in self.parts if not (self.folded or isinstance(part, Pictures))]
+        yield from [Text(f"\n{self.title}", "bold italic")] if shown else []
+        yield from (Text(part) if isinstance(part, str) else part for part in shown)
+
+    def html(self, picture: Picture) -> str:
+        """Its title and what is in it."""
+        inside = "".join(html(part, picture) for part in self.parts)
+        head = f"<h2>{escape(self.title)}</h2>\n"
+        return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if self.folded else head + inside
 
 
 class Action(NamedTuple):
@@ -159,8 +174,19 @@ class Document:
     def _repr_html_(self) -> str:
         return html(self)
 
-    def __rich_console__(self, _: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
-        return rendered(self, options.max_width)
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        from rich.text import Text
+
+        yield from (Text(sentence, "bold") for sentence in (*self.warnings, *self.verdict) if sentence)
+        yield from (Text(part) if isinstance(part, str) else part for part in self.parts)
+        for text, command in self.actions:
+            yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
+
+    def html(self, picture: Picture) -> str:
+        """All of it but the title."""
+        first = "".join(f"<p><b>{escape(line)}</b></p>\n" for line in (*self.warnings, *self.verdict) if line)
+        steps = "".join(html(f"{text} {command}".strip()) for text, command in self.actions)
+        return first + "".join(html(part, picture) for part in self.parts) + steps
 
 
 class Documented:
@@ -180,6 +206,7 @@ class Documented:
 
 
 Part: TypeAlias = str | Sheet | Pictures | Section | Document
+Picture: TypeAlias = "Callable[[Figure], str] | None"  # a figure as HTML, None: pictures are left out
 Files: TypeAlias = dict[Path | None, tuple[str, Any]]  # path, None: not asked for -> what it is, and its content
 
 
@@ -201,7 +228,6 @@ class Answer:
     files: Files = field(default_factory=dict)
 
 
-# -- HTML, everything escaped ------------------------------------------------------------------------------------------
 def html_image(figure: Figure) -> str:
     """A figure as an image of a notebook."""
     buffer = io.BytesIO()
@@ -209,61 +235,9 @@ def html_image(figure: Figure) -> str:
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">\n'
 
 
-def html(part: Part, picture: Callable[[Figure], str] | None = html_image, name: str = "") -> str:
-    """A part as HTML.
-
-    picture : a figure as HTML, None: pictures are left out;  name : of the section around it, for those who hear it
-    """
-    if isinstance(part, str):
-        return f"<p>{escape(in_symbols(part))}</p>\n" if part else ""
-    if isinstance(part, Sheet):
-        return part.html(name) if part.rows else ""
-    if isinstance(part, Pictures):
-        drawn = part.draw() if picture else ()
-        shown = "".join(picture(one) for one in drawn if picture and not isinstance(one, str))
-        box = f'<div class="pictures">{shown}</div>\n' if shown else ""
-        return "".join(html(one) for one in drawn if isinstance(one, str)) + box
-    inside = "".join(html(one, picture, part.title if isinstance(part, Section) else "") for one in part.parts)
-    if isinstance(part, Section):
-        head = f"<h2>{escape(part.title)}</h2>\n"
-        return f"<details>\n<summary>{head}</summary>\n{inside}</details>\n" if part.folded else head + inside
-    first = "".join(f"<p><b>{escape(in_symbols(line))}</b></p>\n" for line in (*part.warnings, *part.verdict))
-    steps = "".join(f"<p>{escape(f'{text} {command}'.strip())}</p>\n" for text, command in part.actions)
-    return first + inside + steps
-
-
-def in_symbols(text: str) -> str:
-    """As books print it: `chi2` as χ², `->` as an arrow."""
-    for plain, symbol in SYMBOLS.items():
-        text = re.sub(plain, symbol, text)
-    return text
-
-
-# -- the terminal ------------------------------------------------------------------------------------------------------
-def rendered(part: Any, width: int) -> Iterator[RenderableType]:
-    """What a terminal of this many characters shows of a part (rich), or of what rich itself can show, from the top."""
-    from rich.text import Text
-
-    if isinstance(part, str):
-        yield Text(part)
-    elif isinstance(part, Sheet) and part.rows:
-        rows, rest = part.cut(part.most)
-        yield from [Text(part.title, "italic")] if part.title else []
-        yield part.table(rows, width)
-        yield from [Text(rest)] if rest else []
-    elif isinstance(part, Section) and not part.folded:
-        shown: list[Part] = [one for one in part.parts if not isinstance(one, Pictures)]
-        yield from [Text(f"\n{part.title}", "bold italic")] if shown else []
-        for one in shown:
-            yield from rendered(one, width)
-    elif isinstance(part, Document):
-        yield from (Text(sentence, "bold") for sentence in (*part.warnings, *part.verdict) if sentence)
-        for one in part.parts:
-            yield from rendered(one, width)
-        for text, command in part.actions:
-            yield Text(f"next: {text}" + (f"\n      {command}" if command else ""))
-    elif not isinstance(part, Sheet | Section | Pictures):
-        yield part
+def html(part: Part, picture: Picture = html_image) -> str:
+    """A part as HTML, everything escaped."""
+    return f"<p>{escape(part)}</p>\n" * bool(part) if isinstance(part, str) else part.html(picture)
 
 
 # -- numbers as people read them ---------------------------------------------------------------------------------------

@@ -236,11 +236,13 @@ class ArmModel(Model):
 
     def detectability(self, plan: Plan) -> Detectability:
         """What measuring a plan could show of every effect of the library, by the payloads, temperatures and directions
-        of its file, else by its order."""
+        of its file, else by its order; with weights, of as many runs as it has rows, shared out by them."""
         from identification.gap.detectability import detectability
 
-        given = {name: np.nan_to_num(values) for name, values in plan.conditions.items() if values is not None}
-        return detectability(without_prior(self.arm), plan.postures, Conditions(**given))
+        rows = np.flatnonzero(plan.shares)
+        given = {name: np.nan_to_num(values)[rows] for name, values in plan.conditions.items() if values is not None}
+        runs = None if plan.weights is None else len(plan) * plan.weights[rows]
+        return detectability(without_prior(self.arm), plan.postures[rows], Conditions(**given), runs)
 
     # -- what theory knows -----------------------------------------------------------------------------------------
     # whether it is a chain of links in a plane, of which Table I of the paper holds

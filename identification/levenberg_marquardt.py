@@ -60,32 +60,18 @@ class LeastSquares:
 
 
 class Points(NamedTuple):
-    """State of k searches: number of the problem (k,), parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums
-    of squares (k,) and damping (k,)."""
+    """Where k searches are: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares (k,) and damping
+    (k,)."""
 
-    problems: Index
-    parameters: Array
+    x: Array
     residuals: Array
     jacobians: Array
     squares: Array
     damping: Array
 
-    @classmethod
-    def of(cls, problem: LeastSquares, numbers: Index, parameters: Array) -> Points:
-        """Not damped yet."""
-        residuals, jacobians = problem.linearize(parameters, numbers)
-        return cls(numbers, parameters, residuals, jacobians, _squares(residuals), np.zeros(len(numbers)))
-
-    def at(self, rows: NDArray[np.bool_]) -> Points:
-        """Some of them."""
-        return self if rows.all() else Points._make(array[rows] for array in self)
-
-    def with_rows(self, rows: Index, others: Points) -> Points:
-        """With others in place of these."""
-        arrays = tuple(array.copy() for array in self)
-        for array, other in zip(arrays, others, strict=True):
-            array[rows] = other
-        return Points._make(arrays)
+    def at(self, rows: Index | NDArray[np.bool_]) -> Points:
+        """Copies of some of them."""
+        return Points._make(array[rows] for array in self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,45 +100,9 @@ class Solution:
         return np.asarray(self.status == Status.converged)
 
 
-def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
-    """Stationary points of K problems from starts (K, p), which are moved inside the bounds first."""
-    count, p = starts.shape
-    points = Points.of(problem, np.arange(count), np.clip(starts, problem.lower, problem.upper))
-    failed, none_active = np.full(count, Status.solver_failed, dtype=object), np.zeros((count, p), dtype=bool)
-    solution = Solution(points.parameters.copy(), points.squares.copy(), failed, none_active, np.zeros(count, int))
-    points = points.at(np.isfinite(points.squares))
-    for iteration in range(problem.iterations + 1):
-        if len(points.problems) == 0:
-            break
-        last = iteration == problem.iterations
-        # a flat curved valley (nearly undetermined combination, few rows) is left slowly, but by the whole step now and
-        # then. What is missing at last is far below its standard deviation, where the next step explains less than 1e-4
-        # sqrt(N) of those
-        if last or (iteration >= PATIENCE and iteration.bit_count() == 1):  # after 16, 32, 64 ....
-            points = points._replace(damping=np.zeros(len(points.problems)))
-        steps, stationary, active, explained, stiffness = _steps(problem, points)
-        ended = np.ones(len(stationary), dtype=bool) if last else stationary | (points.damping > 1e12)
-        if ended.any():
-            end, good = points.at(ended), explained <= 1e-4 if last else stationary
-            status = (
-                (Status.almost_solved, Status.iteration_limit) if last else (Status.converged, Status.almost_solved)
-            )
-            solution.parameters[end.problems], solution.rss[end.problems] = end.parameters, end.squares
-            solution.active[end.problems], solution.iterations[end.problems] = active[ended], iteration
-            solution.status[end.problems] = outcomes(good[ended], *status)
-        points = points.at(~ended)
-        if len(points.problems):
-            points = _moved(problem, points, steps[~ended], stiffness[~ended], watched=iteration >= PATIENCE)
-    return solution
-
-
 def outcomes(condition: NDArray[np.bool_], status: Status, other: Status) -> NDArray[np.object_]:
     """(k,) of `Status`: one where the condition holds, the other elsewhere."""
     return np.array([other, status], dtype=object)[condition.astype(int)]
-
-
-def _squares(residuals: Array) -> Array:
-    return np.einsum("kn,kn->k", residuals, residuals)
 
 
 def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
@@ -166,29 +116,66 @@ def compressed(residuals: Array, jacobians: Array) -> tuple[Array, Array]:
     return triangle[:, :, -1], triangle[:, :, :-1]
 
 
-def _steps(problem: LeastSquares, points: Points) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
+def levenberg_marquardt(problem: LeastSquares, starts: Array) -> Solution:
+    """Stationary points of K problems from starts (K, p), which are moved inside the bounds first."""
+    count = len(starts)
+    points = _points(problem, np.arange(count), starts, np.zeros(count))
+    status, active = np.full(count, Status.solver_failed, dtype=object), np.zeros(starts.shape, dtype=bool)
+    iterations, on = np.zeros(count, dtype=int), np.flatnonzero(np.isfinite(points.squares))  # searches that go on
+    for iteration in range(problem.iterations + 1 if len(on) else 0):
+        last, watched = iteration == problem.iterations, iteration >= PATIENCE
+        # a flat curved valley (nearly undetermined combination, few rows) is left slowly, but by the whole step now and
+        # then. What is missing at last is far below its standard deviation, where the next step explains less than 1e-4
+        # sqrt(N) of those
+        if last or (watched and iteration.bit_count() == 1):  # after 16, 32, 64 ....
+            points.damping[on] = 0.0
+        before = points.at(on)
+        steps, stationary, held, explained, stiffness = _steps(problem, on, before)
+        ended = stationary | (before.damping > 1e12) | last
+        good = outcomes(stationary, Status.converged, Status.almost_solved)
+        good = outcomes(explained <= 1e-4, Status.almost_solved, Status.iteration_limit) if last else good
+        status[on[ended]], active[on[ended]], iterations[on[ended]] = good[ended], held[ended], iteration
+        on, before = on[~ended], before.at(~ended)
+        if not len(on):
+            break
+        moved, better = _moved(problem, on, before, steps[~ended], stiffness[~ended], watched=watched)
+        for array, other in zip(points, moved, strict=True):
+            array[on[better]] = other[better]
+        points.damping[on] = moved.damping
+    return Solution(points.x, points.squares, status, active, iterations)
+
+
+def _points(problem: LeastSquares, numbers: Index, x: Array, damping: Array) -> Points:
+    """Of the problems numbered (k,) at x (k, p), which is moved inside the bounds."""
+    x = np.clip(x, problem.lower, problem.upper)
+    residuals, jacobians = problem.linearize(x, numbers)
+    return Points(x, np.array(residuals), np.array(jacobians), np.einsum("kn,kn->k", residuals, residuals), damping)
+
+
+def _steps(
+    problem: LeastSquares, numbers: Index, points: Points
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
     """(k, p) damped steps inside the bounds; (k,) stationary; (k, p) active bounds; (k,) share of the residuals' norm
     that a step explains; (k,) stiffness, see `damped_steps`."""
-    x, damping, norms = points.parameters, points.damping, np.sqrt(points.squares)
-    squares = np.einsum("knp,knp->kp", points.jacobians, points.jacobians)
-    lengths, zero = column_lengths(np.sqrt(squares), problem.scales)
+    x, residuals, jacobians, squares, damping = points
+    norms = np.sqrt(squares)
+    lengths, zero = column_lengths(np.sqrt(np.einsum("knp,knp->kp", jacobians, jacobians)), problem.scales)
     if problem.metric is not None:
         lengths = np.broadcast_to(problem.metric, lengths.shape)
-    columns = points.jacobians / lengths[:, None, :]
-    gradient = (np.swapaxes(columns, 1, 2) @ points.residuals[:, :, None])[:, :, 0]
+    columns = jacobians / lengths[:, None, :]
+    gradient = (np.swapaxes(columns, 1, 2) @ residuals[:, :, None])[:, :, 0]
     low, high = x <= problem.lower, x >= problem.upper
-    held = (low & (gradient < 0.0)) | (high & (gradient > 0.0))
-    steps, gradient, stiffness = damped_steps(columns, points.residuals, held | zero, damping, problem.tolerance)
-    limit = GRADIENT_TOLERANCE * norms + problem.rounding[points.problems]
+    active = (low & (gradient < 0.0)) | (high & (gradient > 0.0))
+    steps, gradient, stiffness = damped_steps(columns, residuals, active | zero, damping, problem.tolerance)
+    limit = GRADIENT_TOLERANCE * norms + problem.rounding[numbers]
     stationary = np.max(np.abs(gradient), axis=1, initial=0.0) <= limit
     while np.any(out := (low & (steps < 0.0) | high & (steps > 0.0)) & ~stationary[:, None]):
-        held |= out
+        active |= out
         again = np.any(out, axis=1)
-        steps[again], gradient[again], stiffness[again] = damped_steps(
-            columns[again], points.residuals[again], (held | zero)[again], damping[again], problem.tolerance
-        )
+        posed = columns[again], residuals[again], (active | zero)[again], damping[again]
+        steps[again], gradient[again], stiffness[again] = damped_steps(*posed, problem.tolerance)
     explained = np.sqrt(np.maximum(np.sum(gradient * steps, axis=1), 0.0)) / np.maximum(norms, np.finfo(float).tiny)
-    return steps / lengths, stationary, held, explained, stiffness
+    return steps / lengths, stationary, active, explained, stiffness
 
 
 def damped_steps(
@@ -202,87 +189,71 @@ def damped_steps(
     matter; elsewhere by singular values, of which those below `tolerance` are zero, in step and gradient.
     """
     columns = np.where(held[:, None, :], 0.0, columns) if held.any() else columns
-    across = np.swapaxes(columns, 1, 2)
+    across, wide = np.swapaxes(columns, 1, 2), columns.shape[1] < columns.shape[2]
     gradient = (across @ residuals[:, :, None])[:, :, 0]
-    wide = columns.shape[1] < columns.shape[2]
     normal = columns @ across if wide else across @ columns
     diagonal = np.arange(normal.shape[1])
-    # 1e-14 keeps the inverse alive where it is singular and not used
-    normal[:, diagonal, diagonal] += 1e-14 if wide else 1e-14 + held
-    try:
-        inverse = np.linalg.inv(normal)
-    except np.linalg.LinAlgError:  # one of them has a pivot that is exactly zero
-        steps, gradient, stiffness = truncated_steps(columns, residuals, damping, tolerance)
-        return np.where(held, 0.0, steps), gradient, stiffness
+    # 1e-14 of the largest keeps the inverse alive where it is singular and not used
+    ridge = 1e-14 * np.maximum(normal[:, diagonal, diagonal].max(axis=1, initial=0.0), 1.0)
+    normal[:, diagonal, diagonal] += ridge[:, None] if wide else ridge[:, None] + held
+    inverse = np.linalg.inv(normal)
     # in the 1-norm, which is never less than the ratio of the eigenvalues
     condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
     if (damped := damping > 0.0).any():
         inverse[damped] = np.linalg.inv(normal[damped] + damping[damped, None, None] * np.eye(len(diagonal)))
     once = inverse @ (residuals if wide else gradient)[:, :, None]
     steps, softer = ((across @ a if wide else a)[:, :, 0] for a in (once, inverse @ once))
-    stiffness = _stiffness(steps, softer)
     # up to a condition of 1e10 the normal matrix gives four digits of the steps, and the next step mends the rest
-    rest = ~(condition < min(1e10, tolerance**-2))
-    if rest.any():
-        truncated = truncated_steps(columns[rest], residuals[rest], damping[rest], tolerance)
-        steps[rest], gradient[rest], stiffness[rest] = truncated
-    return np.where(held, 0.0, steps), gradient, stiffness
-
-
-def truncated_steps(columns: Array, residuals: Array, damping: Array, tolerance: float) -> tuple[Array, Array, Array]:
-    """`damped_steps` by singular values."""
-    left, values, right = np.linalg.svd(columns, full_matrices=False)
-    rotated = (np.swapaxes(left, 1, 2) @ residuals[:, :, None])[:, :, 0]
-    count = significant(values, tolerance)
-    squares = np.where(count, values**2 + damping[:, None], 1.0)
-    factors = np.where(count, values, 0.0) / squares * rotated
-    along = np.stack([factors, np.where(count, values * rotated, 0.0)], axis=2)
-    steps, gradient = np.moveaxis(np.swapaxes(right, 1, 2) @ along, 2, 0)
-    return steps, gradient, _stiffness(factors, factors / squares)
-
-
-def _stiffness(steps: Array, softer: Array) -> Array:
-    """(k,) |s|^2 / s^T N^-1 s of steps s and N^-1 s; 0 where nothing moves."""
+    if (rest := ~(condition < min(1e10, tolerance**-2))).any():
+        left, values, right = np.linalg.svd(columns[rest], full_matrices=False)
+        count = significant(values, tolerance)
+        pull = np.where(count, values * (np.swapaxes(left, 1, 2) @ residuals[rest, :, None])[:, :, 0], 0.0)
+        squares = np.where(count, values**2 + damping[rest, None], 1.0)
+        turned = np.stack([pull / squares, pull, pull / squares**2], axis=2)
+        steps[rest], gradient[rest], softer[rest] = np.moveaxis(np.swapaxes(right, 1, 2) @ turned, 2, 0)
+    steps = np.where(held, 0.0, steps)
     lengths, softness = np.sum(steps**2, axis=1), np.sum(steps * softer, axis=1)
-    return np.divide(lengths, softness, out=np.zeros_like(lengths), where=softness > 0.0)
+    # nothing moves where it is zero
+    return steps, gradient, np.divide(lengths, softness, out=np.zeros_like(lengths), where=softness > 0.0)
 
 
-def _moved(problem: LeastSquares, points: Points, steps: Array, stiffness: Array, *, watched: bool) -> Points:
-    """The points after their steps, where those descend, elsewhere as before, with the damping with which a step would
-    have ended at the minimum of a parabola along it (Hebden 1973).
+def _moved(
+    problem: LeastSquares, numbers: Index, points: Points, steps: Array, stiffness: Array, *, watched: bool
+) -> tuple[Points, NDArray[np.bool_]]:
+    """The points after their steps, and where those descend, so that they are taken; all with the damping with which a
+    step would have ended at the minimum of a parabola along it (Hebden 1973).
 
     No more damping than before where the sum of squares falls nearly as the linear model predicts; where it falls by
     less than a quarter of that, so much that a step half as long at most comes next (More 1978). A search that is
     `watched` may climb by one step if the next one makes up for it.
     """
-    moved = Points.of(problem, points.problems, np.clip(points.parameters + steps, problem.lower, problem.upper))
+    x, residuals, jacobians, squares, damping = points
+    moved = _points(problem, numbers, x + steps, damping)
     # rounding of residuals and of their sum may hide the descent of the last steps
-    allowance = 2.0 * np.sqrt(points.squares) * problem.rounding[points.problems] + 1e-14 * points.squares
-    better = moved.squares <= points.squares + allowance
-    step = (moved.parameters - points.parameters)[:, :, None]
+    allowance = 2.0 * np.sqrt(squares) * problem.rounding[numbers] + 1e-14 * squares
+    better = moved.squares <= squares + allowance
     with np.errstate(over="ignore", invalid="ignore"):  # a step may lead to where nothing is finite
-        change, change_after = ((each.jacobians @ step)[:, :, 0] for each in (points, moved))
-        slope = np.einsum("kn,kn->k", change, points.residuals)
-        predicted = points.squares - _squares(points.residuals - change)
+        change, change_after = ((each @ (moved.x - x)[:, :, None])[:, :, 0] for each in (jacobians, moved.jacobians))
+        slope = np.einsum("kn,kn->k", change, residuals)
+        predicted = 2.0 * slope - np.einsum("kn,kn->k", change, change)
         # a small fall drowns in rounding; the slopes at both ends of the step do not (trapezoidal rule)
         slopes = slope + np.einsum("kn,kn->k", change_after, moved.residuals)
-        fall = np.where(predicted > SMALL_FALL * points.squares, points.squares - moved.squares, slopes)
+        fall = np.where(predicted > SMALL_FALL * squares, squares - moved.squares, slopes)
         share = slope / np.maximum(2.0 * slope - fall, np.finfo(float).tiny)
-    good = better & (fall >= np.where(points.damping > 0.0, 0.75, 0.25) * predicted)
+    good = better & (fall >= np.where(damping > 0.0, 0.75, 0.25) * predicted)
     poor = ~(better & (fall >= 0.25 * predicted))
     # of the step's length; at least a tenth where it failed
     share = np.clip(np.where(np.isfinite(fall), share, 0.0), np.where(good, 1.0, 0.1), np.where(poor, 0.5, np.inf))
-    damping = np.maximum(points.damping + (1.0 / share - 1.0) * stiffness, points.damping / 10.0)
-    damping = np.where(damping > 0.1 * (stiffness - points.damping), damping, 0.0)  # less is none
+    new_damping = np.maximum(damping + (1.0 / share - 1.0) * stiffness, damping / 10.0)
+    new_damping = np.where(new_damping > 0.1 * (stiffness - damping), new_damping, 0.0)  # less is none
     # in a curved valley the next step takes back what this one climbs its walls by
-    if watched and (climbs := poor & np.isfinite(moved.squares)).any():
+    if watched and len(climbs := np.flatnonzero(poor & np.isfinite(moved.squares))):
         climbed = moved.at(climbs)
-        x = np.clip(climbed.parameters + _steps(problem, climbed)[0], problem.lower, problem.upper)
-        back, rows = Points.of(problem, climbed.problems, x), np.flatnonzero(climbs)
-        lower = back.squares <= (points.squares - 0.25 * predicted)[rows]
-        moved, rows = moved.with_rows(rows[lower], back.at(lower)), rows[lower]
-        better[rows], damping[rows] = True, points.damping[rows]
-    if better.all():
-        return moved._replace(damping=damping)
-    chosen = (np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(moved, points, strict=True))
-    return Points._make(chosen)._replace(damping=damping)
+        back = _points(
+            problem, numbers[climbs], climbed.x + _steps(problem, numbers[climbs], climbed)[0], climbed.damping
+        )
+        lower = back.squares <= (squares - 0.25 * predicted)[climbs]
+        for array, other in zip(moved, back, strict=True):
+            array[climbs[lower]] = other[lower]
+        better[climbs[lower]], new_damping[climbs[lower]] = True, damping[climbs[lower]]
+    return moved._replace(damping=new_damping), better

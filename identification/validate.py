@@ -184,11 +184,18 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
         a spatial arm six, and the measured points); `offsets`, that and every joint offset; `none`, nothing. In each
         session separately
 
-    Raises `InputError` for an arm without calibration, another `refit`, data of another arm, too few rows.
+    Raises `InputError` for an arm without calibration, another `refit`, or `none` where nothing is measured from where
+    the arm stands, data of another arm, too few rows.
     """
     if refit not in REFITS:
         raise InputError.unknown("refit: unknown name", refit, REFITS)
     check_calibrated(arm)
+    instrument = arm.chain.instrument
+    if refit == "none" and (
+        instrument.own_targets or (not instrument.reads_positions and len(measurements.sessions) > 1)
+    ):
+        what = instrument.target or "center"
+        raise InputError(f"refit none: no calibrated file says where each {what} is, allowed: base, which finds it")
     refitted, residuals, left_open = _refitted(arm, measurements, refit)
     drawing = replace(arm, effects=(), calibration=None)
     nominal = _refitted(drawing, measurements, refit, arm)[1]

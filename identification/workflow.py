@@ -178,7 +178,7 @@ def init_files(
         steps.append(f"gravity: {upright}")
     if missing:
         looked = "plans will not look at collisions of these links; armcal init --package-dir finds and copies them"
-        steps.append(f"{len(missing)} meshes are not found, the first of them {missing[0]}: {looked}")
+        steps.append(f"{len(missing)} meshes are not found as .stl or .obj, the first of them {missing[0]}: {looked}")
     steps.append(f"in {out}: {step.partition('  #')[0].rstrip()}")
     document = Document(parts=[f"written: {', '.join(written)}", *steps])
     return Answer({"directory": out, "files": written, "next": steps}, document)

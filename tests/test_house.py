@@ -6,8 +6,9 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 from types import ModuleType
 
@@ -54,12 +55,7 @@ LAYERS = {
 def unit(module: str) -> str:
     """The entry of `LAYERS` that a module belongs to, by its longest known prefix; the two packages are their own."""
     names = (name for name in LAYERS if f"{module}.".startswith(f"{name}."))
-    return module if module in ("doe", "identification") else max(names, key=len, default="")
-
-
-def layer(module: str) -> int:
-    assert unit(module), f"{module} has no layer in {Path(__file__).name}"
-    return LAYERS.get(unit(module), -1)
+    return module if module in ORDER else max(names, key=len, default="")
 
 
 @cache
@@ -70,24 +66,20 @@ def modules() -> dict[str, ast.Module]:
     return {name: ast.parse(path.read_text()) for name, path in zip(names, paths, strict=True)}
 
 
-def imports(tree: ast.Module, ours: Collection[str], *, types: bool = False) -> set[str]:
+def imports(tree: ast.AST, ours: Collection[str], *, types: bool = False) -> set[str]:
     """Those of `ours` that a module imports, in functions too; with `types` also those for the type checker alone.
 
     `from package import module` imports the module, not the package, whose `__init__` may import many.
     """
-    names, todo = set[str](), list[ast.AST](tree.body)
-    while todo:
-        node = todo.pop()
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test) and not types:
-            todo += node.orelse
-            continue
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert not node.level, "relative imports are not used here"
-            whole = {f"{node.module}.{alias.name}" for alias in node.names}
-            names |= {name if name in ours else str(node.module) for name in whole}
-        todo += ast.iter_child_nodes(node)
+    if isinstance(tree, ast.If) and "TYPE_CHECKING" in ast.unparse(tree.test) and not types:
+        return set()
+    names = {name for node in ast.iter_child_nodes(tree) for name in imports(node, ours, types=types)}
+    if isinstance(tree, ast.Import):
+        names |= {alias.name for alias in tree.names}
+    elif isinstance(tree, ast.ImportFrom):
+        assert not tree.level, "relative imports are not used here"
+        whole = {f"{tree.module}.{alias.name}" for alias in tree.names}
+        names |= {name if name in ours else str(tree.module) for name in whole}
     return names & set(ours)
 
 
@@ -97,7 +89,7 @@ def graph() -> dict[str, set[str]]:
     return {name: imports(tree, modules()) - {name} for name, tree in modules().items()}
 
 
-def reached(start: set[str], links: dict[str, set[str]]) -> set[str]:
+def reached(start: Collection[str], links: Mapping[str, set[str]]) -> set[str]:
     """Modules of a set, and all that they import."""
     todo, seen = list(start), set(start)
     while todo:
@@ -107,39 +99,26 @@ def reached(start: set[str], links: dict[str, set[str]]) -> set[str]:
     return seen
 
 
-def cycles(edges: dict[str, set[str]]) -> list[list[str]]:
-    """Groups of nodes that can reach each other: what cannot be put in an order."""
-    reach = {node: reached(targets, edges) for node, targets in edges.items()}
-    groups = {frozenset(b for b in reach if b in reach[a] and a in reach[b]) for a in reach if a in reach[a]}
-    return sorted(sorted(group) for group in groups)
-
-
 def test_imports_go_down_only() -> None:
     """Deferred ones and those of types too; `identification` itself is the table of contents, for everybody else."""
+    layer = {name: LAYERS.get(unit(name), -1) for name in modules()}
     wrong = []
     for name, tree in modules().items():
         targets = imports(tree, modules(), types=True)
         if name == "identification":  # whose contents are of all its own layers
             targets = {target for target in targets if target.startswith("doe")}
-        wrong += [f"{name} imports {target}" for target in targets if layer(target) > layer(name)]
+        wrong += [f"{name} imports {target}" for target in targets if layer[target] > layer[name]]
     assert not wrong
+    assert {unit(name) for name in modules()} == {*LAYERS, *ORDER}, "every module has a layer, every layer a module"
 
 
-def test_no_two_modules_import_each_other() -> None:
-    """Neither directly nor by way of others, in whatever layer; an import inside a function is an import."""
-    assert cycles(graph()) == []
-
-
-def test_no_two_packages_import_each_other() -> None:
-    """Within a layer too: all of one package stands below all of the other."""
-    edges: dict[str, set[str]] = {unit(module): set() for module in graph()}
+def test_no_two_modules_and_no_two_packages_import_each_other() -> None:
+    """Neither directly nor by way of others, also within a layer; an import inside a function is an import."""
+    units: dict[str, set[str]] = {unit(module): set() for module in graph()}
     for module, targets in graph().items():
-        edges[unit(module)] |= {unit(target) for target in targets} - {unit(module)}
-    assert cycles(edges) == []
-
-
-def test_every_layer_has_a_module() -> None:
-    assert {unit(name) for name in modules()} - {"doe", "identification"} == set(LAYERS)
+        units[unit(module)] |= {unit(target) for target in targets} - {unit(module)}
+    for links in (graph(), units):
+        TopologicalSorter(links).prepare()  # names a cycle
 
 
 def test_bounds_import_no_solver() -> None:
@@ -149,28 +128,22 @@ def test_bounds_import_no_solver() -> None:
 
 
 # -- names -------------------------------------------------------------------------------------------------------------
-@cache
-def taken(package: str) -> list[tuple[str, str, str]]:
-    """Module, module and name of every import by name from `identification` in a package, also in functions."""
-    return [
-        (name, str(node.module), alias.name)
-        for name, tree in modules().items()
-        if f"{name}.".startswith(f"{package}.")
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith("identification.")
-        for alias in node.names
-    ]
+# what `doe` may take from `identification`: these numbers go down only
+NAMES, MODULES = 40, 4
+
+
+def taken(package: str) -> list[tuple[str, str]]:
+    """Module and name of every import by name from `identification` in a package, also in functions."""
+    nodes = (node for name, tree in modules().items() if unit(name).startswith(package) for node in ast.walk(tree))
+    froms = (node for node in nodes if isinstance(node, ast.ImportFrom))
+    return [(str(n.module), a.name) for n in froms if f"{n.module}.".startswith("identification.") for a in n.names]
 
 
 def test_identification_itself_does_not_use_its_table_of_contents() -> None:
     """Through it a module could reach what stands above it."""
     contents = set(identification.__all__)
-    assert not [row for row in taken("identification") if row[1] == "identification" and row[2] in contents]
+    assert not [row for row in taken("identification.") if row[0] == "identification" and row[1] in contents]
     assert not [name for name in contents if isinstance(getattr(identification, name), ModuleType)]
-
-
-# what `doe` may take from `identification`: these numbers go down only
-NAMES, MODULES = 40, 4
 
 
 def test_the_door_between_the_packages_is_narrow() -> None:
@@ -178,37 +151,35 @@ def test_the_door_between_the_packages_is_narrow() -> None:
     rows = taken("doe")
     named = (node for name, tree in modules().items() if name.startswith("doe") for node in ast.walk(tree))
     assert not [n for n in named if isinstance(n, ast.Import) and n.names[0].name.startswith("identification")]
-    assert not [row for row in rows if f"{row[1]}.{row[2]}" in modules()]
-    assert len({name for *_, name in rows}) <= NAMES
-    assert len({module for _, module, _ in rows}) <= MODULES
+    assert not [row for row in rows if ".".join(row) in modules()]
+    assert len({name for _, name in rows}) <= NAMES
+    assert len({module for module, _ in rows}) <= MODULES
 
 
 def test_a_name_has_one_meaning() -> None:
     """Public functions and classes of modules."""
-    places: dict[str, list[str]] = {}
-    for module, tree in modules().items():
-        for node in tree.body:
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
-                places.setdefault(node.name, []).append(module)
-    several = {name: sorted(set(where)) for name, where in places.items() if len(set(where)) > 1}
-    assert not several
+    defined = [
+        (node.name, module)
+        for module, tree in modules().items()
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+    ]
+    modules_of = {name: {module for each, module in defined if each == name} for name, _ in defined}
+    assert {name: where for name, where in modules_of.items() if len(where) > 1} == {}
 
 
 def test_every_module_has_a_test() -> None:
-    """One of its name in the mirrored place, or one of its package, or a verb that the tests run, which imports it."""
+    """One of its name, or one of its package, which imports it, or a verb that the tests run."""
     commands = " ".join(path.read_text() for path in (ROOT / "tests/doe/cli").rglob("*.py"))
     verbs = {name for name in graph() if name.startswith("doe.cli.") and f'"{name.rpartition(".")[2]}"' in commands}
-    covered = set()
-    for package in ("doe", "identification"):
-        paths = (ROOT / "tests" / package).rglob("test_*.py")
-        start = {name for path in paths for name in imports(ast.parse(path.read_text()), graph())} | verbs
-        covered |= {name for name in reached(start, graph()) if name.startswith(package)}
-    mirrored = (
-        ".".join(path.relative_to(ROOT / "tests").with_suffix("").parts) for path in ROOT.glob("tests/*/**/*.py")
-    )
-    covered |= {name.replace(".test_", ".") for name in mirrored}
+    tests = {path: ast.parse(path.read_text()) for path in (ROOT / "tests").rglob("test_*.py")}
+    left = {name for name in graph() if f"test_{name.rpartition('.')[2]}" not in {path.stem for path in tests}}
+    for package in ORDER:
+        trees = (tree for path, tree in tests.items() if package in path.parts)
+        start = {name for tree in trees for name in imports(tree, graph())} | verbs
+        left -= {name for name in reached(start, graph()) if name.startswith(package)}
     packages = {name.rpartition(".")[0] for name in modules()}
-    assert {name for name in modules() if name not in packages and "__" not in name} <= covered
+    assert {name for name in left if name not in packages and "__" not in name} == set()
 
 
 # -- the repository ----------------------------------------------------------------------------------------------------

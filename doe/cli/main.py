@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from doe import SINGLE_THREAD
-from doe.cli import demo, plans, study  # noqa: F401 - they declare their verbs
+from doe.cli import verbs  # noqa: F401 - it declares them
 from doe.cli.verb import command, in_one_line, say
 from identification import InputError
 from identification.document import Answer, Document
@@ -21,13 +21,6 @@ ORDER = (  # of the work
     *("demo", "init", "design", "score", "program", "advise", "compare", "relax", "study", "simulate", "check"),
     *("identify", "diagnose", "discriminate", "validate", "compensate", "report", "effects", "help"),
 )
-OTHER_VERBS = {  # words for the same -> verb
-    **dict.fromkeys(("calibrate", "fit", "estimate", "regress"), "identify"),
-    **dict.fromkeys(("plan", "optimize", "optimise"), "design"),
-    **dict.fromkeys(("inspect", "verify"), "check"),
-    **dict.fromkeys(("new", "start", "create"), "init"),
-    **dict.fromkeys(("predict", "test"), "validate"),
-}
 
 
 class Verbs(click.Group):
@@ -59,7 +52,7 @@ class Verbs(click.Group):
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """As in click, with a suggestion."""
         if args and not args[0].startswith("-") and args[0] not in self.commands:
-            ctx.fail(str(InputError.unknown("unknown verb", args[0], self.commands, OTHER_VERBS)))
+            ctx.fail(str(InputError.unknown("unknown verb", args[0], self.commands)))
         return super().resolve_command(ctx, args)
 
 

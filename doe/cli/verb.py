@@ -18,9 +18,10 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
+from shutil import get_terminal_size
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NewType, Union, get_args, get_origin, get_type_hints
 
@@ -99,9 +100,11 @@ class JobOptions:
     resume: bool = False
     force: bool = False
 
-    def where(self, otherwise: int | None = None) -> int | str:
-        """Address of a cluster, or number of processes; left out: this many, None: as there are cores."""
-        return self.workers or otherwise or os.cpu_count() or 1 if self.cluster is None else self.cluster
+    def how(self, seed: int, progress: Progress, workers: int | None = None) -> dict[str, Any]:
+        """Arguments of `doe.jobs.run_tasks`;  workers : where none are asked for, None: as many as there are cores"""
+        where = self.workers or workers or os.cpu_count() or 1 if self.cluster is None else self.cluster
+        kept = {"resume": self.resume, "force": self.force}
+        return {"workers": where, "seed": seed, "progress": progress, **kept}
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------
@@ -114,26 +117,26 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
     for in the help (`NAMES`). The docstring's first line stands in `armcal --help`; lines `name : ..` say what an
     option is for, but for those of `EVERYWHERE`.
 
-    Adds --json, --seed, --quiet and the example. A function with a parameter `seed`, `progress`, `page` or
-    `constraints` is given the seed, a callback for its progress, what makes a page of a document and of files that were
-    read, and what makes the constraints of a model.
+    Adds --json, --seed, --quiet and the example. A function with a parameter of `PROVIDED` is given the seed, a
+    callback for its progress, what makes a page of a document and of files that were read, and what makes the
+    constraints of a model.
     """
-    name, (text, helps) = example.split()[1], documented(function)
-    hints, groups, parameters = get_type_hints(function, include_extras=True), dict[str, Any](), list[click.Parameter]()
-    signature = inspect.signature(function).parameters
-    for each in signature.values():
-        hint, option = hints[each.name], each.kind is inspect.Parameter.KEYWORD_ONLY
-        if each.name in PROVIDED:
-            continue
-        if is_dataclass(hint):
-            groups[each.name] = hint
-            inner, of_group = get_type_hints(hint, include_extras=True), documented(hint)[1]
-            for one in fields(hint):
-                default = inspect.Parameter.empty if one.default is MISSING else one.default
-                parameters.append(declared(one.name, inner[one.name], default, of_group[one.name]))
-        else:
-            parameters.append(declared(each.name, hint, each.default, helps[each.name] if option else None))
-    parameters += [
+    name, (text, _), groups = example.split()[1], documented(function), dict[str, Any]()
+
+    def parameters_of(thing: Any) -> Iterator[click.Parameter]:
+        hints, (_, helps) = get_type_hints(thing, include_extras=True), documented(thing)
+        for each in inspect.signature(thing).parameters.values():
+            if each.name in PROVIDED:
+                continue
+            if is_dataclass(hint := hints[each.name]):
+                groups[each.name] = hint
+                yield from parameters_of(hint)
+            else:
+                option = thing is not function or each.kind is inspect.Parameter.KEYWORD_ONLY
+                yield declared(each.name, hint, each.default, helps[each.name] if option else None)
+
+    parameters = [
+        *parameters_of(function),
         click.Option(["--json", "as_json"], is_flag=True, help="One JSON object on standard output."),
         declared("seed", Annotated[int, click.IntRange(min=0)], 0, "Random seed."),
         declared("quiet", bool, False, "No progress and no warnings on standard error."),
@@ -157,7 +160,7 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
         logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
         with warnings_as_lines(quiet), shown_progress(name, quiet) as progress:
             provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints}
-            values |= {key: value for key, value in provided.items() if key in signature}
+            values |= {key: provided[key] for key in inspect.signature(function).parameters if key in provided}
             with errors_as_lines(), stoppable():
                 check_outputs(click.get_current_context())
                 answer = function(**values)
@@ -277,42 +280,40 @@ def errors_as_lines() -> Iterator[None]:
 def stoppable() -> Iterator[None]:
     """SIGTERM ends a verb as Ctrl-C does: finished rows stay, no process and no half-written file does. Whoever catches
     it may answer with the best so far."""
-    stops = list[KeyboardInterrupt]()
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    stops, hooks = list[KeyboardInterrupt](), (threading.excepthook, sys.unraisablehook)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
 
     def stop(number: int, _: object) -> None:
         stops.append(KeyboardInterrupt(*([] if number == signal.SIGINT else [signal.Signals(number).name])))
         threading.excepthook = lambda _: None  # of threads whose processes are killed next
         raise stops[-1]
 
-    with ExitStack() as stack:
-        if threading.current_thread() is threading.main_thread():
-            for hook, module in (("excepthook", threading), ("unraisablehook", sys)):
-                stack.callback(setattr, module, hook, getattr(module, hook))
-            for number in (signal.SIGTERM, signal.SIGINT):
-                if (handler := signal.getsignal(number)) in (signal.SIG_DFL, signal.default_int_handler):
-                    stack.callback(signal.signal, number, handler)
-                    signal.signal(number, stop)
+    def lost(unraisable: sys.UnraisableHookArgs) -> None:
+        """It met the end of an object, where nothing can be raised: it comes again a little later."""
+        if (error := unraisable.exc_value) in stops:
+            threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGTERM if error.args else signal.SIGINT)).start()
+        else:
+            hooks[1](unraisable)
 
-            def lost(unraisable: sys.UnraisableHookArgs, otherwise: Any = sys.unraisablehook) -> None:
-                """It met the end of an object, where nothing can be raised: it comes again a little later."""
-                if unraisable.exc_value not in stops:
-                    otherwise(unraisable)
-                    return
-                again = signal.SIGTERM if unraisable.exc_value.args else signal.SIGINT
-                timer = threading.Timer(0.01, signal.pthread_kill, [threading.get_ident(), again])
-                timer.daemon = True
-                stack.callback(timer.cancel)
-                timer.start()
-
-            sys.unraisablehook = lost
-        try:
-            yield
-        except (InputError, JobError):
-            raise
-        except Exception:  # what a library in C makes of the signal while it is loaded
-            if stops:
-                raise stops[0] from None
-            raise
+    try:
+        sys.unraisablehook = lost
+        for number, handler in handlers.items():
+            if handler in (signal.SIG_DFL, signal.default_int_handler):
+                signal.signal(number, stop)
+        yield
+    except (InputError, JobError):
+        raise
+    except Exception:  # what a library in C makes of the signal while it is loaded
+        if stops:
+            raise stops[0] from None
+        raise
+    finally:
+        threading.excepthook, sys.unraisablehook = hooks
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def stopped_by(error: BaseException) -> str:
@@ -349,9 +350,9 @@ def warnings_as_lines(quiet: bool) -> Iterator[None]:
 # -- progress on standard error ----------------------------------------------------------------------------------------
 @contextmanager
 def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[Progress]:
-    """The callback for a job: a bar on a terminal, which is hidden in the first half second, else a line every
-    `interval` seconds, even while the job reports nothing."""
-    started = time.monotonic()
+    """The callback for a job: a bar on a terminal, which is hidden in the first half second, else a line when it is
+    called, at most every `interval` seconds."""
+    started = written = time.monotonic()
     if quiet or sys.stderr is None:  # None: closed, as by 2>&-
         yield Progress()
     elif sys.stderr.isatty():
@@ -374,22 +375,16 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
 
             yield Progress(report)
     else:
-        latest, ended = "", threading.Event()
 
         def tell(done: float, total: float | None, message: str) -> None:
-            nonlocal latest
-            share = [f"{100.0 * done / total:.0f} % done"] if total and 0 < done < total else []
-            latest = "".join(f", {part}" for part in (message, *share) if part)
+            nonlocal written
+            if time.monotonic() - written > interval:
+                written = time.monotonic()
+                share = f"{100.0 * done / total:.0f} % done" if total and 0 < done < total else ""
+                parts = ", ".join(part for part in (f"{written - started:.0f} s", message, share) if part)
+                click.echo(f"armcal {title}: {parts}", err=True)
 
-        def speak() -> None:
-            while not ended.wait(interval):
-                click.echo(f"armcal {title}: {time.monotonic() - started:.0f} s{latest}", err=True)
-
-        threading.Thread(target=speak, daemon=True).start()
-        try:
-            yield Progress(tell)
-        finally:
-            ended.set()
+        yield Progress(tell)
 
 
 # -- output ------------------------------------------------------------------------------------------------------------
@@ -401,11 +396,8 @@ def shown(answer: Answer, as_json: bool) -> None:
     from rich.console import Console
     from rich.segment import Segment, Segments
 
-    columns = os.environ.get("COLUMNS", "")
-    width = None if sys.stdout.isatty() else 110
-    if columns.isdecimal() and int(columns):
-        width = int(columns)
-    console = Console(width=width, highlight=False, markup=False)  # brackets of effects are no markup
+    # a pipe has no width; brackets of effects are no markup
+    console = Console(width=get_terminal_size((110, 0)).columns, highlight=False, markup=False)
     # names in files may have control characters, which a terminal would obey
     segments = (
         Segment(re.sub(r"[^\n]", lambda c: c[0] if c[0].isprintable() else "?", s.text), s.style)

@@ -17,7 +17,7 @@ from doe.plan.driving import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report.design import design_verdict, plan_section
-from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm, draw_side
+from doe.report.figures import AFTER, BEFORE, LIMIT, draw_arm, draw_side
 from doe.solvers import solve
 from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
 from identification import (
@@ -31,7 +31,7 @@ from identification import (
     rms_distance,
     with_effects,
 )
-from identification.document import Answer, Document, Pictures, Section, Sheet, number
+from identification.document import Answer, Document, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
 
@@ -201,7 +201,7 @@ def run_demo(
 
 # -- its page ----------------------------------------------------------------------------------------------------------
 def demo_document(demo: Demo) -> Document:
-    """The diagnosis, what was hidden, plan, and certificate."""
+    """The diagnosis, what was hidden, and the plan."""
     arm, diagnosis, gaps, hidden = demo.arm, demo.diagnosed.result, demo.data["fresh_gap_mm"], demo.data["hidden"]
     # estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm
     values = [
@@ -226,11 +226,7 @@ def demo_document(demo: Demo) -> Document:
             [[name, number(hidden[key])] for name, key in misses.items()],
         ),
     ]
-    postures, effort = demo.design.plan.postures, (4096, 61) if arm.chain.planar else (128, 25)
-    certificate = (
-        "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
-        "the largest d found at each angle of a joint; dots are the plan's postures."
-    )
+    postures = demo.design.plan.postures
     within = " and the tracker's view" if arm.constraints else ""
     chosen = f"Chosen within the joint limits{within}. {design_verdict(demo.design.to_json())}"
     diagnosed = diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
@@ -238,10 +234,6 @@ def demo_document(demo: Demo) -> Document:
         *diagnosed.parts,
         Section("Against the truth", truth),
         plan_section(arm, demo.moves, lead=chosen, tests={"fresh.csv": demo.validated.result}),
-        Section(
-            "The certificate",
-            [Pictures(lambda: [certificate, certificate_figure(demo.design.problem, postures, *effort)])],
-        ),
     ]
     actions = [
         ("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),

@@ -12,20 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from doe.plan.moves import APPROACH, Room, Space, approaches, free, route
+from doe.plan.moves import APPROACH, Room, Route, approaches, route
 from doe.plan.plan import shortest_path
 from doe.plan.spacing import values_with
 from doe.problem.clearance import ROUNDING, SIGHT, Clearance
 from doe.problem.constraints import KINDS, Constraint
-from doe.problem.model import turns
+from doe.problem.model import joint_units, turns
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem, Stop, never
-from identification import Array, JobError, Plan
+from identification import Array, Plan
 
 # of the last motion of each joint: room for it below a posture, and above
 SENSES = {"any": (False, False), "positive": (True, False), "negative": (False, True), "alternate": (True, True)}
 MOVING = 0.5  # share of the clearance that is kept while the arm moves
 WALL = 10.0  # [mm] that the arm may pass a wall by while it moves: many postures are on one
+WOUND = 1.01 * 2.0 * np.pi  # [rad] limits that leave more are of several turns
+ATTEMPTS = 5  # to replace what no way leads to
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
 
 
@@ -37,6 +39,8 @@ class Drive:
     order : `given`, `random` or `travel`, None: nobody asked for one;  approach : of `SENSES`
     travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
     shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
+    sideways : runs from 1 that no free way leads to from the side that was asked for;  not_free : as `unproven` has it
+    wound : joints from 1 with limits of more than one turn
     cut : whether time ended before free moves were found: then it has none
     """
 
@@ -48,6 +52,9 @@ class Drive:
     before: float = 0.0
     shortest: float = 0.0
     replaced: int = 0
+    sideways: Sequence[int] = ()
+    not_free: Sequence[Mapping[str, Any]] = ()
+    wound: Sequence[int] = ()
     cut: bool = False
 
     def to_json(self) -> dict[str, Any]:
@@ -66,7 +73,8 @@ class Drive:
         ]
         vias = int(self.moves.via.sum())
         moves = {"vias": vias, "replaced": self.replaced, "shortest_deg": shortest, "approach": self.approach}
-        return data | {"moves": moves | {"rows": rows}}
+        lacking = {"no_approach": [*self.sideways], "not_free": [*self.not_free]}
+        return data | {"moves": moves | lacking | {"rows": rows}}
 
     def in_words(self) -> list[str]:
         """What is to be said of the order, and of the moves."""
@@ -91,9 +99,19 @@ class Drive:
             if self.approach != "any":
                 how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
                 lines.append(f"every joint comes to each posture {how}; plan and bound leave room for it at the limits")
+            if self.sideways:
+                runs = f"run{'s' * (len(self.sideways) != 1)} {', '.join(map(str, self.sideways))}"
+                lines.append(f"but not to {runs}: no free way was found there from that side")
             if self.replaced:
                 were = "1 of the postures was" if self.replaced == 1 else f"{self.replaced} of the postures were"
                 lines.append(f"{were} replaced: no free way led there from the others")
+            if self.wound and (self.replaced or self.not_free):
+                limits = f"[joint_limits_deg] of one turn for joint{'s' * (len(self.wound) != 1)}"
+                lines.append(
+                    f"No free way leads into all turns of the joints: of the others the plan says little. {limits} "
+                    f"{', '.join(map(str, self.wound))}, as armcal init writes them, give a plan of where the arm gets."
+                )
+            lines += in_sentences(self.not_free)
         return lines
 
 
@@ -112,70 +130,64 @@ def drive(
     approach : of `SENSES`;  signs : (n) of each joint as the controller counts it, empty: as the model does
     stop : asked now and then; where it ends the search, the plan has its order and no moves
 
-    Raises `JobError` where postures are left that cannot be reached.
+    Where postures are left that no free way leads to, or none from the side that is asked for, it says which.
     """
-    bodies, generator = room_of(problem.constraints, 0.02), np.random.default_rng(seed)
-    if bodies is None and approach == "any" and order is None:
+    solid, generator = clearance_of(problem.constraints) is not None, np.random.default_rng(seed)
+    if not solid and approach == "any" and order is None:
         return Drive(plan)
-    room, space = (
-        bodies or nothing(problem.joints),
-        Space(problem.model.lower, problem.model.upper, problem.joint_units),
-    )
-    order = order or ("travel" if bodies is not None and len(plan) <= MANY else "given")
-    before = space.length(plan.postures)
-    shuffled = np.random.default_rng(seed).permutation(len(plan)) if order == "random" else np.arange(len(plan))
-    turn = (lambda rows: rows) if bodies is None else one_turn(problem, bodies, generator)
-    postures = turn(plan.postures[shuffled])
-    senses, replaced = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints)), set[int]()
-    senses[(np.arange(len(plan)) % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
+    order = order or ("travel" if solid and len(plan) <= MANY else "given")
+    room = room_of(problem.model, problem.constraints, 0.02)
+    kept_margin = room.margin
 
     def margin(postures: Array) -> Array:
         if stop():
             raise TimeoutError
         return kept_margin(postures)
 
-    kept_margin, room = room.margin, room._replace(margin=margin)
+    turn, room = one_turn(problem, room, generator) if solid else np.asarray, room._replace(margin=margin)
+    given, rows = turn(plan.postures), np.arange(len(plan))
+    postures = given = given[np.random.default_rng(seed).permutation(rows)] if order == "random" else given
+    senses = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
+    senses[(rows % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
+    cut, sideways = False, []
+    around = rows if len(plan) > MANY else shortest_path(room.travel(postures[:, None], postures))
     try:
-        for _ in range(5):
-            entries = None if approach == "any" else approaches(postures, senses, room, space, generator)
-            lost = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
+        for attempt in range(ATTEMPTS):
+            entries = None if approach == "any" else approaches(postures, senses, room, generator)
+            sideways = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
+            lost = sideways if attempt + 1 < ATTEMPTS else []  # what is left is approached from anywhere
             if not lost:
-                path = route(postures, room, space, entries=entries, keep_order=order != "travel", seed=seed)
+                path = route(postures, room, entries, keep_order=order != "travel", seed=seed)
                 lost = path.unreached
-            if not lost:
+            if not lost or attempt + 1 == ATTEMPTS:
                 break
-            postures = another(problem, postures, lost, room, space, turn, generator)
-            replaced |= {*lost}
-        else:
-            runs = ", ".join(str(row + 1) for row in lost)
-            raise JobError(f"no free way was found to run {runs}; another --seed, or --candidates, may have more luck")
+            postures = another(problem, postures, lost, room, turn, generator)
     except TimeoutError:
-        rows = np.arange(len(plan))
-        if order == "travel":
-            rows = np.array(shortest_path(space.travel(postures[:, None], postures)))
-        cut = replace(plan, postures=postures[rows])
-        travel = space.length(cut.postures)
-        return Drive(cut, None, order, approach, travel, before, travel, cut=True)
-    ways = [np.vstack([way, postures[row]]) for way, row in zip(path.vias, path.rows, strict=True)]
-    via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in ways])
-    whole = replace(plan, postures=np.concatenate(ways), via=via)
-    shortest = space.length(postures[path.rows])
-    if len(plan) <= MANY:
-        shortest = min(shortest, space.length(postures[shortest_path(space.travel(postures[:, None], postures))]))
-    moves = None if bodies is None and approach == "any" else whole
-    measured = replace(plan, postures=postures[path.rows])
-    return Drive(measured, moves, order, approach, space.length(whole.postures), before, shortest, len(replaced))
+        rows = around if order == "travel" else rows
+        cut, path = True, Route(rows, [postures[[row]] for row in rows], [])
+    via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in path.ways])
+    measured, whole = (replace(plan, postures=q) for q in (postures[path.rows], np.concatenate(path.ways)))
+    shortest = min(room.length(measured.postures), room.length(postures[around]))
+    lengths = room.length(whole.postures), room.length(plan.postures), shortest
+    replaced = int(np.any(postures != given, axis=1).sum())
+    not_free = (unproven(problem.constraints, whole.postures) or []) if path.unreached else []
+    wound = turns(problem.model) & (problem.upper - problem.lower > WOUND)
+    runs, joints = (
+        (np.flatnonzero(chosen) + 1).tolist() for chosen in (np.isin(path.rows, sideways) & (not cut), wound)
+    )
+    moves = None if cut or (not solid and approach == "any") else replace(whole, via=via)
+    return Drive(measured, moves, order, approach, *lengths, replaced, runs, not_free, joints, cut)
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]] | None:
     """Key `not_free`: moves between postures (m, n) that are not proven to be free: the row, from 1, that each leads
     to, the bodies that come nearest to what is kept, and how near; None where nothing is known of any body."""
-    if (room := room_of(constraints)) is None:
+    if (clearance := clearance_of(constraints)) is None:
         return None
-    clearance = next(each for each in constraints if isinstance(each, Clearance))
+    room = room_of(clearance.model, constraints)
     kept = np.where([SIGHT in pair for pair in clearance.pairs], -np.inf, MOVING * clearance.asked)
     moves, shares = list[dict[str, Any]](), np.linspace(0.0, 1.0, 300)[:, None]
-    for row in np.flatnonzero(~free(postures[:-1], postures[1:], room)).tolist():
+    for row in np.flatnonzero(~room.free(postures[:-1], postures[1:])).tolist():
         apart = clearance.distance(postures[row] + shares * (postures[row + 1] - postures[row]))
         at, k = divmod(int(np.argmin(apart - kept)), len(kept))
         moves.append({"row": row + 2, "bodies": [*clearance.pairs[k]], "distance_mm": float(apart[at, k])})
@@ -196,20 +208,18 @@ def one_turn(problem: DesignProblem, room: Room, generator: np.random.Generator)
     free. Straight moves are shorter then, and more of them are free."""
     lower, upper, whole = problem.lower, problem.upper, 2.0 * np.pi
     first, listed = lower.copy(), problem.choices is not None and not problem.sampled
-    wound = turns(problem.model) & (upper - lower > 1.01 * whole) & (not listed)
+    wound = turns(problem.model) & (upper - lower > WOUND) & (not listed)
     drawn = random_postures(problem, max(problem.fewest_runs, 50), generator)
     for j in np.flatnonzero(wound):
-        other = drawn.copy()
-        other[:, j] += np.where(other[:, j] + whole <= upper[j], whole, -whole)
-        inside = (other[:, j] >= lower[j]) & problem.feasible(other)
-        one, same = (problem.objective(each[inside]) for each in (drawn, other))
-        wound[j] = abs(one - same) < 1e-6
+        turned = np.eye(problem.joints)[j] * np.where(drawn[:, j] + whole <= upper[j], whole, -whole)[:, None] + drawn
+        same = (turned[:, j] >= lower[j]) & problem.feasible(turned)
+        wound[j] = abs(problem.objective(drawn[same]) - problem.objective(turned[same])) < 1e-6
         ends = np.linspace(lower[j], upper[j] - whole, 13)
-        at_ends = np.tile(drawn, (len(ends), 1))
-        at_ends[:, j] = np.repeat(ends, len(drawn))
-        freely = room.allows(at_ends).reshape(len(ends), -1).mean(axis=1)
+        at_ends = np.tile(drawn, (len(ends), 1, 1))
+        at_ends[:, :, j] = ends[:, None]
+        freely = np.all(room.margin(at_ends.reshape(-1, problem.joints)) >= 0.0, axis=1).reshape(len(ends), -1)
         middle = np.abs(ends - 0.5 * (lower[j] + upper[j] - whole)) / (upper[j] - lower[j])
-        first[j] = ends[np.argmin(freely + 1e-3 * middle)]
+        first[j] = ends[np.argmin(freely.mean(axis=1) + 1e-3 * middle)]
     return lambda postures: np.where(wound, first + (postures - first) % whole, postures)
 
 
@@ -218,67 +228,60 @@ def another(
     postures: Array,
     lost: Sequence[int],
     room: Room,
-    space: Space,
     turn: Callable[[Array], Array],
     generator: np.random.Generator,
 ) -> Array:
     """(m, n) postures, in the place of lost rows the best of those that have a free move to one of the nearest others:
     the same with joints turned by whole turns, and random ones."""
     postures, kept = postures.copy(), np.delete(np.arange(len(postures)), lost)
+    listed, together = problem.choices, 20
     whole = np.array([*product((0.0, 1.0, -1.0), repeat=problem.joints)]) * 2.0 * np.pi * turns(problem.model)
     for row in lost:
-        if problem.choices is None:
-            drawn = turn(random_postures(problem, 200, generator))
-        else:
-            drawn = generator.permutation(problem.choices)[:200]
-        if problem.choices is None or problem.sampled:
-            turned = np.unique(postures[row] + whole, axis=0)
-            drawn = np.concatenate(
-                [turned[np.all((turned >= problem.lower) & (turned <= problem.upper), axis=1)], drawn]
-            )
-        others = np.delete(postures, row, axis=0)
-        apart = space.travel(drawn[:, None], others).min(axis=1, initial=np.inf)
-        drawn = drawn[(apart >= problem.minimum_distance) & room.allows(drawn)]
-        values = values_with(problem, others, drawn) if len(drawn) else np.empty(0)
-        best, together = drawn[np.argsort(-values, kind="stable")], 20
-        for some in (best[k : k + together] for k in range(0, len(best), together)):
-            near = np.argsort(space.travel(some[:, None], postures[kept]), axis=1)[:, :10]
-            ways = free(np.repeat(some, near.shape[1], axis=0), postures[kept][near.ravel()], room)
-            led_to = ways.reshape(near.shape).any(axis=1) if len(kept) else np.ones(len(some), dtype=bool)
+        drawn = turn(random_postures(problem, 200, generator)) if listed is None else generator.permutation(listed)
+        turned = np.unique(postures[row] + whole, axis=0) if listed is None or problem.sampled else drawn[:0]
+        drawn, others = np.concatenate([turned, drawn[:200]]), np.delete(postures, row, axis=0)
+        allowed = np.all((drawn >= problem.lower) & (drawn <= problem.upper), axis=1)
+        allowed &= room.travel(drawn[:, None], others).min(axis=1, initial=np.inf) >= problem.minimum_distance
+        allowed[allowed] = problem.feasible(drawn[allowed])
+        best = drawn[allowed]
+        best = best[np.argsort(-values_with(problem, others, best), kind="stable")] if len(best) else best
+        for some in np.split(best, range(together, len(best), together)):
+            near = np.argsort(room.travel(some[:, None], postures[kept]), axis=1)[:, :10]
+            ways = room.free(np.repeat(some, near.shape[1], axis=0), postures[kept][near.ravel()])
+            led_to = ways.reshape(near.shape).any(axis=1) | (len(kept) == 0)
             if led_to.any():
                 postures[row], kept = some[led_to.argmax()], np.append(kept, row)
                 break
     return postures
 
 
-def nothing(joints: int) -> Room:
-    """The room of an arm that nothing is in the way of."""
-    return Room(lambda q: np.empty((len(q), 0)), np.empty((0, joints)), lambda q: np.ones(len(q), dtype=bool))
+def clearance_of(constraints: Sequence[Constraint]) -> Clearance | None:
+    """What is known of bodies; None: nothing of any."""
+    return next((each for each in constraints if isinstance(each, Clearance)), None)
 
 
-def room_of(constraints: Sequence[Constraint], spare: float = 0.0) -> Room | None:
-    """What the moves of an arm with these constraints keep free; None where nothing is known of any body.
+def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -> Room:
+    """What the moves of an arm with these constraints keep free; where nothing is known of any body, nothing.
 
     spare : share of the clearance, and of the distance of walls, that is kept besides
 
     Of the clearance that postures keep it is half, beyond which a body may be where it is not thought to be; and the
     walls of the arm file to 10 mm, since many postures are on one. A line of sight may be blocked between measurements.
     """
-    if (clearance := next((each for each in constraints if isinstance(each, Clearance)), None)) is None:
-        return None
-    walls = [each for each in constraints if each.kind in KINDS]
-    solid, model = [k for k, pair in enumerate(clearance.pairs) if SIGHT not in pair], clearance.model
+    place, clearance = (model.lower, model.upper, joint_units(model)), clearance_of(constraints)
+    if clearance is None:
+        return Room(lambda q: np.empty((len(q), 0)), np.empty((0, len(model.lower))), *place)
+    walls, solid = [each for each in constraints if each.kind in KINDS], [SIGHT not in pair for pair in clearance.pairs]
     kept, wall = (MOVING + spare) * clearance.asked[solid] - ROUNDING, (1.0 - spare) * WALL
 
-    def margins(postures: Array, beyond: float) -> Array:
-        beside = [each.margin(postures) + beyond for each in walls]
+    def margin(postures: Array) -> Array:
+        beside = [each.margin(postures) + wall for each in walls]
         return np.concatenate([clearance.distance(postures)[:, solid] - kept, *beside], axis=1)
 
     # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
     longest = np.where(turns(model), model.reach, 1.0)
-    count = margins(np.zeros((1, len(longest))), 0.0).shape[1] - len(solid)
-    levers = np.concatenate([clearance.levers()[solid], np.broadcast_to(longest, (count, len(longest)))])
-    return Room(lambda q: margins(q, wall), levers, lambda q: np.all(margins(q, 0.0) >= 0.0, axis=1))
+    count = margin(np.zeros((1, len(longest)))).shape[1] - sum(solid)
+    return Room(margin, np.concatenate([clearance.levers()[solid], np.tile(longest, (count, 1))]), *place)
 
 
 def with_approach(problem: DesignProblem, approach: str, signs: Sequence[int] = ()) -> DesignProblem:

@@ -31,6 +31,7 @@ from identification import Array
 
 ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss what it keeps
 TINY = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
+DEEP = 1e5  # [mm] half sizes of the box that the floor is the top of
 FLOOR, SIGHT = "floor", "line of sight"
 # what is said of plans of an arm in space whose bodies are not known
 COLLISIONS = (
@@ -46,7 +47,7 @@ class Seen(NamedTuple):
     postures: Array
     frames: Array
     placed: Array
-    least: Array
+    distance: Array
     nearest: NDArray[np.intp]
 
 
@@ -67,31 +68,29 @@ class Clearance:
         """
         self.model, cell, tip = model, model.cell, len(model.joint_types) + 1
         self.usual = max(cell.clearance, 1.0)  # [mm] of a posture in touch no move is proven to be free
-        # a line of sight is a capsule from the base's frame to that of the measured point
-        none, no_box = np.empty((0, 7)), np.empty((0, 15))
-        sights = [(SIGHT, tip, np.r_[place, np.zeros(4)][None], no_box) for place in trackers]
-        ground = [(FLOOR, 0, none, no_box)] if cell.floor is not None else []
-        solid = [(body.name, body.joint, body.capsules, body.boxes) for body in cell.bodies]
-        names, joints, capsules, boxes = zip(*sorted([*ground, *solid, *sights], key=lambda body: body[1]), strict=True)
-        joint = np.repeat(joints, [*map(len, capsules)])
-        self._frames = np.stack([np.where(joint == tip, 0, joint), joint])  # (2, K) of the ends of each axis
-        axes = np.concatenate(capsules)
-        self._ends, self._radii = np.stack([axes[:, :3], axes[:, 3:6]]), axes[:, 6]
-        self._boxes, self._floor = np.concatenate(boxes), cell.floor or 0.0
-        # pieces in this order: capsules, boxes, the floor; of each its joint and its kind
-        counts = [*map(len, capsules)], [*map(len, boxes)], [int(name == FLOOR) for name in names]
-        self._joints = np.concatenate([joint, np.zeros(len(self._boxes) + len(ground), dtype=int)])
-        self._kinds = np.repeat([0, 1, 2], [sum(each) for each in counts])
-        owner = np.concatenate([np.repeat(range(len(names)), each) for each in counts])
+        # what stands still comes first; a line of sight is a capsule from the base to the measured point
+        bodies = sorted(([b.name, b.joint, b.capsules, b.boxes] for b in cell.bodies), key=lambda body: body[1])
+        if cell.floor is not None:
+            ground = np.r_[0.0, 0.0, cell.floor - DEEP, np.eye(3).ravel(), np.full(3, DEEP)]
+            bodies.insert(0, [FLOOR, 0, np.empty((0, 7)), ground[None]])
+        bodies += [[SIGHT, tip, np.r_[place, np.zeros(4)][None], np.empty((0, 15))] for place in trackers]
+        names, joints, *parts = zip(*bodies, strict=True)
+        # pieces are capsules, then boxes
+        owner = np.concatenate([np.repeat(range(len(names)), [*map(len, each)]) for each in parts])
+        capsules, self._boxes = map(np.concatenate, parts)
+        self._capsules, still = len(capsules), np.zeros(len(self._boxes), dtype=np.intp)
+        self._ends, self._radii = np.stack([capsules[:, :3], capsules[:, 3:6]]), np.r_[capsules[:, 6], 0.0 * still]
+        joint = np.array(joints)[owner[: self._capsules]]
+        self._frames = np.stack([np.r_[np.where(joint == tip, 0, joint), still], np.r_[joint, still]])  # of both ends
         pairs, pieces = list[tuple[str, str]](), list[tuple[int, int, int]]()
         for one in range(len(names)):
-            for other in range(one):  # which stands still where one does: boxes and the floor come second
+            for other in range(one):
                 pair = names[one], names[other]
                 if joints[one] == joints[other] or frozenset(pair) in cell.apart or {*pair} == {SIGHT, FLOOR}:
                     continue
-                first, second = np.flatnonzero(owner == one), np.flatnonzero(owner == other)
-                pieces += [(len(pairs), a, b) for a in first.tolist() for b in second.tolist()]
-                pairs += [pair] if len(first) and len(second) else []
+                first, second = (np.flatnonzero(owner == body).tolist() for body in (one, other))
+                pieces += [(len(pairs), a, b) for a in first for b in second]
+                pairs += [pair] if first and second else []
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
         self._last: Seen | None = None
         # of all pairs those that are looked at, by random postures: not those that always touch
@@ -100,11 +99,11 @@ class Clearance:
         largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
         # [mm] of pairs that never come farther apart, and touch by their covers, drawings are compared at the postures
         # where covers overlap most: covers stick out
-        bodies = {body.name: body for body in cell.bodies}
-        never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*bodies} for pair in pairs]
+        drawings = {body.name: body for body in cell.bodies}
+        never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*drawings} for pair in pairs]
         for k in np.flatnonzero(never):
             worst = self._frames_at(drawn[np.argsort(apart[:, k])[:60]])
-            never[k] = not drawn_touch(bodies[pairs[k][0]], bodies[pairs[k][1]], worst)
+            never[k] = not drawn_touch(drawings[pairs[k][0]], drawings[pairs[k][1]], worst)
         kept = (largest > 0.0) & ~never
         self.touching, self.clear, self.pairs = (
             tuple(pairs[k] for k in np.flatnonzero(chosen)) for chosen in (~kept & ~never, never, kept)
@@ -123,15 +122,15 @@ class Clearance:
         at_limits = np.stack([self.model.lower, self.model.upper])
         origins = self.model.joint_frames(at_limits)[:, :, :3, 3]
         steps = np.linalg.norm(np.diff(origins, axis=1), axis=2).max(axis=0)  # constant but for sliding joints
-        along = np.r_[0.0, 0.0, np.cumsum(steps)]  # from joint 1 to each frame
-        far = np.max(along[self._frames] + np.linalg.norm(self._ends, axis=2) + self._radii, axis=0)
-        turning, joints = turns(self.model), np.arange(1, len(steps) + 1)
-        lengths = np.where(turning, np.maximum(far[:, None] - along[1:-1], 0.0), 1.0)  # (K, n)
-        lengths = np.where(joints <= self._joints[: len(far), None], lengths, 0.0)
-        lengths = np.pad(lengths, ((0, len(self._joints) - len(far)), (0, 0)))  # boxes and the floor stand still
+        along, joints = np.r_[0.0, 0.0, np.cumsum(steps)], np.arange(1, len(steps) + 1)  # from joint 1 to each frame
+        size = np.pad(np.linalg.norm(self._ends, axis=2), ((0, 0), (0, len(self._boxes))))
+        far = np.max(along[self._frames] + size + self._radii, axis=0)
+        lengths = np.where(turns(self.model), np.maximum(far[:, None] - along[1:-1], 0.0), 1.0)
+        lengths = np.where(joints <= self._frames[1, :, None], lengths, 0.0)  # (K + boxes, n)
         first, second = self._pieces[:, 1:].T
-        sight, between = self._frames[0, first] != self._joints[first], joints > self._joints[second, None]
-        most = np.where(between | sight[:, None], lengths[first], 0.0) + sight[:, None] * lengths[second]
+        sight = (self._frames[0, first] != self._frames[1, first])[:, None]
+        between = joints > self._frames[1, second, None]
+        most = np.where(between | sight, lengths[first], 0.0) + sight * lengths[second]
         return np.asarray(np.maximum.reduceat(most, self._starts, axis=0))
 
     # -- distances -----------------------------------------------------------------------------------------------------
@@ -143,7 +142,7 @@ class Clearance:
         """(m, k) [mm] signed distances of the pairs at postures (m, n)."""
         rows = np.atleast_2d(np.asarray(postures, dtype=float))
         size = 1 + 2**17 // (1 + len(self._pieces))  # at once: 1 MB an array
-        parts = [self._seen(rows[k : k + size]).least for k in range(0, len(rows), size)]
+        parts = [self._seen(rows[k : k + size]).distance for k in range(0, len(rows), size)]
         return np.concatenate([np.empty((0, len(self.pairs))), *parts])
 
     def too_near(self, postures: Array) -> list[dict[str, Any]]:
@@ -185,35 +184,34 @@ class Clearance:
     def _seen(self, postures: Array) -> Seen:
         """What there is to see at postures (m, n); kept for the next question about the same ones.
 
-        The middle of an axis tells how far it is at most, and less half its length at least: of most pairs of pieces
-        that another is nearer.
+        The middle of an axis tells how far it is at most, and less half its length at least; from a box it is convex
+        along the axis, so twice that of the middle less the larger of both ends at least. Of most pairs of pieces this
+        tells that another is nearer.
         """
         if self._last is not None and np.array_equal(self._last.postures, postures):
             return self._last
-        m, count, capsules = len(postures), len(self.pairs), len(self._radii)
-        frames, placed = self._placed(postures)
+        m, count, (frames, placed) = len(postures), len(self.pairs), self._placed(postures)
         if not count:
             return Seen(postures.copy(), frames, placed, np.empty((m, 0)), np.empty((m, 0), dtype=np.intp))
         pair, first, second = self._pieces.T
-        along = placed[1] - placed[0]
+        along, rods = placed[1] - placed[0], second < self._capsules
         middle, half = placed[0] + 0.5 * along, 0.5 * np.sqrt(dot(along, along))
         most, least = np.empty((2, m, len(pair)))
-        axes, walls, floors = (np.flatnonzero(self._kinds[second] == kind) for kind in range(3))
-        points = np.moveaxis(middle, 0, -1)
+        points, one, other = np.moveaxis(middle, 0, -1), first[rods], second[rods]
         square = np.sum(points**2, axis=-1)
         apart = square[:, :, None] + square[:, None] - 2.0 * points @ np.swapaxes(points, 1, 2)
-        apart = np.sqrt(np.maximum(apart, 0.0)).reshape(m, -1)[:, first[axes] * capsules + second[axes]]
-        most[:, axes] = apart - (self._radii[first[axes]] + self._radii[second[axes]])
-        least[:, axes] = most[:, axes] - half[:, first[axes]] - half[:, second[axes]]
-        if len(walls):
-            boxes, one = second[walls] - capsules, first[walls]
-            most[:, walls] = from_box(self._in_box(middle[..., one], boxes), self._boxes[boxes, 12:].T[:, None])
-            most[:, walls] -= self._radii[one]
-            least[:, walls] = most[:, walls] - half[:, one]
-        one = first[floors]
-        least[:, floors] = most[:, floors] = placed[:, 2][..., one].min(axis=0) - self._radii[one] - self._floor
-        bound = np.minimum.reduceat(most, self._starts, axis=1) + ROUNDING
-        run, piece = np.nonzero(least <= bound[:, pair])
+        most[:, rods] = np.sqrt(np.maximum(apart, 0.0)).reshape(m, -1)[:, one * self._capsules + other]
+        least[:, rods] = most[:, rods] - half[:, one] - half[:, other]
+        three, boxes = (
+            np.stack([placed[0], middle, placed[1]], axis=1)[..., first[~rods]],
+            second[~rods] - self._capsules,
+        )
+        start, between, end = from_box(self._in_box(three, boxes), self._boxes[boxes, 12:].T[:, None, None])
+        most[:, ~rods] = np.minimum(np.minimum(start, end), between)
+        least[:, ~rods] = 2.0 * between - np.maximum(start, end)
+        radii = self._radii[first] + self._radii[second]
+        bound = np.minimum.reduceat(most - radii, self._starts, axis=1) + ROUNDING
+        run, piece = np.nonzero(least - radii <= bound[:, pair])
         exact = self._witness(placed, run, piece)[0]
         groups = np.flatnonzero(np.diff(run * count + pair[piece], prepend=-1))
         distance = np.minimum.reduceat(exact, groups)
@@ -224,11 +222,11 @@ class Clearance:
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:
         """Frames and ends as `Seen` has them."""
-        frames, placed = self._frames_at(postures), np.empty((2, 3, len(postures), len(self._radii)))
-        for end, joint in {(side, joint) for side in (0, 1) for joint in self._frames[side].tolist()}:
-            chosen = np.flatnonzero(self._frames[end] == joint)
-            points = frames[:, joint, :3, :3] @ self._ends[end, chosen].T + frames[:, joint, :3, 3:]
-            placed[end][:, :, chosen] = points.swapaxes(0, 1)
+        frames, placed = self._frames_at(postures), np.empty((2, 3, len(postures), self._capsules))
+        for end, joints in enumerate(self._frames[:, : self._capsules]):
+            for joint in np.unique(joints):
+                points = frames[:, joint, :3, :3] @ self._ends[end, joints == joint].T + frames[:, joint, :3, 3:]
+                placed[end][..., joints == joint] = points.swapaxes(0, 1)
         return frames, placed
 
     def _frames_at(self, postures: Array) -> Array:
@@ -236,36 +234,33 @@ class Clearance:
         base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
         return np.concatenate([base, self.model.joint_frames(postures)], axis=1)
 
-    def _in_box(self, points: Array, box: np.ndarray) -> Array:
+    def _in_box(self, points: Array, box: NDArray[np.intp]) -> Array:
         """(3, ..., W) points (3, ..., W) along the axes of boxes (W,), from their centers."""
-        centers, turns = self._boxes[box, :3].T, self._boxes[box, 3:12].reshape(-1, 3, 3)
+        centers, turned = self._boxes[box, :3].T, self._boxes[box, 3:12].reshape(-1, 3, 3)
         shifted = points - centers.reshape(3, *np.ones(points.ndim - 2, dtype=int), -1)
-        return np.einsum("wij,i...w->j...w", turns, shifted)
+        return np.einsum("wij,i...w->j...w", turned, shifted)
 
     def _witness(self, placed: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """(N,) distances of N pairs of pieces, each at one of the postures, (2, N) shares of the way along both axes to
         the nearest points, and (3, N) the directions in which the first gets away."""
         first, second = self._pieces[piece, 1:].T
-        kinds, (a, b) = self._kinds[second], placed[:, :, run, first]
-        distance, shares, away = -self._radii[first], np.zeros((2, len(run))), np.zeros((3, len(run)))
-        if len(axes := np.flatnonzero(kinds == 0)):
+        (a, b), shares = placed[:, :, run, first], np.zeros((2, len(run)))
+        distance, away = -self._radii[first] - self._radii[second], np.empty((3, len(run)))
+        if len(axes := np.flatnonzero(second < self._capsules)):
             one, (c, d) = (a[:, axes], b[:, axes]), placed[:, :, run[axes], second[axes]]
             shares[0, axes], shares[1, axes], between = shortest(*one, c, d)
             length = np.sqrt(dot(between, between))
-            distance[axes] += length - self._radii[second[axes]]
+            distance[axes] += length
             if (crossed := length < 1e-6).any():  # the direction across both
                 between[:, crossed] = np.cross(one[1] - one[0], d - c, axis=0)[:, crossed]
                 length = np.sqrt(dot(between, between))
             away[:, axes] = between / np.maximum(length, TINY)
-        if len(walls := np.flatnonzero(kinds == 1)):
-            box = second[walls] - len(self._radii)
+        if len(walls := np.flatnonzero(second >= self._capsules)):
+            box = second[walls] - self._capsules
             start, end, half = self._in_box(a[:, walls], box), self._in_box(b[:, walls], box), self._boxes[box, 12:].T
-            share, along_sides = nearest_to_box(start, end, half)
-            shares[0, walls], distance[walls] = share, distance[walls] + from_box(start + share * (end - start), half)
+            shares[0, walls], along_sides = nearest_to_box(start, end, half)
+            distance[walls] += from_box(start + shares[0, walls] * (end - start), half)
             away[:, walls] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), along_sides)
-        floors = np.flatnonzero(kinds == 2)
-        shares[0, floors], away[2, floors] = b[2, floors] < a[2, floors], 1.0
-        distance[floors] += np.minimum(a[2, floors], b[2, floors]) - self._floor
         return distance, shares, away
 
     # -- derivatives, as `doe.problem.constraints.Derivatives` has those of expressions --------------------------------
@@ -306,24 +301,23 @@ class Clearance:
     def _gradients(self, postures: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> Array:
         """(N, n) how the distances of N pairs of pieces, each at one of the postures, change with the joints
         [mm/rad, 1]."""
-        last = self._last
-        kept = last is not None and np.array_equal(last.postures, postures)
-        frames, placed = (last.frames, last.placed) if last is not None and kept else self._placed(postures)
+        kept = self._last if self._last is not None and np.array_equal(self._last.postures, postures) else None
+        frames, placed = (kept.frames, kept.placed) if kept else self._placed(postures)
         _, shares, away = self._witness(placed, run, piece)
         # (m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide
-        along, turning = frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], turns(self.model)[:, None]
-        moment = np.where(turning, along[..., 0], 0.0)
-        force = np.where(turning, np.cross(frames[:, 1:-1, :3, 3], along[..., 0]), along[..., 0])
-        slopes, joints = np.zeros((len(run), moment.shape[1])), np.arange(1, moment.shape[1] + 1)
-        for sign, part, side in zip((1.0, -1.0), shares, self._pieces[piece, 1:].T, strict=True):
-            axis = np.minimum(side, len(self._radii) - 1)  # boxes and the floor stand still
-            near, far = placed[:, :, run, axis]
-            sight = self._frames[0, axis] < self._frames[1, axis]  # of which only the far end moves
-            point, weight = np.where(sight, far, near + part * (far - near)), np.where(sight, part, 1.0)
-            turned = (moment[run] @ np.cross(point.T, away.T)[:, :, None])[..., 0]
-            pushed = (force[run] @ away.T[:, :, None])[..., 0]
-            moves = joints <= self._joints[side, None]
-            slopes += (sign * weight)[:, None] * np.where(moves, turned + pushed, 0.0)
+        axes, turning = (
+            (frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None])[..., 0],
+            turns(self.model)[:, None],
+        )
+        moment, force = np.where(turning, axes, 0.0), np.where(turning, np.cross(frames[:, 1:-1, :3, 3], axes), axes)
+        slopes, joints = np.zeros((len(run), len(turning))), np.arange(1, len(turning) + 1)
+        # a witness point moves as both ends of its axis do, each by its share
+        for sign, share, side in zip((1.0, -1.0), shares, self._pieces[piece, 1:].T, strict=True):
+            for end, weight in enumerate((1.0 - share, share)):
+                point = placed[end][:, run, np.minimum(side, self._capsules - 1)]  # boxes stand still
+                lever = np.cross(point, away, axis=0).T[:, :, None]
+                rates = (moment[run] @ lever + force[run] @ away.T[:, :, None])[..., 0]
+                slopes += (sign * weight)[:, None] * np.where(joints <= self._frames[end, side, None], rates, 0.0)
         return slopes
 
 
@@ -376,8 +370,9 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
         deepest = np.maximum(np.maximum(beyond[0], beyond[1]), beyond[2])
         return np.copysign(np.where(deepest > 0.0, np.maximum(beyond, 0.0), beyond == deepest), point)
 
-    along, low, high = b - a, np.zeros(a.shape[1]), np.ones(a.shape[1])
-    for _ in range(20):  # to 1e-6 of the way
+    along, start, end = b - a, np.zeros(a.shape[1]), np.ones(a.shape[1])
+    low, high = np.where(dot(out(end), along) < 0.0, end, start), np.where(dot(out(start), along) >= 0.0, start, end)
+    while np.any(high - low > 1e-6):  # of the way
         middle = 0.5 * (low + high)
         rises = dot(out(middle), along) >= 0.0
         low, high = np.where(rises, low, middle), np.where(rises, middle, high)

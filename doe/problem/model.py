@@ -89,6 +89,14 @@ def turns(model: DesignModel) -> NDArray[np.bool_]:
     return np.array([kind != PRISMATIC for kind in model.joint_types])
 
 
+def joint_units(model: DesignModel) -> Array:
+    """(n,) what counts as one radian of each joint, where joints are compared: distances, steps, tolerances.
+
+    1 rad of a revolute joint; of a prismatic one [mm] such that its range counts as one turn.
+    """
+    return np.where(turns(model), 1.0, (model.upper - model.lower) / (2.0 * np.pi))
+
+
 def check_model(model: Any) -> None:
     """Raises `InputError`, which names the first member of `DesignModel` that a model lacks, or whose size is wrong."""
     for name in REQUIRED:

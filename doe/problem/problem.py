@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from doe.criteria import Criterion, D, information_matrix
 from doe.problem.constraints import Constraint, Derivatives, Walls, constraints_of
-from doe.problem.model import NEEDS_SIGMA, DesignModel, check_model, offers, turns
+from doe.problem.model import NEEDS_SIGMA, DesignModel, check_model, joint_units, offers, turns
 from identification import Array, InputError, design_model, vectorize
 
 ONE_DEGREE = float(np.radians(1.0))
@@ -161,11 +161,8 @@ class DesignProblem:
 
     @cached_property
     def joint_units(self) -> Array:
-        """(n,) what counts as one radian of each joint, where joints are compared: distances, steps, tolerances.
-
-        1 rad of a revolute joint; of a prismatic one [mm] such that its range counts as one turn.
-        """
-        return np.where(turns(self.model), 1.0, (self.upper - self.lower) / (2.0 * np.pi))
+        """(n,) what counts as one radian of each joint, see there."""
+        return joint_units(self.model)
 
     def comparable(self, postures: Array) -> Array:
         """(..., n) postures in `joint_units`, in which one tolerance [rad] holds for every joint."""

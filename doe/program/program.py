@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from doe.plan.driving import room_of, unproven
+from doe.plan.driving import clearance_of, room_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
 from identification import Arm, InputError, Plan
@@ -87,14 +87,15 @@ def program(
         place = f"row {row + 1}: joint {j + 1} at {columns[row, j]:.7g}"
         raise InputError(f"{place}, allowed: {ends[0, j]:.7g} to {ends[1, j]:.7g}")
     constraints = constraints_of(arm)
-    room = room_of(constraints)
+    clearance = clearance_of(constraints)
     for constraint in constraints:
         # a way-point need not be seen, and where bodies are known it keeps what moves keep
-        exempt = via & (constraint.kind == "line_of_sight" or room is not None)
+        exempt = via & (constraint.kind == "line_of_sight" or clearance is not None)
         broken = np.any(constraint.margin(plan.postures) < -ROUNDING, axis=1) & ~exempt
         for row in np.flatnonzero(broken)[:1]:
             raise InputError(f"row {row + 1}: breaks the constraint {constraint.kind}, allowed: postures that keep it")
-    for row in [] if room is None else np.flatnonzero(np.any(room.margin(plan.postures) < -ROUNDING, axis=1)):
+    kept = room_of(clearance.model, constraints).margin(plan.postures) if clearance else np.zeros((0, 1))
+    for row in np.flatnonzero(np.any(kept < -ROUNDING, axis=1)):
         raise InputError(f"row {row + 1}: a way-point in which bodies collide, allowed: one with half the clearance")
     not_free = unproven(constraints, plan.postures) or []
 

@@ -32,7 +32,7 @@ Data = Mapping[str, Any]  # what a command says with --json
 
 WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name corrects more (identification/README.md)
     "armcal diagnose names those that the data show; identify --library-prior allows for all of them without names, "
-    "and only of such a fit is the error at the tip that is expected here"
+    "and the error at the tip expected here is that of such a fit alone"
 )
 
 
@@ -50,10 +50,7 @@ def design_document(design: Design) -> Document:
 def columns_beside(design: Design) -> Mapping[str, Sequence[str]]:
     """What the model says of the postures of a plan besides, name -> (m,): the cup that each touches, say."""
     model: Any = design.problem.model
-    columns: Mapping[str, Sequence[str]] = (
-        model.plan_columns(design.plan.postures) if offers(model, "plan_columns") else {}
-    )
-    return columns
+    return dict(model.plan_columns(design.plan.postures)) if offers(model, "plan_columns") else {}
 
 
 def design_verdict(data: Data) -> str:
@@ -90,20 +87,22 @@ def design_facts(data: Data, status: str) -> Sheet:
         listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
         are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
         optimal = f"no: {are} outside joint limits or constraints"
-    searched = f"{data['solver']}, {data['starts']} start{'s' * (data['starts'] != 1)}, {data['seconds']:.2f} s"
-    upper = f"{number(bound['value'], 7)} ({words})" if words and not in_mm else None
-    facts = {
-        "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
-        f"value of {kind}": None if kind == "D" or in_mm else number(data["value"], 7),
-        "information (log det M')": None if kind == "I" else number(data["log_det"], 7),
-        "upper bound" if kind == "D" else f"upper bound of {kind}": upper,
-        "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
-        "optimal": optimal,
-        "deviation from orthogonality (Table I)": None if table_1 is None or kind == "I" else number(table_1, 6),
-        "solver": searched if data["solver"] else None,
-        "status": status,
-    }
-    return Sheet.facts(facts)
+    starts = f"{data['starts']} start{'s' * (data['starts'] != 1)}"
+    return Sheet.facts(
+        {
+            "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
+            f"value of {kind}": "" if kind == "D" or in_mm else number(data["value"], 7),
+            "information (log det M')": "" if kind == "I" else number(data["log_det"], 7),
+            "upper bound" if kind == "D" else f"upper bound of {kind}": f"{number(bound['value'], 7)} ({words})"
+            if words and not in_mm
+            else "",
+            "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
+            "optimal": optimal,
+            "deviation from orthogonality (Table I)": "" if table_1 is None or kind == "I" else number(table_1, 6),
+            "solver": f"{data['solver']}, {starts}, {data['seconds']:.2f} s" if data["solver"] else "",
+            "status": status,
+        }
+    )
 
 
 def posture_headings(plan: Plan) -> list[str]:
@@ -275,8 +274,8 @@ TIP_ERRORS = {
     "effects_missing_prior": "library\nprior\n[mm]",
 }
 RIGHT = (
-    "Expected errors of the tip where nothing was measured (RMS over the workspace): if the model is right, and then "
-    "at the worst of these poses."
+    "Expected errors of the tip where nothing was measured, if the model is right: RMS over the workspace, and at the "
+    "worst of its poses."
 )
 BOUND_CUT = (
     "The search for the bound was cut by the time limit: plans may be better than their efficiency says. Raise "
@@ -296,9 +295,7 @@ MISSING = (
 
 def advice_document(advice: Advice) -> Document:
     """The answer in one sentence, a row for each number of runs, and what the figures do not promise."""
-    missing = any(
-        np.isfinite(error["effects_missing"]) for error in advice.tip_errors
-    )  # as in a model that was not diagnosed
+    missing = any(np.isfinite(each["effects_missing"]) for each in advice.tip_errors)  # as before a diagnosis
     tips = dict([*TIP_ERRORS.items()][: 4 if missing else 2]) if advice.tip_errors else {}
     of_lengths = not advice.of_tip and any(design.deviations for design in advice.designs)
     headings = ["runs", "efficiency", *(["length\nstd\n[mm]", "angle\nstd\n[deg]"] if of_lengths else [])]
@@ -320,13 +317,9 @@ def advice_document(advice: Advice) -> Document:
 
 def advice_sentence(advice: Advice) -> str:
     """What to do, in one line."""
-    stretches: list[list[int]] = []  # of rising whole numbers, each said once: `4, 6 to 40`
-    for m in sorted(advice.efficient_runs()):
-        if stretches and m - stretches[-1][-1] == 1:
-            stretches[-1].append(m)
-        else:
-            stretches.append([m])
-    good = ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in stretches)
+    runs = np.array(sorted(advice.efficient_runs()), dtype=int)
+    stretches = np.split(runs, np.flatnonzero(np.diff(runs) != 1) + 1) if runs.size else []
+    good = ", ".join(f"{part[0]}" if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in stretches)
     efficient = f"Plans within 0.1 % of the bound exist for m = {good}."
     efficient = efficient if good else "None of these plans is within 0.1 % of the bound."
     if advice.target is None:
@@ -334,12 +327,10 @@ def advice_sentence(advice: Advice) -> str:
     smallest = advice.smallest
     if smallest is None:
         return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
-    of = "at the tip" if advice.of_tip else "in each length"
-    errors = (
-        e["effects_missing"] for design, e in zip(advice.designs, advice.tip_errors, strict=False) if design is smallest
-    )
-    lacks = (in_a_sentence(e) for e in errors if np.isfinite(e))
-    missing = "".join(f"; at the tip {error} mm if effects of typical size are missing" for error in lacks)
+    of, missing = "at the tip" if advice.of_tip else "in each length", ""
+    for design, error in zip(advice.designs, advice.tip_errors, strict=False):
+        if design is smallest and np.isfinite(lacks := error["effects_missing"]):
+            missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing"
     suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
     return f"{suffice} {efficient}"
 
@@ -387,13 +378,12 @@ def discriminating_parts(result: DiscriminationDesign) -> list[Any]:
         f"  for effects whose total shift (root sum of squares) at as many random postures is {LAMBDA:g} sigma; "
         "gear ripple, backlash and drift are left out",
     ]
-    if result.sees is not None and result.best_sees is not None:
-        data = result.to_json()
-        clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
-        return [*parts, f"effects it cannot see: {clear} (the best plan: {blind})", *result.sees.document().parts]
-    if len(result.design.plan) > MOST_SEEN:
-        parts.append(f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out")
-    return parts
+    if result.sees is None or result.best_sees is None:
+        many = f"what a plan of more than {MOST_SEEN:,} runs can detect is not worked out"
+        return [*parts, *([many] if len(result.design.plan) > MOST_SEEN else [])]
+    data = result.to_json()
+    clear, blind = (", ".join(data[f"not_visible{which}"]) or "none" for which in ("", "_in_best_plan"))
+    return [*parts, f"effects it cannot see: {clear} (the best plan: {blind})", *result.sees.document().parts]
 
 
 # -- armcal discriminate -----------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Pictures of plans, certificates, residuals and diagnoses (matplotlib figures; the caller shows or saves them)."""
+"""Pictures of plans (matplotlib figures; the caller shows or saves them)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from doe.problem.model import PRISMATIC
-from doe.problem.problem import DesignProblem
 from doe.report.scene import side, simplified, trackers
 from identification import Arm, Array, design_model
 
 BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
-LINK, CELL, FLOOR, SIGHT = "#a9bccb", "#cdbfa8", "#e9edf1", "#2f8f5b"  # as in page.css
+LINK, CELL, SIGHT = "#a9bccb", "#cdbfa8", "#2f8f5b"  # as in page.css
 DRAWN = 6000  # triangles of all bodies
 PLANE = "xy"
 
@@ -104,96 +102,48 @@ def draw_side(axes: Any, arm: Arm, postures: Array, view: tuple[float, float] | 
     view : [deg] elevation and azimuth, None: as the page has it
     zoom : of the box in its place, whose sides have the same scale
     """
-    view = view or side(arm)
+    axes.view_init(*(view or side(arm)))
     draw_arm(axes, arm, postures)
     if arm.cell is not None:
-        draw_bodies(axes, arm, postures[0], view)
+        draw_bodies(axes, arm, postures[0])
     limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])  # of the arm: a tracker may be far from it
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     draw_constraints(axes, arm)
     axes.tick_params(labelsize=7)
-    for one in (axes.xaxis, axes.yaxis, axes.zaxis):
-        one.set_major_locator(MaxNLocator(4))
+    axes.locator_params(nbins=4)
     axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=zoom)
-    axes.view_init(*view)
 
 
-def draw_bodies(axes: Any, arm: Arm, posture: Array, view: tuple[float, float]) -> None:
-    """The bodies of a cell, with the arm at a posture (n,): the sides of each that face the viewer, shaded; the floor,
-    and the lines of sight from trackers."""
+def draw_bodies(axes: Any, arm: Arm, posture: Array) -> None:
+    """The bodies of a cell with the arm at a posture (n,), lit from the viewer; the edge of the floor, and the lines of
+    sight from trackers."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     assert arm.cell is not None
     frames = np.concatenate([np.eye(4)[None], design_model(arm).joint_frames(posture[None])[0]])
-    elevation, azimuth = np.radians(view)
+    elevation, azimuth = np.radians([axes.elev, axes.azim])
     viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    seen, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
+    corners, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
     for body in (one for one in arm.cell.bodies if len(one.looks())):
         vertices, faces = simplified(body.looks(), DRAWN // len(arm.cell.bodies))
-        corners = (vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals *= np.sign(np.linalg.det(corners - corners.mean(axis=(0, 1))).sum()) or 1.0  # outward
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        front = normals @ viewer > -0.1  # perspective shows a little more than parallel rays
-        lit = np.clip(normals[front] @ (viewer + np.eye(3)[2]), 0.0, 1.5)  # from above the viewer
-        seen.append(corners[front])
-        colors.append(np.clip((0.5 + 0.4 * lit)[:, None] * to_rgb(LINK if body.joint else CELL), 0.0, 1.0))
-    paint = np.concatenate(colors)  # in one collection, of which far ones are drawn first
+        corners.append((vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)])
+        normals = np.cross(corners[-1][:, 1] - corners[-1][:, 0], corners[-1][:, 2] - corners[-1][:, 0])
+        lit = np.abs(normals @ viewer) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+        colors.append((0.5 + 0.5 * lit)[:, None] * to_rgb(LINK if body.joint else CELL))
+    paint, floor = np.concatenate(colors), arm.cell.floor
     if len(paint):
-        polygons = Poly3DCollection(np.concatenate(seen), facecolors=paint, edgecolors=paint, lw=0.3, zorder=3)
-        axes.add_collection3d(polygons)
-    within = [*(corners.reshape(-1, 3) for corners in seen), frames[:, :3, 3]]
-    floor = arm.cell.floor
-    axes.auto_scale_xyz(*np.concatenate([*within, [[0.0, 0.0, floor or 0.0]]]).T, had_data=True)
+        axes.add_collection3d(Poly3DCollection(np.concatenate(corners), facecolors=paint, edgecolors=paint, lw=0.3))
+    within = [*(each.reshape(-1, 3) for each in corners), frames[:, :3, 3], np.array([[0.0, 0.0, floor or 0.0]])]
+    axes.auto_scale_xyz(*np.concatenate(within).T, had_data=True)
     axes.autoscale(False)
-    axes.computed_zorder = False  # a floor hides nothing that is above it
-    for tracker in trackers(arm):
-        axes.plot(
-            *np.linspace(np.array(tracker), frames[-1, :3, 3], 50).T, color=SIGHT, lw=0.8, axlim_clip=True, zorder=4
-        )
     if floor is not None:
         (left, right), (near, far) = axes.get_xlim(), axes.get_ylim()
-        ground = [(left, near, floor), (right, near, floor), (right, far, floor), (left, far, floor)]
-        axes.add_collection3d(Poly3DCollection([ground], facecolors=FLOOR, edgecolors="#b9c2cb", lw=0.5, zorder=0.5))
+        axes.plot([left, right, right, left, left], [near, near, far, far, near], floor, color=CELL, lw=1.0)
+    for tracker in trackers(arm):
+        axes.plot(*np.linspace(np.array(tracker), frames[-1, :3, 3], 50).T, color=SIGHT, lw=0.8, axlim_clip=True)
 
 
 def outlines(arm: Arm) -> list[tuple[Array, str]]:
     """Lines (k, d) and colors of what constrains an arm: boxes, circles, spheres, cylinders, the tracker's cone."""
     shapes = [(one.outlines(arm.dimension), one.forbidden) for one in arm.constraints]
     return [(line, FORBIDDEN if forbidden else LIMIT) for lines, forbidden in shapes for line in lines]
-
-
-def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096, steps: int = 61) -> Figure:
-    """The equivalence theorem seen along each joint: the largest d(q) at each value, which must not exceed p.
-
-    For every active joint the value is held at `steps` values while the other joints take `samples` random values,
-    corners of their limits and the plan's own, as far as constraints allow; the line is the largest d found. A plan is
-    optimal where the line touches p and never crosses it.
-    """
-    active, generator = problem.active_joints, np.random.default_rng(0)
-    figure = Figure(figsize=(10.0, 2.9), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(1, len(active), sharey=True))
-    prior = problem.prior.per_new_run(len(postures))
-    gradient = problem.criterion.gradient(problem.information(postures))
-    cloud = generator.uniform(problem.lower, problem.upper, (samples, problem.joints))
-    upper = generator.integers(0, 2, (min(samples, 4 * 2 ** len(active)), problem.joints)) == 1
-    others = np.concatenate([cloud, np.where(upper, problem.upper, problem.lower), postures])
-
-    def d(somewhere: Array) -> Array:
-        return prior.sensitivities(problem.scaled_jacobians(somewhere), gradient)
-
-    at_plan = d(postures)
-    for axis, joint in zip(axes, active, strict=True):
-        unit, factor = in_files(problem.model.joint_types[joint])
-        values, largest = np.linspace(problem.lower[joint], problem.upper[joint], steps), []
-        for value in values:
-            held = others.copy()
-            held[:, joint] = value
-            largest.append(d(held[problem.feasible(held)]).max(initial=0.0))
-        axis.plot(factor * values, largest, color=AFTER)
-        axis.plot(factor * postures[:, joint], at_plan, ".", color="k", ms=5)
-        axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
-        axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
-        axis.margins(y=0.12)
-    axes[0].set_ylabel("largest d(q), dashed: p")
-    return figure

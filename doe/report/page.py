@@ -44,12 +44,10 @@ def origin(command: str, seed: int, read: Sequence[Path]) -> Section:
         urdf = tomllib.loads(path.read_text("utf-8-sig")).get("urdf") if path.suffix == ".toml" else None
         if isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
             paths[path.parent / urdf] = None
-    versions = [f"{name} {version(name)}" for name in ("armcal", "numpy", "scipy", "casadi")]
-    facts = [["command", command], ["seed", str(seed)]]
-    facts.append(["versions", ", ".join([*versions, f"Python {platform.python_version()}"])])
+    versions = ", ".join(f"{name} {version(name)}" for name in ("armcal", "numpy", "scipy", "casadi"))
+    facts = {"command": command, "seed": str(seed), "versions": f"{versions}, Python {platform.python_version()}"}
     rows = [[name, str(size), digest] for name, size, digest in hashes(paths)]
-    tables = [Sheet(("file", "bytes", "SHA-256"), rows), Sheet(("", ""), facts)]
-    return Section("Where this page comes from", tables)
+    return Section("Where this page comes from", [Sheet(("file", "bytes", "SHA-256"), rows), Sheet.facts(facts)])
 
 
 def hashes(paths: Iterable[Path]) -> list[tuple[str, int, str]]:
@@ -64,20 +62,17 @@ def page(document: Document, *last: Section) -> str:
 
     environment = Environment(loader=PackageLoader("doe.report", "."), autoescape=True, trim_blocks=True)
     loose = [part for part in document.parts if not isinstance(part, Section)]
-    sections = [Section("In short", loose)] if loose else []
+    sections = [Section("In short", loose)] * bool(loose)
     sections += [*(part for part in document.parts if isinstance(part, Section)), *last]
     steps = {k: part for k, s in enumerate(sections, 1) for part in s.parts if isinstance(part, PlanSteps)}
     names = ["three.min.js", "scene.js"] if any("scene" in part.data for part in steps.values()) else []
-    style, *scripts = (
-        files("doe.report").joinpath(name).read_text("utf-8") for name in ("page.css", *names, "page.js")
-    )
+    read = files("doe.report").joinpath
+    style, *scripts = (read(name).read_text("utf-8") for name in ("page.css", *names, "page.js"))
 
     def picture(figure: Figure) -> str:
         """As SVG in the page's colours; a wide one scrolls where the page is narrower."""
-        drawn, width = (
-            re.sub("|".join(COLORS), lambda color: COLORS[color[0]], svg(figure)),
-            72.0 * figure.get_figwidth(),
-        )
+        drawn, width = svg(figure), 72.0 * figure.get_figwidth()
+        drawn = re.sub("|".join(COLORS), lambda color: COLORS[color[0]], drawn)
         return f'<div class="{"wide" if width > 430.0 else "panel"}" style="--width: {width:.0f}pt">\n{drawn}</div>\n'
 
     environment.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -106,12 +106,12 @@ def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
     arm, measured, residuals = test.arm, test.measurements, (test.nominal_residuals, test.residuals)
     if residuals[0].shape[1] < len("xyz") or not arm.chain.instrument.reads_positions:
         return []
-    known = {**arm.chain.tools, **(arm.calibration.tools if arm.calibration is not None else {})}
-    frames = design_model(arm).joint_frames(measured.postures)[:, -1]
+    frames, tools = design_model(arm).joint_frames(measured.postures)[:, -1], dict(arm.chain.tools)
+    tools |= {} if arm.calibration is None else arm.calibration.tools
     at = frames[:, :3, 3]
-    if measured.marker is not None and len(known) > 1:
-        beside = [known[marker] - next(iter(known.values())) for marker in measured.marker]
-        at = at + np.einsum("mij,mj->mi", frames[:, :3, :3], np.array(beside))
+    if measured.marker is not None and len(tools) > 1:
+        beside = np.array([tools[marker] - next(iter(tools.values())) for marker in measured.marker])
+        at = at + np.einsum("mij,mj->mi", frames[:, :3, :3], beside)
     arrows = np.zeros((2, *at.shape))
     for rows in measured.session_rows:
         there, here = (each[rows] - each[rows].mean(axis=0) for each in (measured.positions[:, :3], at))
@@ -119,9 +119,10 @@ def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
         turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0]) @ right
         arrows[:, rows] = [each[rows, :3] @ turn for each in residuals]
     shown = np.linspace(0, len(at) - 1, min(len(at), 500)).astype(int)  # more only cover each other
-    kinds = zip(("before", "after"), ("drawing", "calibrated arm"), residuals, arrows, strict=True)
     models = [
         {"kind": kind, "name": model, "rms": rms_distance(left), "arrows": arrow[shown].round(5).tolist()}
-        for kind, model, left, arrow in kinds
+        for kind, model, left, arrow in zip(
+            ("before", "after"), ("drawing", "calibrated arm"), residuals, arrows, strict=True
+        )
     ]
     return [{"name": name, "rows": len(at), "at": at[shown].round(2).tolist(), "models": models}]

@@ -2,23 +2,43 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import polars as pl
-from matplotlib import colormaps
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import NullFormatter
 
-from doe.studies.blind.study import ALL, KEEPS, OUTCOMES, OUTSIDE
+from doe.studies.blind.cells import TABLE
+from doe.studies.blind.study import ALL, OUTCOMES, OUTSIDE
 from doe.studies.comparison import PROBLEM, SETTING, summary, with_hits
 from doe.studies.monte_carlo import CELL
-from identification import Array
 from identification.document import Sheet
 
-Setting = tuple[str, int]  # solver and starts
+Columns = Mapping[str, tuple[str, str]]  # heading -> name in a row, and format of its numbers
+COMPARED: Columns = {
+    "solver": ("label", ""),
+    **{name: (name, "z.6g") for name in ("best", "median")},
+    "effi-\nciency": ("efficiency", ".5f"),
+    "hits": ("hits", ""),
+    "time\n[s]": ("seconds", ".2g"),
+    "to hit\n[s]": ("seconds_to_hit", ".2g"),
+    "wrong": ("not_correct", ""),
+}
+ESTIMATED: Columns = {
+    "parameter": ("parameter", ""),
+    **{name.replace("_", " "): (name, ".4g") for name in ("mean_error", "std", "expected_std")},
+    "95 % intervals hold": ("coverage", ".2%"),
+    "unit": ("unit", ""),
+}
+RELIABLE: Columns = {"stated": ("bin", ""), "mean": ("said", ".3f"), "right": ("right", ".3f"), "sets": ("count", "")}
+BARS: Columns = {name: (name, "") for name in ("cell", "measure", "asked", "measured", "outcome")}
+
+
+def sheet(rows: Iterable[dict[str, Any]], columns: Columns, title: str) -> Sheet:
+    """Rows as a table, a dash for none."""
+    return Sheet([*columns], [[cell_text(row[name], kind) for name, kind in columns.values()] for row in rows], title)
 
 
 def cell_text(value: Any, kind: str = ".4g") -> str:
@@ -29,152 +49,74 @@ def cell_text(value: Any, kind: str = ".4g") -> str:
 # -- armcal compare ----------------------------------------------------------------------------------------------------
 def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     """One table per problem, the best setting first, and what went wrong, equal sentences once."""
+    starts = pl.when(pl.col("starts") > 0).then(pl.format(", starts: {}", "starts")).otherwise(pl.lit(""))
+    label = pl.concat_str("solver", starts)  # without its number of starts where it is the solver's own
+    hits = pl.format("{}/{}", (pl.col("hit_rate") * pl.col("repeats")).round().cast(int), "repeats")
     parts: list[Any] = []
-    runs = with_hits(rows)
-    headings = ("solver", "best", "median", "effi-\nciency", "hits", "time\n[s]", "to hit\n[s]", "wrong")
-    for part in summary(rows).partition_by(*PROBLEM, maintain_order=True):
-        arm, arm_hash, criterion, m = (part[name][0] for name in PROBLEM)
-        bounds = runs.filter(arm_hash=arm_hash, criterion=criterion, runs=m)["bound"].drop_nulls().to_list()
-        cells = []
-        for row in part.iter_rows(named=True):
-            best, median = (
-                cell_text(row[k], "z.5f" if abs(row[k] or 0.0) < 10.0 else ".3f") for k in ("best", "median")
-            )
-            hits = f"{round(row['hit_rate'] * row['repeats'])}/{row['repeats']}"
-            times = [cell_text(row[name], ".2g") for name in ("seconds", "seconds_to_hit")]
-            name, wrong = label((row["solver"], row["starts"])), str(row["not_correct"] or "-")
-            cells.append([name, best, median, cell_text(row["efficiency"], ".5f"), hits, *times, wrong])
-        bound = f", bound {min(bounds):z.7f}" if bounds else ""
-        parts.append(Sheet(headings, cells, f"{arm}, {criterion}, {m} runs{bound}"))
-    failed = runs.filter(pl.col("status") != "done")
-    kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "status", "error", maintain_order=True).len()
-    lines = [
-        f"{row['arm']}, {row['criterion']}, {row['runs']} runs, {label((row['solver'], row['starts']))}: "
-        f"{row['len']} x {row['status']}: {row['error']}"
-        for row in kinds.iter_rows(named=True)
-    ]
-    rest = [f"and {len(lines) - 10} more; the rows have all"] if len(lines) > 10 else []
-    return [*parts, *lines[:10], *rest]
-
-
-def label(setting: Setting) -> str:
-    """`ipopt, 10 starts`; only `ipopt` with its own number of starts."""
-    solver, starts = setting
-    return f"{solver}, {starts} start{'s' * (starts > 1)}" if starts else solver
-
-
-def performance_profile(rows: pl.DataFrame) -> dict[Setting, Array]:
-    """Setting -> sorted ratios of its time to the fastest setting's, one per instance, infinite where it is no hit.
-
-    An instance is a problem and a repeat, solved where the run is a hit; an instance nobody solved counts against all.
-    E. D. Dolan, J. J. More, Benchmarking optimization software with performance profiles, Math. Program. 91 (2002),
-    equations 1 and 2.
-    """
-    timed = with_hits(rows).with_columns(time=pl.when("hit").then("seconds").otherwise(float("inf")))
-    ratio = pl.col("time") / pl.col("time").min().over(*PROBLEM, "repeat")
-    timed = timed.with_columns(ratio=pl.when("hit").then(ratio).otherwise(float("inf")))
-    parts = timed.partition_by(*SETTING, maintain_order=True)
-    return {(part["solver"][0], part["starts"][0]): part["ratio"].sort().to_numpy() for part in parts}
-
-
-def profile_figure(rows: pl.DataFrame) -> Figure:
-    """The performance profile: on the left who is fastest, on the right who gets there at all."""
-    curves = performance_profile(rows)
-    solvers, starts = (list(dict.fromkeys(values)) for values in zip(*curves, strict=True))
-    end = 1.3 * max([1.0, *(ratio for ratios in curves.values() for ratio in ratios if np.isfinite(ratio))])
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for above, ((solver, number), ratios) in enumerate(curves.items()):
-        color, dashes = colormaps["tab10"](solvers.index(solver) % 10), ("-", "--", ":", "-.")[starts.index(number) % 4]
-        width = 1.5 + 1.2 * (len(curves) - 1 - above)  # the narrow ones on top: equal curves hide none
-        solved = ratios[np.isfinite(ratios)]
-        share = np.arange(len(solved) + 1) / len(ratios)
-        name = f"{label((solver, number))}: {100.0 * share[-1]:.0f} %"
-        x, y = np.r_[0.9, solved, end], np.r_[share, share[-1]]
-        axes.step(x, y, where="post", color=color, ls=dashes, lw=width, label=name)
-    axes.set(xscale="log", xlim=(1.0, end), ylim=(-0.04, 1.04))
-    # 1, 2, 5, 10 along the axis: powers of ten crowd each other where there is less than a decade
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="time / time of the fastest", ylabel="fraction of instances at the best known value")
-    figure.legend(fontsize=8, loc="outside right center", title="solved in the end", title_fontsize=8)
-    return figure
+    for part in summary(rows).with_columns(label=label, hits=hits).partition_by(*PROBLEM, maintain_order=True):
+        arm, digest, criterion, m = part.select(PROBLEM).row(0)
+        bound: Any = with_hits(rows).filter(arm_hash=digest, criterion=criterion, runs=m)["bound"].min()
+        title = f"{arm}, {criterion}, {m} runs" + ("" if bound is None else f", bound {bound:z.7f}")
+        parts.append(sheet(part.iter_rows(named=True), COMPARED, title))
+    failed = rows.filter(pl.col("status") != "done").with_columns(label=label)
+    kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "label", "status", "error", maintain_order=True).len()
+    sentence = pl.format(
+        "{}, {}, {} runs, {}: {} x {}: {}", "arm", "criterion", "runs", "label", "len", "status", "error"
+    )
+    lines = kinds.select(sentence).to_series().to_list()
+    return [*parts, *lines[:10], *([f"and {len(lines) - 10} more; the rows have all"] if len(lines) > 10 else [])]
 
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------
 def monte_carlo_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
-    """One table per cell, up to twelve, of errors, deviations and coverage of each parameter (dashes where no fit
-    succeeded), and the cells that could not be simulated."""
+    """What kept cells from being simulated, equal sentences once; one table per cell that was, up to twelve, of errors,
+    deviations and coverage of each parameter (dashes where no fit succeeded)."""
     cells, done = tables["cells"], tables["blocks"].filter(status="done")
     fits = done.group_by("key").first()["fits"].sum() if "fits" in done.columns else 0
-    failures = len(tables["blocks"]) - len(done)
-    parts: list[Any] = [f"{cells.select(CELL).n_unique()} cells, {fits} fits, {failures} failures"]
-    formats = {"parameter": "", "mean_error": ".4g", "std": ".4g", "expected_std": ".4g", "coverage": ".2%", "unit": ""}
-    headings = ("parameter", "mean error", "std", "expected std", "95 % intervals hold", "unit")
-    each = cells.partition_by(*CELL, maintain_order=True)
+    count = cells.select(CELL).n_unique()
+    failed = cells.filter(pl.col("error").is_not_null()).group_by("arm", "error", maintain_order=True)
+    kinds = failed.agg(pl.struct(CELL).n_unique().alias("cells")).iter_rows(named=True)
+    parts: list[Any] = [f"{count} cells, {fits} fits"]
+    parts += [f"{kind['arm']}: {kind['cells']} of {count} cells failed: {kind['error']}" for kind in kinds]
+    each = cells.filter(pl.col("error").is_null()).partition_by(*CELL, maintain_order=True)
     for cell in each[:12]:
-        rows = cell.to_dicts()
-        first = rows[0]
-        plan = f"{first['arm']}, plan {first['plan']}, {first['runs']} runs, sigma {first['sigma_mm']:g} mm"
-        title = f"{plan}, truth {first['truth']}, model {first['model']}"
-        if first["error"] is not None:
-            parts.append(f"{title}: {first['status']}: {first['error']}")
-            continue
-        failed = f", {first['failed']} failed" if first["failed"] else ""
-        figures = [[cell_text(row[name], kind) for name, kind in formats.items()] for row in rows]
-        rms = f"RMS {cell_text(first['rms_mm'])} mm"
-        parts.append(Sheet(headings, figures, f"{title}: {first['fits']} fits{failed}, {rms}"))
-    return [*parts, *([f"first 12 of {len(each)} cells"] if len(each) > 12 else [])]
+        first = cell.row(0, named=True)
+        title = "{arm}, plan {plan}, {runs} runs, sigma {sigma_mm:g} mm, truth {truth}, model {model}".format(**first)
+        lost = f", {first['failed']} failed" if first["failed"] else ""
+        title += f": {first['fits']} fits{lost}, RMS {cell_text(first['rms_mm'])} mm"
+        parts.append(sheet(cell.iter_rows(named=True), ESTIMATED, title))
+    return [*parts, *([f"first 12 of {len(each)} cells that were simulated"] if len(each) > 12 else [])]
 
 
 # -- armcal study blind ------------------------------------------------------------------------------------------------
-# title -> measures side by side, where a cell has the first of them
-MEASURES = {
-    "Blind study": ("alarm", "exact", "class", "in the set", "located", "gap / true"),
-    "Many effects at once": ("error / true", "effects named", "false names", "intervals, all", "false unknown"),
-    "Outside the library": ("no effect", "located", "wrong place"),
-    "The model that is written": (
-        *("inside tip intervals", "error / geometry", "promised / reached"),
-        *(KEEPS, "contradiction"),
-    ),
-    "Ambiguous sets after further postures of armcal discriminate": ("next_2 right", "next_8 right"),
-}
-
-
 def blind_parts(tables: Mapping[str, pl.DataFrame]) -> list[Any]:
     """Verdict, figures of the cells, reliability, bars, and the most frequent mistakes."""
-    bars = tables["bars"].to_dicts()
-    counts = Counter(row["outcome"] for row in bars)
-    outcomes = ", ".join(f"{counts[word]} {word}" for word in OUTCOMES if counts[word])
+    bars = [{**row, "measured": with_error(row)} for row in tables["bars"].iter_rows(named=True)]
+    counts = {word: sum(row["outcome"] == word for row in bars) for word in OUTCOMES}
+    outcomes = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     done = len(tables["sets"].filter(status="done"))
     failed = f"; {len(tables['sets']) - done} batches failed" if done < len(tables["sets"]) else ""
     parts: list[Any] = [f"{done} blind data sets; bars: {outcomes or 'none'}{failed}"]
     cells: dict[str, dict[str, Any]] = {}
     for row in tables["cells"].iter_rows(named=True):
         cells.setdefault(row["cell"], {})[row["measure"]] = row
-    for title, measures in MEASURES.items():
+    for title, (first, *others) in TABLE["tables"].items():  # where a cell has the first of the measures
         rows = [
-            [cell, str(figures[measures[0]]["count"]), *(with_error(figures.get(name)) for name in measures)]
-            for cell, figures in cells.items()
-            if measures[0] in figures
+            [cell, str(row[first]["count"]), *(with_error(row.get(name)) for name in (first, *others))]
+            for cell, row in cells.items()
+            if first in row
         ]
-        parts.append(Sheet(("hidden", "sets", *measures), rows, title))
-    rows = [
-        [f"{row['from']:g} to {row['to']:g}", f"{row['said']:.3f}", f"{row['right']:.3f}", str(row["count"])]
-        for row in tables["reliability"].iter_rows(named=True)
-    ]
+        parts.append(Sheet(("hidden", "sets", first, *others), rows, title))
     error = with_error(cells.get(ALL, {}).get("calibration error"))
-    title = f"Said with probability p: right in p? Expected calibration error {error}"
-    parts.append(Sheet(("said", "mean", "right", "sets"), rows, title))
-    rows = [[row["cell"], row["measure"], row["asked"], with_error(row), row["outcome"]] for row in bars]
-    parts.append(Sheet(("cell", "measure", "asked", "measured", "outcome"), rows, "Bars"))
+    title = f"Is what is stated with probability p right in a share p of the sets? Expected calibration error {error}"
+    bins = ({**row, "bin": f"{row['from']:g} to {row['to']:g}"} for row in tables["reliability"].iter_rows(named=True))
     wrong = [
         [row["hidden"], row["named"], str(row["count"])]
         for row in tables["confusion"].iter_rows(named=True)
         if row["hidden"] != row["named"] and not (row["hidden"] == OUTSIDE and row["named"].endswith("unknown"))
     ]
-    return [*parts, Sheet(("hidden", "named", "sets"), wrong, "Most frequent mistakes between classes", 12)]
+    mistakes = Sheet(("hidden", "named", "sets"), wrong, "Most frequent mistakes between classes", 12)
+    return [*parts, sheet(bins, RELIABLE, title), sheet(bars, BARS, "Bars"), mistakes]
 
 
 def with_error(row: dict[str, Any] | None) -> str:
@@ -192,13 +134,13 @@ def reliability_figure(rows: pl.DataFrame) -> Figure:
     error = 2.0 * np.sqrt(np.maximum(right * (1.0 - right), 0.25 / count) / count)
     figure = Figure(figsize=(5.0, 5.6), layout="constrained")
     axes, below = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-    axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as said")
+    axes.plot([0.0, 1.0], [0.0, 1.0], color="gray", linewidth=1.0, label="as often as stated")
     axes.errorbar(stated, right, error, fmt="o", markersize=5, capsize=3, label="data sets, +- 2 standard errors")
-    axes.set(ylabel="share that was right", ylim=(0.0, 1.02), title="Said with probability p: right in p?")
+    axes.set(ylabel="share that was right", ylim=(0.0, 1.02), title="Stated with probability p: right in a share p?")
     axes.legend(loc="lower right", frameon=False)
     low, high = rows["from"].to_numpy(), rows["to"].to_numpy()
     below.bar(low, count, high - low, align="edge", edgecolor="white")
     below.set(yscale="log", ylim=(10.0 ** np.floor(np.log10(max(count.min(), 1))), None))
-    below.set(ylabel="data sets", xlabel="probability that was said", xlim=(0.0, 1.02))
+    below.set(ylabel="data sets", xlabel="stated probability", xlim=(0.0, 1.02))
     below.yaxis.set_minor_formatter(NullFormatter())
     return figure

@@ -15,11 +15,11 @@ import numpy as np
 import polars as pl
 
 from doe.criteria import criterion
-from doe.jobs import Key, Row, RowTable, Workers, call, run_tasks, short_hash, with_columns
+from doe.jobs import Key, Row, call, run_tasks, short_hash, with_columns
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
 from doe.solvers.solving import check_runs
-from identification import Arm, InputError, Progress
+from identification import Arm, InputError
 
 if TYPE_CHECKING:
     from doe.design import Design
@@ -40,10 +40,7 @@ def compare(
     repeats: int = 5,
     seconds: float = 60.0,
     criteria: Sequence[str] = ("D",),
-    table: RowTable | None = None,
-    workers: Workers = 1,
-    seed: int = 0,
-    progress: Progress = Progress(),
+    **how: Any,
 ) -> pl.DataFrame:
     """Problems x solvers x settings x repeats, one row per run: the key's columns, `status`, `outcome` (the solver's
     own), `value`, `bound`, `efficiency`, `correct`, `seconds`, `error`.
@@ -54,6 +51,7 @@ def compare(
     starts : of one run, None: the solver's default;  repeats : runs of each combination, each with a different seed
     seconds : time limit of one run [s]: given to the solver, and enforced by killing the run
     criteria : names as in `armcal design --criterion`, of those in `CRITERIA`
+    how : `path`, `workers`, `seed`, `resume`, `force` and `progress` of `run_tasks`
 
     Runs that fail, crash or hang are rows too. Rows depend on the seed, not on the workers; only times do: for
     comparable times use one process fewer than there are cores. Raises `InputError`, also for too few runs.
@@ -88,10 +86,7 @@ def compare(
         for of_arm, name, m, setting, number, repeat in grid
     ]
 
-    def payload(key: Key) -> tuple[Arm, str | Solver]:
-        return by_hash[key["arm_hash"]], by_name[key["solver"]]
-
-    return run_tasks(run_of, keys, table or RowTable(), workers, seed=seed, payload=payload, progress=progress)
+    return run_tasks(run_of, keys, payload=lambda key: (by_hash[key["arm_hash"]], by_name[key["solver"]]), **how)
 
 
 def run_of(key: dict[str, Any], seed: np.random.SeedSequence, task: tuple[Arm, str | Solver]) -> list[Row]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, Self
@@ -17,12 +16,12 @@ from typing import Any, Self
 import numpy as np
 import polars as pl
 
-from doe.jobs import Key, Row, RowTable, Workers, canonical, parquet, run_tasks, short_hash, with_columns
+from doe.jobs import Key, Row, canonical, parquet, run_tasks, short_hash, with_columns
 from doe.problem.model import PRISMATIC
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
-from identification import Arm, Array, InputError, JobError, Plan, Progress, Replications, StudyFile
+from identification import Arm, Array, InputError, JobError, Plan, Replications, StudyFile
 from identification.files.io import write_together
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
@@ -119,21 +118,12 @@ class Study:
 
 
 # -- the run -----------------------------------------------------------------------------------------------------------
-def run_study(
-    study: Study,
-    folder: Path | str | None = None,
-    workers: Workers = 1,
-    *,
-    seed: int = 0,
-    resume: bool = False,
-    force: bool = False,
-    progress: Progress = Progress(),
-) -> dict[str, pl.DataFrame]:
+def run_study(study: Study, folder: Path | None = None, **how: Any) -> dict[str, pl.DataFrame]:
     """Every cell of the study: `cells` (one row per cell and parameter, see `pooled_rows`), `blocks` (one row per block
     of replications and parameter) and `plans` (one row per plan that a solver made).
 
     folder : for NAME.parquet of these, created if missing. None: nothing is written
-    resume : go on with an interrupted or extended study in `folder`;  force : replace what is there
+    how : `workers`, `seed`, `resume`, `force` and `progress` of `run_tasks`
     Failures (no plan for so many runs, a plan that cannot identify the model) are rows with `status` and `error`.
     """
     arms = {short_hash(arm): arm for arm in study.arms}
@@ -142,17 +132,14 @@ def run_study(
         {"arm": arm.name, "plan": plan, "runs": runs, "limit_s": study.asked.solver_seconds, "inputs": digest}
         for (digest, arm), plan, runs in product(arms.items(), solvers, study.asked.runs)
     ]
-    run = partial(run_tasks, workers=workers, seed=seed, progress=progress)
-    open_table = partial(RowTable, resume=resume, force=force)
-    places = [None if folder is None else Path(folder) / f"{name}.parquet" for name in ("plans", "blocks", "cells")]
-    with open_table(places[0]) as of_plans, open_table(places[1]) as of_blocks:
-        plans = run(make_plan, keys, of_plans, payload=lambda key: arms[key["inputs"]])
-        tasks = {canonical(key): (key, cell) for key, cell in study.tasks(plans)}
-        asked = [key for key, _ in tasks.values()]
-        blocks = run(replicate, asked, of_blocks, payload=lambda key: tasks[canonical(key)][1])
-        cells = pooled_rows(blocks)
-        if places[2] is not None and "done" in cells["status"]:
-            write_together({places[2]: parquet(cells)}, force=True)
+    paths = [None if folder is None else folder / f"{name}.parquet" for name in ("plans", "blocks", "cells")]
+    plans = run_tasks(make_plan, keys, paths[0], payload=lambda key: arms[key["inputs"]], **how)
+    tasks = {canonical(key): (key, cell) for key, cell in study.tasks(plans)}
+    asked = [key for key, _ in tasks.values()]
+    blocks = run_tasks(replicate, asked, paths[1], payload=lambda key: tasks[canonical(key)][1], **how)
+    cells = pooled_rows(blocks)
+    if paths[2] is not None and "done" in cells["status"]:
+        write_together({paths[2]: parquet(cells)}, force=True)
     return {"cells": cells, "blocks": blocks, "plans": plans}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +47,23 @@ SCATTER = {  # kind of a finding -> what it is, before its size
     "repeats": "rows of one posture err alike, by a relative variance of",
 }
 NOISE_FROM = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
+ABOUT_GAP = (
+    "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: {}; on "
+    "rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name."
+)
+ACROSS_SESSIONS = (
+    "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
+    "session alone. P(the same): how likely it is that they are those of the other sessions. An effect replicates "
+    "where that is 0.9 or more."
+)
+CURVES = (
+    "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
+    "say, with everything else in the model. Waves: per turn, strongest first, and their share of the curve."
+)
+SMALLER = (
+    "Effects smaller than these may still be present. Tip: how far the largest of them would move it, RMS over the "
+    "rows."
+)
 
 
 # -- the verdict -------------------------------------------------------------------------------------------------------
@@ -55,41 +71,39 @@ def diagnosis_verdict(data: Data) -> list[str]:
     """What is missing in one short sentence, then with its details: in doubt that first, and whether the model is no
     better than the geometry alone."""
     effects, sets, verdict, lines = data["effects"], data["candidates"], data["verdict"], []
+    named, several = effects_in_words(effects), len({label.partition(":")[0] for label in effects}) > 1
     if data["confirmed"] is False:
-        partly = "Not confirmed as predicted: rows that no fit has seen gain less."
+        partly = "Not confirmed as predicted: the error on rows that no fit has seen falls by less."
         lines.append(partly if shrinks(data) else "Not confirmed on rows that no fit has seen.")
     if not is_offered(data):
         lines.append(hardly_better(data["offered"]))
     if verdict == "none":
-        lines.append("Nothing is missing from the model that these data can show.")
-    elif verdict == "named":
-        several = len({kind_of(label) for label in effects}) > 1
-        which = f"{len(effects)} effects" if several else effects_in_words(effects)
-        lines.append(f"Missing from the model: {which}.")
-        lines += [as_sentence(effects_in_words(effects))] if several else []
-    elif verdict == "ambiguous" and len(sets) == 1:
-        lines.append(f"Likeliest, but less likely than not: {effects_in_words(effects)}.")
-    elif verdict == "ambiguous":
-        lines.append(
-            f"{len(sets)} explanations remain, the likeliest with probability {number(sets[0]['probability'], 2)}."
-        )
+        return [*lines, "Nothing is missing from the model that these data can show."]
+    if verdict == "named" and several:
+        return [*lines, f"Missing from the model: {len(effects)} effects.", as_sentence(named)]
+    if verdict == "named":
+        return [*lines, f"Missing from the model: {named}."]
+    if verdict == "ambiguous" and len(sets) == 1:
+        return [*lines, f"Most likely, but with a probability below one half: {named}."]
+    if verdict == "ambiguous":
+        likeliest = number(sets[0]["probability"], 2)
         spelt = [effects_in_words(c["effects"]) or "nothing" for c in sets[:MOST]]
-        lines.append(as_sentence("; or ".join([*spelt, *([f"{len(sets) - MOST} more"] if len(sets) > MOST else [])])))
-    else:
-        lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
-        if is_described(data):
-            curves = sorted(curve["joint"] for curve in data["curves"])
-            words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
-            lines.append(f"{words.format(of_joints(curves))} it; its cause is open.")
-        lines += [f"Beside it: {effects_in_words(effects)}."] if effects else []
-    return lines
+        spelt += [f"{len(sets) - MOST} more"] * (len(sets) > MOST)
+        count = f"{len(sets)} explanations remain, the most likely with probability {likeliest}."
+        return [*lines, count, as_sentence("; or ".join(spelt))]
+    lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
+    if is_described(data):
+        curves = sorted(curve["joint"] for curve in data["curves"])
+        words = "An error curve of {} describes" if len(curves) == 1 else "Error curves of {} describe"
+        lines.append(f"{words.format(of_joints(curves))} it; its cause is open.")
+    return [*lines, *([f"In addition: {named}."] if effects else [])]
 
 
 def findings(data: Data) -> list[str]:
     """What belongs to the verdict, in sentences: a shape, scatter that is not explained, sessions."""
     lines = [f"Its shape: {data['shape']}."] if data["shape"] and not is_described(data) else []
     if (misfit := data["misfit"]) and misfit["significant"]:
-        lines.append(f"Scatter {misfit['ratio']:.3g} x sigma_mm, not explained.")
+        lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm, which nothing here explains.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
         if effects := [one["effect"] for one in data["replication"] if one["replicates"] is answer]:
             lines.append(f"{says} across sessions: {' + '.join(effects)}.")
@@ -98,34 +112,31 @@ def findings(data: Data) -> list[str]:
 
 def gap_in_words(data: Data) -> str:
     """The error before and after, where it was held out if it was."""
-    gap, test, unit = data["gap"], data["confirmation"], data.get("reading_unit", "mm")
-    before, after = (in_a_sentence(gap[f"rms_{when}_mm"]) for when in ("before", "after"))
-    if data["verdict"] == "none" and test is None:
+    test, unit = data["confirmation"], data.get("reading_unit", "mm")
+    if test is not None:
+        before, after, expected = (in_a_sentence(test[f"{key}_mm"]) for key in ("before", "after", "predicted"))
+        figures = f"from {before} to {after} {unit}; {expected} {unit} was predicted"
+        return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}."
+    before, after = (in_a_sentence(data["gap"][f"rms_{when}_mm"]) for when in ("before", "after"))
+    if data["verdict"] == "none":
         return f"The model leaves {after} {unit} RMS of the data; no rows were held out."
-    if test is None:
-        figures = f"from {before} to {after} {unit}"
-        return f"On the data, the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
-    before, after, expected = (in_a_sentence(test[f"{key}_mm"]) for key in ("before", "after", "predicted"))
-    figures = f"from {before} to {after} {unit}; {expected} {unit} were predicted"
-    return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}."
-
-
-def kind_of(label: str) -> str:
-    """`backlash` of `backlash:2`."""
-    return label.partition("[")[0].partition(":")[0]
+    figures = f"from {before} to {after} {unit}"
+    return f"On the data, with the geometry fitted, the RMS error goes {figures}; no rows were held out to confirm it."
 
 
 def effects_in_words(labels: Sequence[str]) -> str:
     """`encoder disc off centre, once per turn (encoder_eccentricity:1)`; the first few, one kind is said once; of many
     joints `backlash of joints 1 to 5`."""
+    kinds: dict[str, list[str]] = {}
+    for label in labels:
+        kinds.setdefault(label.partition("[")[0].partition(":")[0], []).append(label)
     phrases = []
-    for kind in dict.fromkeys(map(kind_of, labels)):
-        these = [label for label in labels if kind_of(label) == kind]
-        joints = [label.removeprefix(f"{kind}:") for label in these]
-        many = len(these) > 2 and all(joint.isdigit() for joint in joints)
-        listed = f"{kind} of {of_joints(sorted(map(int, joints)))}" if many else ", ".join(these)
+    for kind, alike in kinds.items():
+        joints = [label.removeprefix(f"{kind}:") for label in alike]
+        many = len(alike) > 2 and all(joint.isdigit() for joint in joints)
+        listed = f"{kind} of {of_joints(sorted(map(int, joints)))}" if many else ", ".join(alike)
         phrases.append(f"{library()[kind].summary} ({listed})" if kind in library() else listed)
-    return "; ".join(phrases[:MOST]) + (f"; and {len(phrases) - MOST} more" if len(phrases) > MOST else "")
+    return "; ".join([*phrases[:MOST], *([f"and {len(phrases) - MOST} more"] if len(phrases) > MOST else [])])
 
 
 def shrinks(data: Data) -> bool:
@@ -145,7 +156,7 @@ def is_described(data: Data) -> bool:
 
 def place_in_words(data: Data) -> str:
     """`at joint 3`, `in time`."""
-    where = str(data["where"] or "a place that is not known").replace(":", " ")
+    where = str(data["where"] or "an unknown place").replace(":", " ")
     return {"time": "in time", "temperature": "with the temperature", "workspace": "in the workspace"}.get(
         where, f"at {where}"
     )
@@ -160,35 +171,33 @@ def tests_of(data: Data) -> list[Data]:
 def diagnosis_actions(
     data: Data, arm: str = "arm.toml", rows: Sequence[str] = ("data.csv",), written: Path | None = None
 ) -> list[Action]:
-    """What follows from a diagnosis of these files;  written : the extended model, where it has been."""
-    called = " ".join(["armcal diagnose", arm, *rows])
-    alone = (
-        identify_command(arm, rows[0], ALONE) if len(rows) == 1 else f"{called} --out calibrated.toml"
-    )  # takes one file
+    """What follows from a diagnosis of these files;  written : the extended model, where it has been"""
+    again, named = " ".join(["armcal diagnose", arm, *rows]), data["effects"] or is_described(data)
+    alone = identify_command(arm, rows[0], ALONE) if len(rows) == 1 else f"{again} --out calibrated.toml"
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
-        f"{called} --holdout other.csv",
+        f"{again} --holdout other.csv",
     )
     if data["confirmed"] is False:
-        why = " yet: rows that no fit has seen gain less than predicted"
-        why = why if shrinks(data) else ": rows that no fit has seen speak against it"
+        gain = " yet: the error on rows that no fit has seen falls by less than predicted"
+        why = gain if shrinks(data) else ": rows that no fit has seen speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
         return [Action("Use the calibration of the geometry:", alone), correct("calibrated.toml")]
     if data["verdict"] == "ambiguous":
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
-        again = Action("Add the new rows to the data, and diagnose again:", called)
-        return [Action("Measure the postures that tell the explanations apart:", apart), again]
+        measure = Action("Measure the postures that tell the explanations apart:", apart)
+        return [measure, Action("Add the new rows to the data, and diagnose again:", again)]
     if not is_offered(data):
         use = Action("Use the calibration of the geometry, unless other rows show that it is worse:", alone)
         return [use, correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
         part = "the error curves, within the angles measured," if is_described(data) else "the named part"
-        meanwhile = f"; {part} may be used meanwhile" if data["effects"] or is_described(data) else ""
+        meanwhile = f"; {part} may be used in the meantime" if named else ""
         actions.insert(0, Action(f"Look for a cause {place_in_words(data)}{meanwhile}."))
     if written is None:
-        actions.append(Action("Keep the extended model:", f"{called} --out extended.toml"))
+        actions.append(Action("Keep the extended model:", f"{again} --out extended.toml"))
     return [*actions, correct(str(written or "extended.toml"))]
 
 
@@ -206,37 +215,45 @@ def diagnosis_document(
     """
 
     def picture(name: str) -> Pictures:
-        """Of documents/pictures.py, drawn where it is seen: matplotlib takes longer to load than a small diagnosis."""
+        """Drawn where it is seen: matplotlib takes longer to load than a small diagnosis."""
 
         def draw() -> Sequence[Any]:
-            drawn = getattr(import_module("identification.documents.pictures"), name)(diagnosis)
+            from identification.documents import pictures
+
+            drawn = getattr(pictures, name)(diagnosis)
             return drawn if isinstance(drawn, Sequence) else [drawn]
 
         return Pictures(draw)
 
-    data = diagnosis.to_json()
-    explained = [f"95 % intervals: {diagnosis.named.reliance}."] if data["effects"] else []
-    sections = [Section("What is missing", [*missing_parts(data), *explained])]
+    data, named = diagnosis.to_json(), diagnosis.named
+    reliance = [f"95 % intervals: {named.reliance}."] if data["effects"] else []
+    sections = [Section("What is missing", [*missing_parts(data), *reliance])]
     if data["replication"]:
-        sections.append(replication_section(data["replication"]))
-    gap = [*gap_parts(data, nominal), picture("gap_figure")]
-    sections.append(Section("The gap, before and after", gap))
+        sessions = []
+        for effect, session in ((one, session) for one in data["replication"] for session in one["sessions"]):
+            figures = [
+                f"{p['name'].rpartition('.')[2]} = {p['value']:.3g} ± {p['std']:.1g} {p['unit']}"
+                for p in session["parameters"]
+            ]
+            fitted = ",\n".join(figures) if len(figures) <= 3 else ""
+            answer = {True: "yes", False: "no", None: "open"}[session["replicates"]]
+            chance = number(session["probability"], 2)
+            sessions.append([effect["effect"], session["session"], fitted, chance, answer])
+        headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
+        sections.append(Section("Across sessions", [ACROSS_SESSIONS, Sheet(headings, sessions)]))
+    sections.append(Section("The gap, before and after", [*gap_parts(data, nominal), picture("gap_figure")]))
     values = corrected_values(diagnosis.extended_arm(), diagnosis.predicting.calibration)
     doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"
     sections.append(corrected_section(title, values, folded=doubted))
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))
-    if curves := curve_parts(data):
-        sections.append(Section("Error curves of joints", [*curves, picture("curves_figure")]))
+    if data["curves"]:
+        sections.append(Section("Error curves of joints", [curve_table(data), CURVES, picture("curves_figure")]))
     how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
     sections.append(Section("Against time and torque", [how, picture("against_figure")], folded=True))
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
-    shown: list[Part] = [
-        Sheet(("effect", "joints", "found from (90 % power)", "tip [mm]"), excluded_by_kind(data)),
-        "Effects smaller than these may still be present. Tip: what the largest of them would move it by, RMS over the "
-        "rows.",
-        Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish"),
-    ]
+    sizes = Sheet(("effect", "joints", "detectable from (90 % power)", "tip [mm]"), excluded_by_kind(data))
+    shown: list[Part] = [sizes, SMALLER, Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish")]
     # folded but where nothing is named
     sections.append(Section("What these postures can and cannot show", shown, folded=bool(data["effects"])))
     if notes := [as_sentence(note) for note in data["notes"]]:
@@ -249,9 +266,8 @@ def diagnosis_document(
 def missing_parts(data: Data) -> list[Part]:
     """What is named, how likely it is, and its values; what is named beside an unknown effect."""
     tests, figures, estimates = tests_of(data), [], list[Part]()
-    explanations = (list(data["candidates"]) or [data["named"]]) if data["effects"] else []
     several = len(data["candidates"]) > 1
-    for c in explanations:
+    for c in (list(data["candidates"]) or [data["named"]]) if data["effects"] else []:
         p = c["probability"]  # a small one is never rounded to zero
         chance = "its cause is unknown" if is_described(data) else "< 0.01" if p and p < 0.005 else number(p, 2)
         figures.append([" +\n".join(c["effects"]), chance, *(f"{c[key]:.1f}" for key in ("delta_bic", "f"))])
@@ -273,35 +289,15 @@ def missing_parts(data: Data) -> list[Part]:
     return [*parts, Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
 
 
-def replication_section(effects: Sequence[Data]) -> Section:
-    """Each named effect in each session, where there are several."""
-    lead = (
-        "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
-        "session alone. P(the same): how likely it is that they are those of the other sessions. An effect replicates "
-        "where that is 0.9 or more."
-    )
-    rows = []
-    for effect, session in ((one, session) for one in effects for session in one["sessions"]):
-        values = [
-            f"{p['name'].rpartition('.')[2]} = {p['value']:.3g} +- {p['std']:.1g} {p['unit']}"
-            for p in session["parameters"]
-        ]
-        answer = {True: "yes", False: "no", None: "open"}[session["replicates"]]
-        fitted = ",\n".join(values) if len(values) <= 3 else ""
-        rows.append([effect["effect"], session["session"], fitted, number(session["probability"], 2), answer])
-    headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
-    return Section("Across sessions", [lead, Sheet(headings, rows)])
-
-
 def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
     """How far model and measurements are apart, before and after: on the data, less outliers, and on rows that no fit
     has seen, and whether the model holds there."""
-    gap, rows, out, unit = data["gap"], data.get("rows"), data["outlier_rows"], data.get("reading_unit", "mm")
+    gap, rows, out, unit = data["gap"], data["rows"], data["outlier_rows"], data.get("reading_unit", "mm")
     noise = "the noise, which is not known"
     if (floor := gap["noise_floor_mm"]) is not None:
         noise = f"the noise floor {number(floor)} {unit}, from {NOISE_FROM[gap['noise_floor_from']]}"
+    counted = f"{rows - len(out)} of {rows}" if out else str(rows)
     figures = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
-    counted = "" if rows is None else f"{rows - len(out)} of {rows}" if out else str(rows)
     shown, sentences = [["the data", counted, *figures, ""]], []
     for test in tests_of(data):
         answer, sentence = holds_in_words(test, unit)
@@ -314,16 +310,10 @@ def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
         what = SCATTER[kind].format(joint=joint, when="early" if finding["size"] < 0.0 else "late")
         chance = f"probability {1.0 - finding['p']:.2f}"
         sentences.append(f"Scatter: {finding['finding']} ({what} {abs(finding['size']):.2g}, {chance}).")
-    if out:
-        sentences.append(f"Rows left out as outliers: {', '.join(map(str, out))}.")
-    if nominal is not None:
-        sentences.append(f"Drawing: {number(nominal)} {unit} RMS, {DRAWN['base']}.")
-    about = (
-        "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: "
-        f"{noise}; on rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name."
-    )
+    sentences += [f"Rows left out as outliers: {', '.join(map(str, out))}."] if out else []
+    sentences += [] if nominal is None else [f"Drawing: {number(nominal)} {unit} RMS, {DRAWN['base']}."]
     table = Sheet([f"RMS distance [{unit}]", "rows", "before", "after", "expected", "holds"], shown)
-    return [table, about, *sentences]
+    return [table, ABOUT_GAP.format(noise), *sentences]
 
 
 def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
@@ -331,7 +321,7 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     confirmed, which = test["confirmed"], test["file"] or test["transfer"]
     groups = f"{test['rows']} rows in {test['groups']} independent groups"
     how = "" if test["by"] == "holdout" else "cross-validated, "
-    where = f"{which} ({how}{groups})"
+    where, answer = f"{which} ({how}{groups})", "no"
     if confirmed is None:
         answer, sentence = "too few rows", f"The rows are too few to say whether the model holds for {where}."
     elif confirmed and not test["as_predicted"]:  # whether as far as expected stays open
@@ -342,21 +332,17 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     elif confirmed:
         answer, sentence = "yes", f"The model holds for {where}{': the gap shrinks' if test['shrinks'] else ''}."
     elif test["shrinks"]:
-        answer, sentence = "no", f"For {where} the gap shrinks, but by less than predicted."
+        sentence = f"For {where} the gap shrinks, but by less than predicted."
     else:
-        why = ["the gap does not shrink"] if test["shrinks"] is False else []
-        why += ["the gap exceeds the prediction"] if test["as_predicted"] is False else []
-        answer, sentence = "no", f"The model does not hold for {where}: {' and '.join(why)}."
+        reasons = {"shrinks": "the gap does not shrink", "as_predicted": "the gap exceeds the prediction"}
+        why = " and ".join(reason for key, reason in reasons.items() if test[key] is False)
+        sentence = f"The model does not hold for {where}: {why}."
     refitted = " and ".join(test["refitted"])
     return answer, sentence + (f" Another set-up: {refitted} refitted to these rows." if refitted else "")
 
 
-def curve_parts(data: Data) -> list[Part]:
-    """Error curves of joints, where there are any: over which angles, how large, how sure, and of which shape."""
-    text = (
-        "Real less commanded angle over the angles measured, with a 95 % band; zero outside. Dots: what groups of rows "
-        "say, with everything else in the model. Waves: per turn, strongest first, and their share of the curve."
-    )
+def curve_table(data: Data) -> Sheet:
+    """Error curves of joints: over which angles, how large, how sure, and of which shape."""
     rows = []
     for c in data["curves"]:
         kind, waves, _ = str(c["shape"]).partition(": ")
@@ -366,7 +352,7 @@ def curve_parts(data: Data) -> list[Part]:
             shape = f"{kind} {orders} ({100.0 * sum(wave['share'] for wave in c['waves']):.0f} %)"
         sizes = (f"{np.sqrt(np.mean(np.square(c[key]))):.2g}" for key in ("error_deg", "std_deg"))
         rows.append([str(c["joint"]), f"{c['angle_deg'][0]:.0f} to {c['angle_deg'][-1]:.0f}", *sizes, shape])
-    return [Sheet(("joint", "angles [deg]", "RMS [deg]", "std [deg]", "shape"), rows), text] if rows else []
+    return Sheet(("joint", "angles [deg]", "RMS [deg]", "std [deg]", "shape"), rows)
 
 
 def excluded_by_kind(data: Data) -> list[list[str]]:
@@ -374,17 +360,17 @@ def excluded_by_kind(data: Data) -> list[list[str]]:
     that may move the tip most without being found."""
     kinds: dict[str, list[tuple[str, Data]]] = {}
     for name, size in data["excluded"].items():
-        key, _, setting = name.partition("[")
+        key, bracket, setting = name.partition("[")
         kind, _, joint = key.partition(":")
-        kinds.setdefault(f"{kind}[{setting}" if setting else kind, []).append((joint, size))
+        kinds.setdefault(f"{kind}{bracket}{setting}", []).append((joint, size))
     rows = []
     for kind, sizes in kinds.items():
-        joints = sorted(int(joint) for joint, _ in sizes if joint)
-        values, unit = [np.inf if size["value"] is None else size["value"] for _, size in sizes], sizes[0][1]["unit"]
-        ends = list(dict.fromkeys("invisible" if v == np.inf else f"{v:.3g}" for v in (min(values), max(values))))
-        span = " to ".join(ends) + ("" if unit == "1" or max(values) == np.inf else f" {unit}")
+        joints, unit = sorted(int(joint) for joint, _ in sizes if joint), sizes[0][1]["unit"]
+        values = [np.inf if size["value"] is None else size["value"] for _, size in sizes]
         moved = max(np.inf if size["value"] is None else size["tip_mm"] or 0.0 for _, size in sizes)
-        listed = of_joints(joints).removeprefix("joints ").removeprefix("joint ") if joints else "–"
+        ends = dict.fromkeys("invisible" if v == np.inf else f"{v:.3g}" for v in (min(values), max(values)))
+        span = " to ".join(ends) + ("" if unit == "1" or max(values) == np.inf else f" {unit}")
+        listed = of_joints(joints).partition(" ")[2] if joints else "–"
         rows.append((-moved, [kind, listed, span, number(moved, 3) if np.isfinite(moved) else "any"]))
     return [row for _, row in sorted(rows, key=lambda pair: pair[0])]
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from identification.arrays import Array
 from identification.document import (
     Action,
     Document,
@@ -80,9 +79,8 @@ def unit_key(arm: Any) -> dict[str, str]:
 
 def fit_facts(fit: Identification) -> dict[str, str | None]:
     """What, and what is said of it: how the fit ended, the largest error left, what it promises, sigma, intervals."""
-    closed = fit.method == "linear" and fit.status is Status.converged
-    outcome = "Closed form, the exact global minimum." if closed else fit.status.value
-    unit, tip, chi2, angles, sigma = reading_unit(fit.arm), None, None, None, "unknown"
+    closed, unit = fit.method == "linear" and fit.status is Status.converged, reading_unit(fit.arm)
+    tip, chi2, angles, sigma = None, None, None, "unknown"
     if fit.expected_tip is not None:
         by_repeats = any(each.startswith(MISFIT) for each in fit.doubts)  # more than they scatter by
         witness = "chi2 says" if fit.misfit else "repeats say" if by_repeats else ""
@@ -96,10 +94,10 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
         if fit.scatter is not None and not np.isclose(fit.scatter, fit.sigma or 0.0):  # a prior's fit has no less
             chi2 += f": the residuals scatter {number(fit.scatter, 5)} {unit}"
     if fit.rms_angles is not None:
-        angles = "{:.4g} -> {:.4g} deg".format(*np.degrees(fit.rms_angles))
+        angles = "from {:.4g} to {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return {
-        "method": f"{fit.method}: {outcome}",
-        "left at most": f"{fit.largest[1]:.4g} {unit}",
+        "method": f"{fit.method}: {'Closed form, the exact global minimum.' if closed else fit.status.value}",
+        "largest residual": f"{fit.largest[1]:.4g} {unit}",
         "orientations, RMS": angles,
         "expected error": tip,
         "sigma": f"{sigma}, {fit.dof} degrees of freedom",
@@ -129,9 +127,10 @@ def identification_document(
             for row in fit.rows()
         )
         tables = [Sheet(("parameter", "value", "std", "95 % low", "95 % high", "unit"), [*rows])]
-    drawn = data.get("rms_drawing_mm") if "only" in data else None
-    by_drawing = None if drawn is None else f"{number(drawn)} {reading_unit(fit.arm)} RMS, {DRAWN['base']}"
-    parts: list[Part] = [Sheet.facts(fit_facts(fit) | {"drawing": by_drawing}), *tables]
+    facts = fit_facts(fit)
+    if "only" in data and (drawn := data.get("rms_drawing_mm")) is not None:
+        facts["drawing"] = f"{number(drawn)} {reading_unit(fit.arm)} RMS, {DRAWN['base']}"
+    parts: list[Part] = [Sheet.facts(facts), *tables]
     if fit.not_identifiable:
         parts.append("These are not estimable separately from this plan; measure other postures or fix one of each:")
         parts += [f"  {combination}" for combination in fit.not_identifiable]
@@ -157,22 +156,23 @@ def identification_verdict(data: Data, before: str = "") -> str:
     drawn, unit = None if "only" in data else data.get("rms_drawing_mm"), data.get("reading_unit", "mm")
     was = f"{in_a_sentence(data['rms_before_mm'])}{before and f' {unit} ({before})'}"
     was = was if drawn is None else drawing_in_words(drawn, unit=unit)
-    after = f"{in_a_sentence(data['rms_after_mm'])} {unit}"
     # many parameters, held by a prior or not, come as near to the rows they are fitted to as one likes
-    left, others = data.get("cross_validated_mm"), ""
-    if left is not None:
-        others = f"; of postures left out of the fit it is {in_a_sentence(left)} {unit} (noise included)"
-    return f"On its own data the calibration takes the RMS error from {was} to {after}{others}."
+    left = data.get("cross_validated_mm")
+    others = f"; for postures left out of the fit it is {in_a_sentence(left)} {unit} (noise included)"
+    sentence = (
+        f"On its own data the calibration takes the RMS error from {was} to {in_a_sentence(data['rms_after_mm'])}"
+    )
+    return f"{sentence} {unit}{'' if left is None else others}."
 
 
 def hardly_better(offered: Data) -> str:
     """That a model predicts what it has not seen no better than the geometry alone, or only within chance."""
-    sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "no better beyond chance"
+    sure = "no better" if offered["rms_mm"] >= offered["rms_geometry_mm"] else "not significantly better"
     model, geometry = (
         f"{in_a_sentence(offered[f'rms{of}_mm'])} mm RMS (largest {in_a_sentence(offered[f'max{of}_mm'])})"
         for of in ("", "_geometry")
     )
-    placed = ", each with the arm placed anew" if offered["by"] == "holdout" else ""
+    placed = ", each with the place of the arm refitted" if offered["by"] == "holdout" else ""
     seen = f"in rows that no fit has seen{placed}"
     return f"This model predicts {sure} than the geometry alone: {model} against {geometry} {seen}."
 
@@ -183,15 +183,15 @@ def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
 
 
 # -- corrected values --------------------------------------------------------------------------------------------------
-def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str, folded: bool = False) -> Section:
+def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool = False) -> Section:
     """The corrected values to enter in the controller, and what they mean to it: which are added to zeros, which belong
     together, and which the measurements do not determine."""
     listed, lines = [row for row in rows if row.std is not None or row.parameter is None or "." not in row.name], []
     if len(rows) - len(listed) > MOST_HELD:
-        lines.append(f"And {len(rows) - len(listed)} parameters of effects without intervals, which the file has.")
+        lines.append(f"And {len(rows) - len(listed)} parameters of effects without intervals; the file has them.")
         rows = listed
     if any(row.name.startswith("zero of") for row in rows):
-        lines.append("Zeros: add to the zero of the joint (real = reading + this), or take off every command.")
+        lines.append("Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.")
     if any(row.parameter == "base_offset.x0" for row in rows):
         typed = "type them into the controller only if the measurements are in the controller's own frame"
         lines.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
@@ -207,7 +207,7 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], *remarks: str,
             f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "
             "deviation that they had before, and the prior holds them."
         )
-    return Section(title, [corrected_table(rows), *lines, *(remark for remark in remarks if remark)], folded)
+    return Section(title, [corrected_table(rows), *lines], folded)
 
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
@@ -249,9 +249,8 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
 
     written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
     """
-    calibrated = str(written or "calibrated.toml")
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
-    look, *use = calibrated_actions(arm, rows, calibrated)
+    look, *use = calibrated_actions(arm, rows, str(written or "calibrated.toml"))
     if "prior" not in data:
         return [*keep, *([] if diagnosed else [look]), *use]
     offered = data.get("offered", {"better": True})
@@ -259,9 +258,9 @@ def identification_actions(data: Data, arm: str, rows: str, written: Path | None
         unsure = "These rows are too few to say that --library-prior helps. The geometry alone, to compare on others:"
         keep.append(Action(unsure, f"armcal identify {arm} {rows} --{ALONE} --out geometry.toml"))
     elif not offered["better"]:
-        alone = "Leave --library-prior away, since the geometry alone predicts no worse:"
+        alone = "Leave out --library-prior, since the geometry alone predicts no worse:"
         keep, use = [Action(alone, identify_command(arm, rows, ALONE))], [correct("calibrated.toml")]
-    why = "Effects that may be missing are allowed for, and none is named. To know which there are:"
+    why = "Effects that may be missing are allowed for, and none is named. To find out which there are:"
     return [*keep, *use, Action(why, look.command)]
 
 
@@ -285,22 +284,20 @@ def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
 
 
 # -- armcal validate ---------------------------------------------------------------------------------------------------
-def validation_verdict(data: Data, model: str = "the model", rows: str = "", *, seen: bool = False) -> str:
+def validation_verdict(data: Data, model: str = "the model", rows: str = "") -> str:
     """What a calibrated model does to the error on other measurements, compared with the drawing, and whether that is
-    better;  model, rows : names of files;  seen : it was fitted to these rows"""
-    seen = seen or FITTED in data.get("notes", ())
-    which = ", which it was fitted to" if seen and rows else ""
-    rows = rows or ("the model's own measurements" if seen else "other measurements")
-    unit = data.get("reading_unit", "mm")
-    drawing = drawing_in_words(data["rms_nominal_mm"], data["refit"], unit)
-    figures = f"from {drawing} to {in_a_sentence(data['rms_mm'])} {unit}"
-    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} {unit}"
-    gain = 1.0 - data["rms_mm"] / data["rms_nominal_mm"] if data["rms_nominal_mm"] else 0.0
+    better;  model, rows : names of files"""
+    seen, unit, drawn = FITTED in data["notes"], data.get("reading_unit", "mm"), data["rms_nominal_mm"]
+    which = f"{rows}, which it was fitted to," if seen else f"{rows},"
+    which = which if rows else "the model's own measurements," if seen else "other measurements,"
+    figures = f"from {drawing_in_words(drawn, data['refit'], unit)} to {in_a_sentence(data['rms_mm'])} {unit}"
+    gain = 1.0 - data["rms_mm"] / drawn if drawn else 0.0
     share = f"{100.0 * gain:.{1 if gain >= 0.995 else 0}f}" if gain < 0.9995 else "more than 99.9"
-    worth = "no better than the drawing" if gain <= 0.0 else f"{share} % of the error is removed"
-    worth += f", which {BY_CHANCE}" if gain > 0.0 and not is_better(data) else ""
+    chance = "" if is_better(data) else f", which {BY_CHANCE}"
+    worth = f"{share} % of the error is removed{chance}" if gain > 0.0 else "no better than the drawing"
     worth = "this says nothing about others" if seen else worth
-    return f"On {data['rows']} rows of {rows}{which}, {model} takes the RMS error {figures}: {worth}; {most}."
+    most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} {unit}"
+    return f"On {data['rows']} rows of {which} {model} takes the RMS error {figures}: {worth}; {most}."
 
 
 def is_better(data: Data) -> bool:
@@ -316,18 +313,16 @@ def refitted_in_words(data: Data) -> str:
     words = ["joint offsets"] if data["refit"] == "offsets" else []
     words += [f"position{' and rotation' * turned} of the base"] if kinds & {"base", "base_offset"} else []
     words += ["measured points"] if "tool" in kinds else []
-    return ", ".join(
-        [*words, *(f"{kind}s" for kind in sorted(kinds - {"base", "base_offset", "joint_offset", "tool"}))]
-    )
+    return ", ".join(words + [f"{kind}s" for kind in sorted(kinds - {"base", "base_offset", "joint_offset", "tool"})])
 
 
 def validation_sections(data: Data) -> list[Section]:
     """Drawing and model over all rows, and block by block."""
-    keys, refitted = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
-    summary = f"{data['rows']} rows, nothing refitted"
+    keys, sessions = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
+    unit, summary = data.get("reading_unit", "mm"), f"{data['rows']} rows, nothing refitted"
     if what := refitted_in_words(data):
-        sessions = f" in each of {len(refitted)} sessions" if len(refitted) > 1 else ""
-        summary = f"{data['rows']} rows, refitted{sessions}: {what}; everything else as in the file"
+        each = f" in each of {len(sessions)} sessions" if len(sessions) > 1 else ""
+        summary = f"{data['rows']} rows, refitted{each}: {what}; everything else as in the file"
     figures = ("RMS", "mean", "95 %\nbelow", "largest")
     rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
     rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])
@@ -335,10 +330,9 @@ def validation_sections(data: Data) -> list[Section]:
         [b["kind"], b["name"], str(b["rows"]), number(b["rms_nominal_mm"]), *(number(b[f"{key}_mm"]) for key in keys)]
         for b in data["blocks"]
     ]
-    headings = ("block", "which", "rows", "RMS\ndrawing", *figures)
-    unit = data.get("reading_unit", "mm")
+    by_block = Sheet(("block", "which", "rows", "RMS\ndrawing", *figures), blocks)
     shown = [Section(f"Validation, distances in {unit}", [Sheet(("", *figures), rows), summary])]
-    return shown + ([Section(f"Validation, block by block, in {unit}", [Sheet(headings, blocks)])] if blocks else [])
+    return [*shown, *([Section(f"Validation, block by block, in {unit}", [by_block])] if blocks else [])]
 
 
 # -- commands, in a terminal and on a page -----------------------------------------------------------------------------
@@ -347,40 +341,16 @@ def rows_listed(rows: Sequence[int]) -> str:
     return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"
 
 
-def command_rows(targets: Array, commands: Array, miss: Array, digits: int = 3) -> list[list[str]]:
-    """A row of text for each target: its number, (k, d) targets [mm], (k, n) commands [file units], (k,) miss [mm].
-
-    digits : decimals of commands, two more than of targets
-    """
-    return [
-        [
-            str(row),
-            *(f"{value:.{digits - 2}f}" for value in target),
-            *("-" if np.isnan(value) else f"{value:.{digits}f}" for value in command),
-            miss_text(error),
-        ]
-        for row, (target, command, error) in enumerate(zip(targets, commands, miss, strict=True), start=1)
-    ]
-
-
-def miss_text(error: float) -> str:
-    """Distance of the calibrated model's tip from its target [mm], not to be read as the robot's accuracy; a dash for
-    NaN."""
-    return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
-
-
 # -- armcal effects ----------------------------------------------------------------------------------------------------
 def library_document(entries: Sequence[dict[str, Any]]) -> Document:
     """Name, cause and needs of every effect, by kind."""
-    parts: list[Part] = []
-    for kind, title in KINDS_OF_EFFECTS.items():
-        rows = []
-        for e in (e for e in entries if e["kind"] == kind):
-            arms = f" ({e['arms'][0]})" if len(e["arms"]) == 1 else ""
-            rows.append([e["name"] + ":j" * e["place"].startswith("each") + arms, e["summary"], ", ".join(e["needs"])])
-        parts.append(Sheet(("name", "what is wrong", "needs"), rows, title))
+    rows: dict[str, list[list[str]]] = {kind: [] for kind in KINDS_OF_EFFECTS}
+    for e in entries:
+        name = e["name"] + ":j" * e["place"].startswith("each") + f" ({e['arms'][0]})" * (len(e["arms"]) == 1)
+        rows[e["kind"]].append([name, e["summary"], ", ".join(e["needs"])])
+    tables = [Sheet(("name", "what is wrong", "needs"), rows[kind], title) for kind, title in KINDS_OF_EFFECTS.items()]
     advice = "A name with :j belongs to joint j. More about one of them: armcal effects backlash"
-    return Document("Effects", [], [*parts, advice])
+    return Document("Effects", [], [*tables, advice])
 
 
 def entry_document(entry: dict[str, Any]) -> Document:
@@ -393,11 +363,9 @@ def entry_document(entry: dict[str, Any]) -> Document:
         "needs": "; ".join(entry["supply"]) or "nothing besides postures and positions",
         "looks like": entry["alias"],
     }
-    rows = [
-        [p["key"], unit_or_dash(p["unit"]), "-" if p["typical"] is None else f"{p['typical']:.2g}"]
-        for p in entry["parameters"]
-    ]
-    title = "Parameters" if entry["place"] != "one joint or all" else "Parameters (of an arm of three joints)"
+    sizes = ["-" if p["typical"] is None else f"{p['typical']:.2g}" for p in entry["parameters"]]
+    rows = [[p["key"], unit_or_dash(p["unit"]), size] for p, size in zip(entry["parameters"], sizes, strict=True)]
+    title = "Parameters" + " (of an arm of three joints)" * (entry["place"] == "one joint or all")
     settings = Sheet(("key", "allowed"), [*entry["settings"].items()], "Settings: chosen, not estimated")
     intro = "In an arm file, with its parameters left out so that identify estimates them:"
     how = example(entry) if entry["kind"] == "table" else f"{intro}\n\n{example(entry)}\n"

@@ -1,5 +1,5 @@
-"""Residuals as pictures: over the workspace, against each joint with their sign, against time and torque; error curves;
-effects that look alike.
+"""Residuals as pictures: over the workspace, against each joint with their sign, against time and torque; error
+curves.
 
 A joint that turns by e too far moves the tip by e times its lever d tip / d q_j. The error that explains most of a
 row's residual r is e = r . lever / |lever|^2; where the lever is short a row says little, and e is held small.
@@ -25,7 +25,6 @@ from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
 
 if TYPE_CHECKING:
-    from identification.gap.detectability import Detectability
     from identification.gap.result import Diagnosis
 
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
@@ -186,17 +185,4 @@ def panels(
     for axis in axes[len(items) :]:
         axis.set_visible(False)
     axes[0].legend(frameon=False, fontsize=8)
-    return figure
-
-
-def alias_figure(detectability: Detectability) -> Figure:
-    """Heat map: how much of one effect (row) another one (column) explains on this plan, base model projected off."""
-    size = len(detectability.names)
-    figure = Figure(figsize=(3.2 + 0.27 * size, 2.2 + 0.27 * size), layout="constrained")
-    axis = figure.subplots()
-    image = axis.imshow(detectability.likeness, vmin=0.0, vmax=1.0, cmap="magma_r")
-    axis.set_xticks(range(size), detectability.names, rotation=90, fontsize=9)
-    axis.set_yticks(range(size), detectability.names, fontsize=9)
-    axis.set_title("likeness of effects on these postures: 1 = indistinguishable", fontsize=10)
-    figure.colorbar(image, ax=axis, shrink=0.7)
     return figure

@@ -26,7 +26,7 @@ from identification.conditions import Conditions
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain
-from identification.kinematics.parameters import Parameter
+from identification.kinematics.parameters import PRISMATIC, Parameter
 
 SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
 
@@ -105,6 +105,14 @@ class Number(NamedTuple):
     upper: float = inf
 
 
+def at_joint(chain: KinematicChain, joint: int, unit: str, scale: float) -> tuple[str, float]:
+    """Unit and scale of what is added to the position of a joint (from 1), as of one that turns: sliding ones have
+    lengths for angles and forces for torques."""
+    slides = chain.joints[joint - 1].type == PRISMATIC and unit in SLIDING
+    return (SLIDING[unit], scale / float(chain.levers[joint - 1])) if slides else (unit, scale)
+
+
+SLIDING = {"rad": "mm", "rad/(N m)": "mm/N"}
 LEVER, REACH = attrgetter("link_length"), attrgetter("reach")  # scales of numbers
 
 
@@ -190,6 +198,8 @@ class Effect:
 
     def parameter(self, short: str, unit: str, *, scale: float, **more: float | None) -> Parameter:
         """A parameter of this effect under its full name;  scale, more : as of `Parameter`"""
+        if self.joint is not None and hasattr(self, "joint_angles"):
+            unit, scale = at_joint(self.chain, self.joint, unit, scale)
         return Parameter(f"{self.key}.{short}", unit, scale=scale, joint=self.joint, **more)  # type: ignore[arg-type]
 
     @cached_property

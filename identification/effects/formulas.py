@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, add_effect, clock
+from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, add_effect, at_joint, clock
 from identification.effects.chain import Chain
 from identification.instruments import distance_to_center
 from identification.kinematics.frames import rotation_to_z
@@ -55,9 +55,10 @@ of_gravity(
     "joint winds up under gravity torque: q_j + c_j tau_j, c_j >= 0",
     # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
     lambda self: [
-        Number(f"c{'' if self.joint else j}", "rad/(N m)", 1e-5, lever * TORQUE, 0.0)
+        Number(f"c{'' if self.joint else j}", unit, 1e-5, scale, 0.0)
         for j, lever in enumerate(self.chain.levers, start=1)
         if self.joint in (None, j)
+        for unit, scale in [at_joint(self.chain, j, "rad/(N m)", lever * TORQUE)]
     ],
     per_joint="optional",
     joint_angles=lambda self, chain, values: (

@@ -18,21 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array
 from identification.errors import InputError, JobError
 from identification.estimation.doubts import UNUSUAL, doubts, far_rows
-from identification.estimation.problem import (
-    Prior,
-    Problem,
-    check_measurements,
-    contradicted,
-    likeliest,
-    starts,
-)
+from identification.estimation.problem import Prior, Problem, check_measurements, contradicted, likeliest, starts
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
+from identification.levenberg_marquardt import GRADIENT_TOLERANCE, Index, Solution, outcomes
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
@@ -118,11 +111,8 @@ def _with_prior(
 
     # zeros that another reading of the rows has are where the search starts
     x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
-    # two steps before the noise is estimated again, in ten rounds at most: the model is nearly linear, so that the
-    # second round changes little
-    holds = problem.reliance == "given"
-    before, steps, most = np.inf, np.zeros(1, dtype=int), ITERATIONS if holds else 2
-    for turn in range(1 if holds else 11):
+    before, steps = np.inf, np.zeros(1, dtype=int)
+    for _ in range(10):  # the model is nearly linear, so that the second round changes little
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
         wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
@@ -134,13 +124,11 @@ def _with_prior(
             (residual, jacobian), left = about(x[0]), rows @ (center - x[0])
             return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
 
-        solution = posed.minimized(x[None], linearize, most)
-        x, steps = solution.parameters[0], steps + solution.iterations
-        if turn and (most == 0 or abs(noise - before) <= 1e-4 * before):  # far below its own uncertainty
+        solution = posed.minimized(x[None], linearize)
+        x, steps, change, before = solution.parameters[0], steps + solution.iterations, abs(noise - before), noise
+        ends = solution.status[0] is not Status.iteration_limit
+        if problem.reliance == "given" or not ends or change <= 1e-4 * noise:  # far below its own uncertainty
             break
-        # where a search does not end, the noise there and no further steps
-        ends = not turn or solution.status[0] is not Status.iteration_limit
-        before, most = noise, ITERATIONS if ends else 0
     jacobian = about(x)[1]
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, rows)
     solution, determined = replace(solution, iterations=steps), decomposed.determined(jacobian)

@@ -27,15 +27,7 @@ from identification.errors import InputError
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
-from identification.levenberg_marquardt import (
-    ITERATIONS,
-    Index,
-    LeastSquares,
-    Linearize,
-    Solution,
-    compressed,
-    levenberg_marquardt,
-)
+from identification.levenberg_marquardt import Index, LeastSquares, Linearize, Solution, compressed, levenberg_marquardt
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
@@ -79,32 +71,28 @@ class Prior(ByValue):
         machined = {name: size for name, size in machining.items() if name in names}
         return Prior({**machined, **self.deviations}, kept if kept.parameter_names else None)
 
-    def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
-        """(r, p) rows for the Jacobian, one for each parameter that has a prior; its residuals are rows @ (center -
-        values);  noise : standard deviation of the other residuals, 1 where those are divided by sigma"""
-        precisions = noise / parameters.vector(self.deviations, default=np.inf)
-        return np.concatenate([np.diag(precisions)[precisions > 0.0], noise * self._roots(parameters)[1].T])
-
     def factor(self, parameters: ParameterSet) -> Array:
-        """(p, r) F, with the covariance F F^T, zero where there is no prior."""
-        deviations = parameters.vector(self.deviations, default=0.0)
-        return np.concatenate([np.diag(deviations)[:, deviations > 0.0], self._roots(parameters)[0]], axis=1)
-
-    def _roots(self, parameters: ParameterSet) -> Array:
-        """(2, p, k) L with the covariance L L^T of the earlier calibration, and L^-T, at the places of parameters."""
-        if self.earlier is None:
-            return np.zeros((2, len(parameters), 0))
-        here = self.earlier.about(parameters.names)
-        covariance = np.asarray(here.covariance)
+        """(p, r) F, with the covariance F F^T; zero in the rows of parameters without a prior."""
+        independent = np.diag(parameters.vector(self.deviations, default=0.0))
+        earlier = Calibration({}) if self.earlier is None else self.earlier.about(parameters.names)
+        covariance = np.zeros((0, 0)) if self.earlier is None else np.asarray(earlier.covariance)
         sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
         values, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
-        root = np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
-        roots = np.zeros((2, len(parameters), len(sizes)))
-        roots[:, [parameters.index(name) for name in here.parameter_names]] = (
-            sizes[:, None] * vectors * root,
-            vectors / root / sizes[:, None],
+        root = np.zeros((len(parameters), len(sizes)))
+        root[[parameters.index(name) for name in earlier.parameter_names]] = (
+            sizes[:, None] * vectors * np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
         )
-        return roots
+        return np.concatenate([independent[:, independent.any(axis=0)], root], axis=1)
+
+    def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
+        """(r, p) rows for the Jacobian, F^-1, one for each parameter that has a prior; its residuals are rows @ (center
+        - values);  noise : standard deviation of the other residuals, 1 where those are divided by sigma"""
+        factor = self.factor(parameters)
+        held = factor.any(axis=1)
+        sizes = np.linalg.norm(factor[held], axis=1)
+        rows = np.zeros(factor.T.shape)
+        rows[:, held] = noise * np.linalg.inv(factor[held] / sizes[:, None]) / sizes
+        return rows
 
 
 # -- the problem -------------------------------------------------------------------------------------------------------
@@ -277,30 +265,12 @@ class Problem:
         jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
         return jacobian.reshape(-1, jacobian.shape[-1])
 
-    def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
+    def minimized(self, starts: Array, linearize: Linearize | None = None) -> Solution:
         """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
         rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
         parameters, scales = self.model.parameters, self.model.scales
         bounds = parameters.lower, parameters.upper
-        form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
-        return levenberg_marquardt(form, starts)
-
-    def released_drops(self, earlier: Calibration, x: Array) -> dict[str, float]:
-        """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units
-        of the noise, fall where its own prior is released and the others' stay, linear about x (p,).
-
-        Released, a mean of the prior is one more unknown: its column is that of the calibration's rows.
-        """
-        names = [name for name in self.model.names if name in earlier.parameter_names]
-        (residual, jacobian), rows = self.linearized(x), self.prior_rows
-        whole = np.concatenate([jacobian, rows])
-        shifts = np.zeros((len(whole), len(names)))
-        shifts[-len(names) :] = rows[-len(names) :, [self.model.names.index(name) for name in names]]
-        target = np.concatenate([residual, rows @ (self.prior_center - x)])
-        basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
-        left = shifts - basis @ (basis.T @ shifts)
-        squares = np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny)
-        return dict(zip(names, ((left.T @ target) ** 2 / squares / self.noise**2).tolist(), strict=True))
+        return levenberg_marquardt(LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance), starts)
 
 
 # -- noise and sizes ---------------------------------------------------------------------------------------------------
@@ -425,7 +395,7 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
         freedom = np.inf
     if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
         return None
-    drops = replace(problem, noise=noise).released_drops(earlier, x)
+    drops = released_drops(replace(problem, noise=noise), earlier, x)
     name = max(drops, key=drops.__getitem__)
     less = np.array([drops[name], *(drops[name] - drop for drop in drops.values())])
     p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
@@ -439,6 +409,23 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
     before, before_std, value, std = (float(figure * p.to_file) for figure in figures)
     instead = tuple(other for other, least in zip(drops, p_less, strict=True) if least > 0.05 and other != name)
     return Contradiction(name, p.file_unit, before, before_std, value, std, instead)
+
+
+def released_drops(problem: Problem, earlier: Calibration, x: Array) -> dict[str, float]:
+    """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units of
+    the noise, fall where its own prior is released and the others' stay, linear about x (p,).
+
+    Released, a mean of the prior is one more unknown: its column is that of the prior's rows.
+    """
+    names, (residual, jacobian), rows = problem.model.names, problem.linearized(x), problem.prior_rows
+    places = [k for k, name in enumerate(names) if name in earlier.parameter_names]
+    whole = np.concatenate([jacobian, rows])
+    shifts = np.concatenate([np.zeros((len(jacobian), len(places))), rows[:, places]])
+    target = np.concatenate([residual, rows @ (problem.prior_center - x)])
+    basis = np.linalg.qr(whole / np.maximum(np.linalg.norm(whole, axis=0), np.finfo(float).tiny))[0]
+    left = shifts - basis @ (basis.T @ shifts)
+    drops = (left.T @ target) ** 2 / np.maximum(np.sum(left**2, axis=0), np.finfo(float).tiny) / problem.noise**2
+    return {names[k]: drop for k, drop in zip(places, drops.tolist(), strict=True)}
 
 
 # -- where a search starts ---------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -24,6 +25,7 @@ from identification.documents import identification as shown
 from identification.estimation.doubts import hardly_determined, tip_of
 from identification.estimation.problem import Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
+from identification.information import VISIBLE
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
 from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
 from identification.kinematics.frames import pose, pose_table
@@ -111,10 +113,7 @@ class Identification(Documented):
         self.identifiable.setflags(write=False)
 
     # -- parameters and their uncertainty --------------------------------------------------------------------------
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(p) names of the parameters."""
-        return self.model.names
+    names = property(attrgetter("model.names"))  # (p) of the parameters
 
     @property
     def arm(self) -> Arm | None:
@@ -183,26 +182,13 @@ class Identification(Documented):
         """Name -> value of every parameter, the known ones included."""
         return dict(self.model.fixed) | self.model.parameters.mapping(self.parameters)
 
-    @cached_property
-    def length_errors(self) -> Array:
-        """(n,) dl_j [mm]."""
-        return by_joint(self.values, LENGTH_ERROR)
-
-    @cached_property
-    def joint_offsets(self) -> Array:
-        """(n,) dq_j [rad]."""
-        return by_joint(self.values, JOINT_OFFSET)
+    length_errors = property(lambda self: by_joint(self.values, LENGTH_ERROR))  # (n,) dl_j [mm]
+    joint_offsets = property(lambda self: by_joint(self.values, JOINT_OFFSET))  # (n,) dq_j [rad]
 
     # -- quality of the fit ----------------------------------------------------------------------------------------
-    @property
-    def rms_before(self) -> float:
-        """Root mean square over rows of the distance [mm], arm as it was."""
-        return rms_distance(self.residuals_before)
-
-    @property
-    def rms_after(self) -> float:
-        """Root mean square over rows of the distance [mm], arm as identified."""
-        return rms_distance(self.residuals_after)
+    # root mean squares over rows of the distance [mm], arm as it was and as identified
+    rms_before = property(lambda self: rms_distance(self.residuals_before))
+    rms_after = property(lambda self: rms_distance(self.residuals_after))
 
     @property
     def largest(self) -> tuple[float, float]:
@@ -351,12 +337,15 @@ class _Spread(NamedTuple):
         """A value with what is known of it;  slopes : its derivatives by parameters [API unit]; all else in file units,
         of one parameter its name is said."""
         slope = np.array([slopes.get(each, 0.0) for each in self.names])
-        at, deviation, prior = np.flatnonzero(slope), np.nan, None
+        at, deviation, freedom, prior = np.flatnonzero(slope), np.nan, np.inf, None
         slope, before = slope[at], self.before[at]
         undetermined = any(slopes.get(each) for each in self.unknown)
         if self.covariance is not None and at.size and not undetermined:
-            deviation = max(float(slope @ self.covariance[np.ix_(at, at)] @ slope), 0.0) ** 0.5
-        half = float(quantile_95(self.freedom[at].min(initial=np.inf))) * deviation
+            covariance = self.covariance[np.ix_(at, at)]
+            deviation = max(float(slope @ covariance @ slope), 0.0) ** 0.5
+            parts = np.abs(slope) * np.sqrt(np.diag(covariance))
+            freedom = self.freedom[at][parts >= VISIBLE * parts.max()].min()  # less is rounding of differences
+        half = float(quantile_95(freedom)) * deviation
         figures = [np.nan if undetermined else value, deviation, *np.clip([value - half, value + half], *bounds)]
         corrected, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
         if at.size and np.all(np.any(before != 0.0, axis=1)):

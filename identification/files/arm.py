@@ -385,19 +385,22 @@ def _calibration(
             raise InputError(f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
     if table.tools:  # which the file has where they are not known
         chain = _with_tools(chain, table.tools)
+    base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
+    axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
+    # where its base was before the fit says which turn about the normal of a touched plane was not fitted
+    every = {p.file_name: p for p in chain.every_parameter}
+    moved = {every[key].name: value / every[key].to_file for key, value in given.items() if key in every}
+    drawn = standing_in(chain if base is None else replace(chain, base=base), moved, back=True)
+    chain = chain if base is None else replace(chain, base=drawn.base)
+    chain = replace(chain, tools=drawn.tools, tool_axes=drawn.tool_axes) if tools else chain
     parameters = chain.parameters()
     in_api = {p.name: given[p.file_name] / p.to_file for p in _named(parameters, effects, given, "calibration")}
     order = _named(parameters, effects, table.parameters or (), "calibration.parameters")
     covariance, factors = None, np.array([1.0 / p.to_file for p in order])
     if table.covariance is not None:
         covariance = np.array(table.covariance).reshape(len(order), len(order)) * np.outer(factors, factors)
-    base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
-    axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
     names = tuple(p.name for p in order)
-    calibration = Calibration(in_api, names, covariance, MappingProxyType(dict(provenance)), base, tools, axes)
-    drawn = standing_in(chain if base is None else replace(chain, base=base), in_api, back=True)
-    chain = chain if base is None else replace(chain, base=drawn.base)
-    return calibration, replace(chain, tools=drawn.tools, tool_axes=drawn.tool_axes) if tools else chain
+    return Calibration(in_api, names, covariance, MappingProxyType(dict(provenance)), base, tools, axes), chain
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------
@@ -451,7 +454,9 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
     folder : where the files are that the text names
     """
     text, tables, arm, effects = _parsed(text, folder)
-    chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
+    base = arm.chain.base if calibration.base is None else calibration.base
+    chain = replace(arm.chain, base=base, tools=calibration.tools or arm.chain.tools)
+    chain = standing_in(chain, calibration.values, back=True)  # as it was fitted
     values = calibration.values if chain.frame_kinds else calibration.effects
     named, order = (
         _named(chain.parameters(), effects, names, "calibration", in_file=False)

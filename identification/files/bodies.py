@@ -154,8 +154,9 @@ class ShapedBodies(ByValue, Sequence[Body]):
         if missing:
             links = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"
             state = f"meshes of {links} are not found ({next(iter(missing.values()))}): collisions are not looked at"
-            ways = f"{' or '.join(READERS)} files beside the arm file or below, or in a folder of --package-dir"
-            warnings.warn(f"{self.path}: {state}, allowed: {ways}", UserWarning, stacklevel=2)
+            ways = "beside the arm file or below, or in a folder of --package-dir"
+            types = f"{' or '.join(READERS)} files of the same name, "
+            warnings.warn(f"{self.path}: {state}, allowed: {types}{ways}", UserWarning, stacklevel=2)
         if loose:
             drawn = "drawn where joints that are not the arm's stand at zero"
             warnings.warn(f"{self.path}: {', '.join(loose)}: {drawn}", UserWarning, stacklevel=2)
@@ -163,7 +164,7 @@ class ShapedBodies(ByValue, Sequence[Body]):
 
 
 def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
-    """The file that a URDF file names; None: it is not there, in none of the folders, or of another type.
+    """The file that a URDF file names, or one of the same name that can be read; None: in none of the folders.
 
     folders : in which it may be, that of the URDF file first; the package that this is in (`package.xml`) is another
     """
@@ -174,9 +175,10 @@ def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
     inside = [name_beside(name), words[2] if words else None]
     places += [(root, root / each) for each in inside if each is not None for root in roots]
     for root, path in places:
-        within = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root))
-        if within and path.suffix.lower() in READERS and path.is_file():
-            return path
+        readable = path.suffix.lower() in READERS
+        for file in [path] if readable else map(path.with_suffix, READERS):
+            if Path(os.path.realpath(file)).is_relative_to(os.path.realpath(root)) and file.is_file():
+                return file
     return None
 
 

@@ -19,12 +19,12 @@ from identification.arrays import Array
 from identification.errors import InputError, close_names, suggestion
 from identification.files.io import PathLike, decode, read_bytes
 
-SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 # columns that mean something by themselves: none of them is a misspelling of another
-KNOWN = re.compile(
-    r"q\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|order|time_s|temperature_C|payload_kg|posture|session|run|weight"
-    r"|marker|surface|cup|kind|r[xyz]_(deg|rad)|q[wxyz]|commanded\d+_(deg|rad|mm?)"
+MEANINGFUL = re.compile(
+    r"(q|commanded)\d+_(deg|rad|mm?)|direction\d+|(x|y|z|sigma|distance)_mm?|r[xyz]_(deg|rad)|q[wxyz]|order|time_s"
+    r"|temperature_C|payload_kg|posture|session|marker|surface|cup|run|weight|kind"
 )
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 MEASURE, VIA = "measure", "via"  # of the column `kind`: rows to measure, and way-points of the moves between them
 FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal identify`
 
@@ -48,15 +48,29 @@ class Table:
     used: set[str] = field(default_factory=set)
 
     @classmethod
-    def of(cls, path: str, columns: Mapping[str, Sequence[str]], lines: Sequence[int] = (), **others: Any) -> Table:
-        """Of texts; raises `InputError` for columns of different lengths and for no rows."""
+    def of(
+        cls, path: str, columns: Mapping[str, Sequence[str]], vias: bool, lines: Sequence[int] = (), **others: Any
+    ) -> Table:
+        """Of texts: the rows to measure, and way-points if wanted, where a column `kind` says which are.
+
+        Raises `InputError` for columns of different lengths and for no rows.
+        """
         if len(sizes := {len(cells) for cells in columns.values()}) > 1:
             raise InputError(f"{path}: found columns of different lengths, allowed: one length")
         if not sizes or 0 in sizes:
             raise InputError(f"{path}: there are no rows, allowed: at least 1 row")
-        series = [pl.Series(name, cells, pl.String).str.strip_chars() for name, cells in columns.items()]
-        frame = pl.DataFrame(series).with_columns(pl.all().replace("", None))
-        return cls(path, frame, np.array(lines, dtype=np.int64), **others)
+        frame = pl.DataFrame([pl.Series(name, cells, pl.String) for name, cells in columns.items()])
+        frame = frame.with_columns(pl.all().str.strip_chars().replace("", None))
+        table = cls(path, frame, np.array(lines, dtype=np.int64), **others)
+        kind = frame["kind"].fill_null("").to_numpy() if "kind" in table else np.array([""])
+        if (is_via := kind == VIA).any():
+            table.require_good(np.isin(kind, (MEASURE, VIA)), "kind", f"{MEASURE} or {VIA}")
+            if is_via.all():
+                raise InputError(f"{path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
+        if not np.isin(kind, (MEASURE, VIA)).all():  # a column of somebody else
+            return table
+        rows = ~is_via | vias
+        return replace(table, frame=frame.filter(rows), lines=table.lines[rows[: len(lines)]], used={"kind"})
 
     def __len__(self) -> int:
         return self.frame.height
@@ -73,7 +87,7 @@ class Table:
         """Raises `InputError` naming the first of `columns` that is missing, and a column that may be meant."""
         for column in columns:
             if column not in self:
-                close = close_names(column, (name for name in self.columns if not KNOWN.fullmatch(name)))[:1]
+                close = close_names(column, (name for name in self.columns if not MEANINGFUL.fullmatch(name)))[:1]
                 hint = suggestion(close).replace("did you mean", "did you mean to rename")
                 state = f"column {column!r} is missing, found: {', '.join(self.columns)}"
                 raise InputError(f"{self.path}: {state}; {hint}allowed: a column of that name")
@@ -126,30 +140,13 @@ class Table:
 
         hint : what else to say
         """
-        free, unused = [column for column in expected if column not in self], []
+        unused, free = [], [column for column in expected if column not in self]
         for column in (column for column in self.columns if column not in {*self.used, *expected}):
-            near = "" if KNOWN.fullmatch(column) else suggestion(close_names(column, free)).strip()
+            near = "" if MEANINGFUL.fullmatch(column) else suggestion(close_names(column, free)).strip()
             unused.append(f"{column!r} ({near})" if near else f"{column!r}")
         if unused:
-            columns = "column is" if len(unused) == 1 else "columns are"
-            message = "; ".join(filter(None, [f"{columns} not used: {', '.join(unused)}", hint]))
-            warnings.warn(f"{self.path}: {message}", UserWarning, stacklevel=3)
-
-    def measured(self, vias: bool) -> Table:
-        """The rows to measure, and way-points if wanted, where a column `kind` says which are."""
-        if "kind" not in self:
-            return self
-        kinds = self.frame["kind"].fill_null("")
-        measured, via = (kinds == MEASURE).to_numpy(), (kinds == VIA).to_numpy()
-        if via.any():
-            self.require_good(measured | via, "kind", f"{MEASURE} or {VIA}")
-            if not measured.any():
-                raise InputError(f"{self.path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
-        if not (measured | via).all():  # a column of somebody else
-            return self
-        self.used.add("kind")
-        rows = measured | vias
-        return replace(self, frame=self.frame.filter(rows), lines=self.lines[rows] if len(self.lines) else self.lines)
+            what = f"{'column is' if len(unused) == 1 else 'columns are'} not used: {', '.join(unused)}"
+            warnings.warn(f"{self.path}: {what}{hint and f'; {hint}'}", UserWarning, stacklevel=3)
 
 
 def read_table(path: PathLike, *, vias: bool = False) -> Table:
@@ -185,11 +182,8 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
                 raise InputError(f"{path}: line {above}: fit {fit!r}, allowed: {allowed}")
     first = text.partition("\n")[0]
     separator = next((s for s in ("\t", ";") if s in first and "," not in first), ",")
-    reader, lines, rows = (
-        csv.reader(io.StringIO(text), delimiter=separator, strict=True),
-        list[int](),
-        list[list[str]](),
-    )
+    reader = csv.reader(io.StringIO(text), delimiter=separator, strict=True)
+    lines, rows = list[int](), list[list[str]]()
     try:
         for cells in reader:
             if not any(cell.strip() for cell in cells):
@@ -198,30 +192,28 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
             lines.append(above + reader.line_num)
             if len(cells) != len(rows[0]):
                 allowed = f"{len(rows[0])} separated by {SEPARATORS[separator]}, as in the header"
-                found = f"row {len(rows) - 1} (line {lines[-1]}): found {len(cells)} cells"
-                raise InputError(f"{path}: {found}, allowed: {allowed}")
+                row = f"row {len(rows) - 1} (line {lines[-1]})"
+                raise InputError(f"{path}: {row}: found {len(cells)} cells, allowed: {allowed}")
     except csv.Error as error:
+        row = f"row {len(rows)} (from line {lines[-1] + 1 if lines else above + 1})"
         allowed = "cells without quotation marks, or in a pair of them"
-        line = lines[-1] + 1 if lines else above + 1
-        raise InputError(f"{path}: row {len(rows)} (from line {line}): {error}, allowed: {allowed}") from None
+        raise InputError(f"{path}: {row}: {error}, allowed: {allowed}") from None
     if not rows:
         raise InputError(f"{path}: there is no header, allowed: the names of the columns")
-    header = [name.strip() for name in rows[0]]
+    header, columns = [name.strip() for name in rows[0]], dict[str, Sequence[str]]()
+    for k, (name, column) in enumerate(zip(header, zip(*rows[1:], strict=True), strict=False), start=1):
+        if name:
+            columns[name] = column
+        elif any(cell.strip() for cell in column):  # empty ones are what spreadsheets leave behind
+            raise InputError(f"{path}: column {k} has no name in line {lines[0]}, allowed: a name")
     for name in filter(None, header):
         if re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", name):
             raise InputError(f"{path}: line {lines[0]} has the number {name!r}, allowed: the names of the columns")
         if header.count(name) > 1:
             raise InputError(f"{path}: column {name!r} is there {header.count(name)} times, allowed: once")
-    columns = dict[str, Sequence[str]]()
-    for k, (name, column) in enumerate(zip(header, zip(*rows[1:], strict=True), strict=False), start=1):
-        if name and separator == ",":
-            columns[name] = column
-        elif name:  # numbers may have a decimal comma
-            decimal = re.compile(r"\s*[-+]?\d*,\d*([eE][-+]?\d+)?\s*")
-            columns[name] = [cell.replace(",", ".") if decimal.fullmatch(cell) else cell for cell in column]
-        elif any(cell.strip() for cell in column):  # empty ones are what spreadsheets leave behind
-            raise InputError(f"{path}: column {k} has no name in line {lines[0]}, allowed: a name")
-    return Table.of(str(path), columns, lines[1:], sha256=sha256, fit=fit).measured(vias)
+    table = Table.of(str(path), columns, vias, lines[1:], sha256=sha256, fit=fit)
+    decimal = pl.all().str.replace(r"^([-+]?\d*),(\d*([eE][-+]?\d+)?)$", "$1.$2")
+    return table if separator == "," else replace(table, frame=table.frame.with_columns(decimal))
 
 
 def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: bool = False) -> Table:
@@ -236,7 +228,7 @@ def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: b
         cells = frame[column].to_list() if hasattr(frame[column], "to_list") else np.asarray(frame[column]).tolist()
         # numbers by `repr`, which loses no digit
         columns[str(column)] = ["" if text in ("None", "nan", "<NA>") else text for text in map(str, cells)]
-    return Table.of(name, columns, sha256=sha256).measured(vias)
+    return Table.of(name, columns, vias, sha256=sha256)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
+from identification.kinematics.frames import from_angles, from_quaternions, to_angles
 from identification.kinematics.parameters import PRISMATIC
 
 if TYPE_CHECKING:
@@ -36,8 +37,9 @@ LENGTH, ANGLE, PIXEL = "length", "angle", "pixel"
 UNITS = {LENGTH: {"mm": 1.0, "m": 1000.0}, ANGLE: {"deg": float(np.radians(1.0)), "rad": 1.0}, PIXEL: {"px": 1.0}}
 MOST = {LENGTH: LARGEST, ANGLE: float(np.radians(LARGEST_ANGLE)), PIXEL: LARGEST}
 # columns of one number -> field of `Measurements`, of which `VALUES` say what is allowed
-NUMBERS = {"temperature_C": "temperature", "payload_kg": "payload", "posture": "repeats"}
-QUATERNION = ("qw", "qx", "qy", "qz")
+NUMBERS = {"order": "order", "time_s": "order", "temperature_C": "temperature", "payload_kg": "payload"}
+NUMBERS |= {"posture": "repeats"}
+ORIENTATION = re.compile(r"r[xyz]_(deg|rad)|q[wxyz]")
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------
@@ -60,14 +62,23 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
         session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
-    touched = np.zeros((len(table), instrument.dimension))
-    has_sigma = any(f"sigma_{unit}" in table for unit in UNITS[LENGTH])
+    conditions = _conditions(table, types, NUMBERS)
+    order, time, gaps = conditions.pop("order"), conditions.pop("time_s"), np.zeros(len(table), dtype=bool)
+    if order is not None and time is not None:  # time says more, if it says the same
+        by_order, by_time = (np.argsort(each, kind="stable") for each in (order, time))
+        if (differ := by_order != by_time).any():
+            state = "order and time_s put the rows in different orders, allowed: the same order, or one column"
+            raise InputError(f"{table.place(int(by_time[np.argmax(differ)]), 'time_s')}: {state}")
+    if order is not None and np.all(order == np.round(order)):
+        for rows in [slice(None)] if session is None else [session == name for name in np.unique(session)]:
+            gaps[rows] = gaps_of(order[rows])
     fields: dict[str, Any] = {
         "postures": postures,
-        "positions": np.column_stack(read) if read else touched,
-        **_order_fields(table, session),
-        **_conditions(table, types, NUMBERS),
-        "sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if has_sigma else None,
+        "positions": np.column_stack(read) if read else np.zeros((len(table), instrument.dimension)),
+        "order": order if time is None else time,
+        "gaps": gaps if gaps.any() else None,
+        **conditions,
+        "sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if _units_of(table, "sigma", LENGTH) else None,
         "session": session,
         "marker": marker,
         "orientations": read_orientations(table) if poses else None,
@@ -78,12 +89,11 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
-    elif in_space and instrument.reads_positions and not poses and orientation_columns(table):
+    elif in_space and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.columns)):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    named = [instrument.target] if instrument.target else []
-    named += ["marker"] if in_space and not instrument.own_targets else []
+    labels = ["session", instrument.target, "marker" if in_space and not instrument.own_targets else ""]
     directions = (f"direction{j + 1}" for j in range(postures.shape[1]))
-    table.warn_unused(["run", "sigma_mm", "order", "time_s", *NUMBERS, "session", *directions, *named], hint)
+    table.warn_unused(["run", "sigma_mm", *NUMBERS, *directions, *filter(None, labels)], hint)
     if instrument.contact and "run" in table and "order" not in table:
         planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
@@ -136,13 +146,12 @@ def measurement_columns(
         counted = np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0)
         columns["order" if counted else "time_s"] = order
         columns |= {"order": counts} if gaps.any() and not counted else {}
-    optional = {name: getattr(measurements, key) for name, key in NUMBERS.items()}
-    posture_numbers, directions = optional.pop("posture"), measurements.directions
-    if directions is not None:
+    optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
+    if (directions := measurements.directions) is not None:
         counting = counting_in(joint_types)
         signs = directions if counting is None else counting.signs_of_columns(directions)
         optional |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
-    optional |= {"posture": posture_numbers, marker: target, "sigma_mm": measurements.sigma}
+    optional |= {"posture": measurements.repeats, marker: target, "sigma_mm": measurements.sigma}
     if marker != session or target is None:
         optional[session] = measurements.session
     return columns | {name: values for name, values in optional.items() if values is not None}
@@ -154,31 +163,33 @@ def column_of(name: str, quantity: str) -> str:
     return f"{name}_{next(iter(UNITS[quantity]))}"
 
 
+def _units_of(table: Table, name: str, quantity: str) -> list[str]:
+    """The units in which a table has a column."""
+    return [unit for unit in UNITS[quantity] if f"{name}_{unit}" in table]
+
+
 def read_column(table: Table, name: str, quantity: str, bounds: tuple[float, float] | None = None) -> Array:
     """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its quantity.
 
     bounds : smallest and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`
     """
-    columns = {f"{name}_{unit}": (unit, factor) for unit, factor in UNITS[quantity].items()}
-    present = [column for column in columns if column in table] or [column_of(name, quantity)]
-    if len(present) > 1:
-        raise InputError(f"{table.path}: found both {' and '.join(columns)}, allowed: one of them")
-    unit, factor = columns[present[0]]
+    unit, *others = _units_of(table, name, quantity) or UNITS[quantity]
+    if others and f"{name}_{unit}" in table:
+        both = " and ".join(f"{name}_{each}" for each in UNITS[quantity])
+        raise InputError(f"{table.path}: found both {both}, allowed: one of them")
+    factor = UNITS[quantity][unit]
     low, high = bounds or (-MOST[quantity], MOST[quantity])
     allowed = f"a finite {quantity}, up to {high / factor:g}"
     if bounds is not None:
         allowed = f"a number > 0 [{unit}], {low / factor:g} to {high / factor:g}"
-    return table.floats(present[0], allowed, lambda v: (v * factor >= low) & (v * factor <= high)) * factor
+    return table.floats(f"{name}_{unit}", allowed, lambda v: (v * factor >= low) & (v * factor <= high)) * factor
 
 
 def _joint_columns(table: Table, types: JointTypes, name: str = "q") -> dict[int, str]:
     """Joint, from 1 -> a column of its positions that a table has."""
-    columns = {}
-    for column in table.columns:
-        words = re.fullmatch(rf"{name}([1-9]\d*)_(\w+)", column)
-        if words and words[2] in UNITS[_quantity(types, int(words[1]))]:
-            columns[int(words[1])] = column
-    return columns
+    every = ((re.fullmatch(rf"{name}([1-9]\d*)_(\w+)", column), column) for column in table.columns)
+    joints = ((int(words[1]), words[2], column) for words, column in every if words)
+    return {joint: column for joint, unit, column in joints if unit in UNITS[_quantity(types, joint)]}
 
 
 def _quantity(types: JointTypes, joint: int) -> str:
@@ -204,26 +215,21 @@ def read_postures(table: Table, types: JointTypes = None, name: str = "q") -> Ar
     return in_joints(np.column_stack(read), types)
 
 
-def orientation_columns(table: Table) -> list[str]:
-    """The columns of an orientation that a table has."""
-    return [column for column in table.columns if re.fullmatch(r"r[xyz]_(deg|rad)|q[wxyz]", column)]
-
-
 def read_orientations(table: Table) -> Array | None:
     """(m, 3, 3) axes of the measured frame, from `rx_deg, ry_deg, rz_deg` (about own axes, x, then y, then z; or in
     `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
-    if not (columns := orientation_columns(table)):
-        return None
-    from identification.kinematics.frames import from_angles, from_quaternions  # CasADi, which few files need
-
-    if len({column[0] + column[2:] if column[0] == "r" else "q" for column in columns}) > 1:
+    columns = [*filter(ORIENTATION.fullmatch, table.columns)]
+    kinds = {column[2:] for column in columns}  # `_deg`, or nothing of a quaternion
+    if len(kinds) > 1:
         state = f"found {', '.join(columns)}"
         raise InputError(f"{table.path}: {state}, allowed: three angles of one unit, or a quaternion")
-    if columns[0].startswith("r"):
-        table.require(f"r{axis}_{columns[0].partition('_')[2]}" for axis in "xyz")
+    if not columns:
+        return None
+    if unit := kinds.pop():
+        table.require(f"r{axis}{unit}" for axis in "xyz")
         return from_angles(np.column_stack([read_column(table, f"r{axis}", ANGLE) for axis in "xyz"]))
-    table.require(QUATERNION)
-    quaternions = np.column_stack([table.floats(name) for name in QUATERNION])
+    table.require(names := ("qw", "qx", "qy", "qz"))
+    quaternions = np.column_stack([table.floats(name) for name in names])
     lengths = np.linalg.norm(quaternions, axis=1)
     if (bad := np.abs(lengths - 1.0) > 0.01).any():  # files have few digits
         row = int(np.argmax(bad))
@@ -233,43 +239,22 @@ def read_orientations(table: Table) -> Array | None:
 
 
 def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]) -> dict[str, Any]:
-    """Those of the `NUMBERS` columns, (m,), and `directions` (m, n) of the joints: +1 or -1, NaN where the cell is
-    empty or coupled joints leave it open; None where the table has none."""
-    fields: dict[str, Any] = {}
+    """Those of the `NUMBERS` columns, (m,), by their fields, and `directions` (m, n) of the joints: +1 or -1, NaN where
+    the cell is empty or coupled joints leave it open; None where the table has none."""
+    fields: dict[str, Any] = {"directions": None}
     for column in numbers:
-        _, allowed, test = VALUES[NUMBERS[column]]
-        fields[NUMBERS[column]] = table.floats(column, allowed, test) if column in table else None
+        name = "time_s" if column == "time_s" else NUMBERS[column]
+        fields[name] = table.floats(column, *VALUES[NUMBERS[column]][1:]) if column in table else None
     n, counting = types if isinstance(types, int) else len(types), counting_in(types)
-    present = [column for column in table.columns if re.fullmatch(r"direction[1-9]\d*", column)]
     wanted = [f"direction{j}" for j in range(1, n + 1)]
-    if not present:
-        return {**fields, "directions": None}
-    table.require(wanted)
-    for column in set(present).difference(wanted):
-        state = f"found column {column}, but there are {n} joints"
-        raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
-    signs = np.column_stack([table.floats(column, *VALUES["directions"][1:], empty=np.nan) for column in wanted])
-    return {**fields, "directions": signs if counting is None else counting.signs_of_columns(signs, back=True)}
-
-
-def _order_fields(table: Table, session: NDArray[np.str_] | None) -> dict[str, Any]:
-    """`order` (m,), of which `time_s` says more if it says the same, and `gaps` (m,), True where whole numbers of the
-    column `order` are left out, in each session; None where nothing is, or nothing counts."""
-    order, time = (table.floats(column) if column in table else None for column in ("order", "time_s"))
-    if order is None:
-        return {"order": time, "gaps": None}
-    if time is not None:
-        by_order, by_time = np.argsort(order, kind="stable"), np.argsort(time, kind="stable")
-        if not np.array_equal(by_order, by_time):
-            place = table.place(int(by_time[np.argmax(by_order != by_time)]), "time_s")
-            state = "order and time_s put the rows in different orders"
-            raise InputError(f"{place}: {state}, allowed: the same order, or one column")
-    gaps = np.zeros(len(order), dtype=bool)
-    if np.all(order == np.round(order)):
-        for name in np.unique(session) if session is not None else [None]:
-            rows = np.ones(len(order), dtype=bool) if session is None else session == name
-            gaps[rows] = gaps_of(order[rows])
-    return {"order": order if time is None else time, "gaps": gaps if gaps.any() else None}
+    if present := [column for column in table.columns if re.fullmatch(r"direction[1-9]\d*", column)]:
+        table.require(wanted)
+        for column in set(present).difference(wanted):
+            state = f"found column {column}, but there are {n} joints"
+            raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
+        signs = np.column_stack([table.floats(column, *VALUES["directions"][1:], empty=np.nan) for column in wanted])
+        fields["directions"] = signs if counting is None else counting.signs_of_columns(signs, back=True)
+    return fields
 
 
 # -- writing columns ---------------------------------------------------------------------------------------------------
@@ -290,8 +275,6 @@ def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") 
 
 def angle_columns(orientations: Array) -> Columns:
     """Columns `rx_deg, ry_deg, rz_deg` of orientations (m, 3, 3)."""
-    from identification.kinematics.frames import to_angles
-
     angles = np.round(np.degrees(to_angles(orientations)), 12) + 0.0
     return {f"r{axis}_deg": column for axis, column in zip("xyz", angles.T, strict=True)}
 

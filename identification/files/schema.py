@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -195,7 +196,7 @@ def _table_of_kinds(title: str, place: str, /, **keys: Any) -> Any:
 
 
 def _covariance(table: Any) -> Any:
-    """A row and a column for each parameter."""
+    """A row and a column for each parameter, symmetric and without negative eigenvalues, to six digits."""
     if table.covariance is None:
         return table
     if (names := table.parameters) is None:
@@ -203,6 +204,15 @@ def _covariance(table: Any) -> Any:
     for count, what in ((len(table.covariance), "rows"), *((len(row), "values in a row") for row in table.covariance)):
         if count != len(names):
             _refuse("covariance", f"found {count} {what} for {len(names)} parameters, allowed: {len(names)}")
+    covariance = np.array(table.covariance).reshape(len(names), len(names))
+    scales = np.sqrt(np.abs(np.diagonal(covariance)))  # so that no unit counts
+    unit = covariance / np.outer(*[np.where(scales > 0.0, scales, 1.0)] * 2)
+    for row, column in np.argwhere(np.abs(unit - unit.T) > 1e-6)[:1]:
+        pair = f"{covariance[row, column]:g} in row {row + 1}, column {column + 1}, {covariance[column, row]:g} across"
+        _refuse("covariance", f"found {pair}, allowed: a symmetric matrix")
+    if (lowest := np.linalg.eigvalsh(unit).min(initial=0.0)) < -1e-6:
+        state = f"found an eigenvalue of {lowest:.2g} with variances scaled to 1"
+        _refuse("covariance", f"{state}, allowed: a covariance, which has none below 0")
     return table
 
 

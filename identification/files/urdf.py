@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -34,35 +35,138 @@ SIZES = {  # of a `<collision>` -> how many numbers each has
 BASE_LINK, TIP = "base_link", "tip"  # of files written here
 
 
+class UrdfJoint(NamedTuple):
+    """A `<joint>` and what it connects."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    element: ElementTree.Element
+
+
 @dataclass(frozen=True)
 class Urdf:
     """A file that was read: its joints by the name of the link that they carry."""
 
     path: str
     text: str
-    by_child: Mapping[str, ElementTree.Element]
-    links: tuple[str, ...]
     robot: ElementTree.Element
+    links: Mapping[str, ElementTree.Element]
+    by_child: Mapping[str, UrdfJoint]
 
     @property
     def root(self) -> str:
         """The link that is no joint's child; the first of several."""
-        return next((link for link in self.links if link not in self.by_child), self.links[0])
+        return next((link for link in self.links if link not in self.by_child), next(iter(self.links)))
 
     @property
     def ends(self) -> tuple[str, ...]:
         """The links that carry no joint, in the order of the file."""
-        parents = {self.link(joint, "parent") for joint in self.by_child.values()}
+        parents = {joint.parent for joint in self.by_child.values()}
         return tuple(link for link in self.links if link not in parents)
+
+    # -- chains ----------------------------------------------------------------------------------------------------
+    def joints(self, base: str, tip: str) -> list[UrdfJoint]:
+        """Those from a base link to a tip link. Raises `InputError` where there is no such way."""
+        for link in (base, tip):
+            if link not in self.links:
+                raise InputError.unknown(f"{self.path}: there is no link", link, self.links)
+        joints, link = list[UrdfJoint](), tip
+        while link != base:
+            if link not in self.by_child or len(joints) > len(self.by_child):
+                raise InputError(f"{self.path}: link {tip!r} is not below {base!r}, allowed: a tip below the base")
+            joints.append(self.by_child[link])
+            link = joints[-1].parent
+        return joints[::-1]
+
+    def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> KinematicChain:
+        """The chain of moving joints; fixed joints between them belong to the next one's origin.
+
+        limited : types of joints whose limits are given elsewhere, and may be missing here
+        """
+        joints, before = list[Joint](), np.eye(4)
+        for joint in self.joints(base, tip):
+            before = before @ self.origin(joint.element)
+            if joint.type != FIXED:
+                joints.append(self._moving(joint, before, limited))
+                before = np.eye(4)
+        if not joints:
+            raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
+        return KinematicChain(tuple(joints), before)
+
+    def _moving(self, joint: UrdfJoint, origin: Array, limited: Collection[str]) -> Joint:
+        name, kind, limit = joint.name, joint.type, joint.element.find("limit")
+        axis = self._numbers(joint.element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
+        bounded = limit is not None and None not in (limit.get("lower"), limit.get("upper"))
+        free = kind == "continuous" or MOVING.get(kind) in limited
+        for wrong, sentence in (
+            (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
+            (joint.element.find("mimic") is not None, " of the chain mimics another, allowed: joints of their own"),
+            (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
+            (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
+        ):
+            if wrong:
+                raise InputError(f"{self.path}: joint {name!r}{sentence}")
+        lower, upper = -np.pi, np.pi
+        if not free:
+            ends = (self._numbers(limit, f"joint {name!r}: limit", end, None, 1) for end in ("lower", "upper"))
+            lower, upper = np.concatenate([*ends]) * (METER if kind == "prismatic" else 1.0)
+            if lower >= upper:
+                raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
+        return Joint(name, origin, axis, MOVING[kind], float(lower), float(upper))
+
+    def with_origins(self, base: str, tip: str, origins: Sequence[Array]) -> str:
+        """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its
+        own; comments stay.
+
+        origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
+        """
+        above = re.match(r"(\s*(<\?.*?\?>|<!--.*?-->))*\s*", self.text, re.DOTALL)
+        parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+        robot = ElementTree.fromstring(self.text.lstrip(), parser)
+        elements = {element.get("name"): element for element in robot.findall("joint")}
+        remaining, fixed = list(origins), np.eye(4)
+        for joint in self.joints(base, tip):
+            if joint.type == FIXED:
+                fixed = fixed @ self.origin(joint.element)
+                continue
+            element = elements[joint.name]
+            origin = element.find("origin")
+            place = _origin(np.linalg.inv(fixed) @ remaining.pop(0), self.angles(element))
+            (ElementTree.SubElement(element, "origin") if origin is None else origin).attrib.update(place)
+            fixed = np.eye(4)
+        return (above[0] if above else "") + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+    # -- links -----------------------------------------------------------------------------------------------------
+    def links_on(self, base: str, tip: str) -> dict[str, tuple[int, Array, bool]]:
+        """Link -> number of the joint of a chain that it moves with, 0: none; its pose (4, 4) [mm] in the frame of that
+        joint after it moved, of joint 0 in that of the base; whether a joint that is not of the chain lies between,
+        which then stands at zero."""
+        places, number, before = {base: (0, np.eye(4), False)}, 0, np.eye(4)
+        for joint in self.joints(base, tip):
+            before = before @ self.origin(joint.element)
+            if joint.type != FIXED:
+                number, before = number + 1, np.eye(4)
+            places[joint.child] = number, before, False
+        for link in (reached := list(places)):  # which grows: down to the ends, and up from the base to the root
+            number, place, aside = places[link]
+            for joint in self.by_child.values():
+                for near, far in ((joint.parent, joint.child), (joint.child, joint.parent)):
+                    if near == link and far not in places:
+                        down = self.origin(joint.element)
+                        step = down if far == joint.child else np.linalg.inv(down)
+                        places[far] = number, place @ step, aside or joint.type != FIXED
+                        reached.append(far)
+        return places
 
     def masses(self, base: str, tip: str) -> tuple[Array, Array]:
         """(n,) [kg] of all links that move with a joint of a chain and not with the next, zero where the file gives
         none; (n,) how far along the line to the next joint, the last to the tip, their center of mass is, 0 to 1."""
         steps = np.array([step[:3, 3] for step in self.chain(base, tip).link_poses[1:]])
-        masses, moments, places = np.zeros(len(steps)), np.zeros(len(steps)), self.links_on(base, tip)
-        for link in self.robot.findall("link"):
-            name, inertial = str(link.get("name")), link.find("inertial")
-            number, place, _ = places.get(name, (0, np.eye(4), False))
+        masses, moments = np.zeros((2, len(steps)))
+        for name, (number, place, _) in self.links_on(base, tip).items():
+            inertial = self.links[name].find("inertial")
             if number and inertial is not None and (element := inertial.find("mass")) is not None:
                 mass, step = self._numbers(element, "mass", "value", None, 1).item(), steps[number - 1]
                 center = (place @ self.origin(inertial, f"link {name!r}: inertial"))[:3, 3]
@@ -71,40 +175,18 @@ class Urdf:
         whole = masses * np.sum(steps**2, axis=1)
         return masses, np.clip(np.divide(moments, whole, out=np.full(len(steps), 0.5), where=whole > 0.0), 0.0, 1.0)
 
-    def links_on(self, base: str, tip: str) -> dict[str, tuple[int, Array, bool]]:
-        """Link -> number of the joint of a chain that it moves with, 0: none; its pose (4, 4) [mm] in the frame of that
-        joint after it moved, of joint 0 in that of the base; whether a joint that is not of the chain lies between,
-        which then stands at zero."""
-        places, number, before = {base: (0, np.eye(4), False)}, 0, np.eye(4)
-        for element in self.elements(base, tip):
-            before = before @ self.origin(element)
-            if element.get("type") != FIXED:
-                number, before = number + 1, np.eye(4)
-            places[self.link(element, "child")] = number, before, False
-        for link in (reached := list(places)):  # which grows: down to the ends, and up from the base to the root
-            number, place, aside = places[link]
-            for child, element in self.by_child.items():
-                parent, loose = self.link(element, "parent"), aside or element.get("type") != FIXED
-                if parent == link and child not in places:
-                    places[child] = number, place @ self.origin(element), loose
-                    reached.append(child)
-                elif child == link and parent not in places:
-                    places[parent] = number, place @ np.linalg.inv(self.origin(element)), loose
-                    reached.append(parent)
-        return places
-
     def neighbours(self) -> frozenset[frozenset[str]]:
         """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of links without
         bodies."""
-        solid = {str(link.get("name")) for link in self.robot.findall("link") if link.find("collision") is not None}
+        solid = {name for name, link in self.links.items() if link.find("collision") is not None}
         pairs = set[frozenset[str]]()
         for link in solid & self.by_child.keys():
             above, moving = link, 0
             for _ in self.by_child:  # not forever in a circle
                 if above not in self.by_child or (above != link and above in solid):
                     break
-                moving += self.by_child[above].get("type") != FIXED
-                above = self.link(self.by_child[above], "parent")
+                moving += self.by_child[above].type != FIXED
+                above = self.by_child[above].parent
             if moving <= 1 and above in solid - {link}:
                 pairs.add(frozenset((link, above)))
         return frozenset(pairs)
@@ -113,8 +195,7 @@ class Urdf:
         """Of the `<collision>` elements of a link: the kind (`box`, `sphere`, `cylinder`, `capsule`, `mesh`), its
         sizes [mm] by their names (of a mesh its `scale`), the name of its file, its pose (4, 4) [mm] in the link."""
         solids: list[tuple[str, Mapping[str, Array], str, Array]] = []
-        of_link = (each for each in self.robot.findall("link") if each.get("name") == link)
-        for element in next(of_link).findall("collision"):
+        for element in self.links[link].findall("collision"):
             where = f"link {link!r}: collision"
             shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
             if len(shapes) != 1 or shapes[0].tag not in SIZES:
@@ -131,82 +212,7 @@ class Urdf:
             solids.append((shape.tag, sizes, shape.get("filename", ""), self.origin(element, where)))
         return solids
 
-    def elements(self, base: str, tip: str) -> list[ElementTree.Element]:
-        """The joints from a base link to a tip link. Raises `InputError` where there is no such way."""
-        for link in (base, tip):
-            if link not in self.links:
-                raise InputError.unknown(f"{self.path}: there is no link", link, self.links)
-        joints: list[ElementTree.Element] = []
-        link = tip
-        while link != base:
-            if link not in self.by_child or len(joints) > len(self.by_child):
-                raise InputError(f"{self.path}: link {tip!r} is not below {base!r}, allowed: a tip below the base")
-            joints.append(self.by_child[link])
-            link = self.link(joints[-1], "parent")
-        return joints[::-1]
-
-    def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> KinematicChain:
-        """The chain of moving joints; fixed joints between them belong to the next one's origin.
-
-        limited : types of joints whose limits are given elsewhere, and may be missing here
-        """
-        joints: list[Joint] = []
-        before = np.eye(4)
-        for element in self.elements(base, tip):
-            before = before @ self.origin(element)
-            if element.get("type") == FIXED:
-                continue
-            joints.append(self._joint(element, before, limited))
-            before = np.eye(4)
-        if not joints:
-            raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
-        return KinematicChain(tuple(joints), before)
-
-    def with_origins(self, base: str, tip: str, origins: Sequence[Array]) -> str:
-        """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its
-        own; comments stay.
-
-        origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
-        """
-        above = re.match(r"(\s*(<\?.*?\?>|<!--.*?-->))*\s*", self.text, re.DOTALL)
-        parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-        robot = ElementTree.fromstring(self.text.lstrip(), parser)
-        joints = {joint.get("name"): joint for joint in robot.findall("joint")}
-        remaining, fixed = list(origins), np.eye(4)
-        for element in self.elements(base, tip):
-            if element.get("type") == FIXED:
-                fixed = fixed @ self.origin(element)
-                continue
-            joint = joints[element.get("name")]
-            origin = joint.find("origin")
-            place = _origin(np.linalg.inv(fixed) @ remaining.pop(0), self.angles(element))
-            (ElementTree.SubElement(joint, "origin") if origin is None else origin).attrib.update(place)
-            fixed = np.eye(4)
-        return (above[0] if above else "") + ElementTree.tostring(robot, encoding="unicode") + "\n"
-
-    def _joint(self, element: ElementTree.Element, origin: Array, limited: Collection[str]) -> Joint:
-        name, kind = str(element.get("name")), str(element.get("type"))
-        axis = self._numbers(element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
-        limit = element.find("limit")
-        bounded = limit is not None and None not in (limit.get("lower"), limit.get("upper"))
-        free = kind == "continuous" or MOVING.get(kind) in limited
-        for wrong, sentence in (
-            (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
-            (element.find("mimic") is not None, " of the chain mimics another, allowed: joints of their own"),
-            (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
-            (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
-        ):
-            if wrong:
-                raise InputError(f"{self.path}: joint {name!r}{sentence}")
-        if free:
-            return Joint(name, origin, axis, MOVING[kind], -np.pi, np.pi)
-        where = f"joint {name!r}: limit"
-        lower, upper = (self._numbers(limit, where, end, None, 1).item() for end in ("lower", "upper"))
-        if lower >= upper:
-            raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
-        unit = METER if kind == "prismatic" else 1.0
-        return Joint(name, origin, axis, MOVING[kind], lower * unit, upper * unit)
-
+    # -- attributes ------------------------------------------------------------------------------------------------
     def origin(self, element: ElementTree.Element, where: str = "") -> Array:
         """(4, 4) [mm] of a joint, or of another element;  where : its name in messages"""
         here = f"{where or 'joint ' + repr(element.get('name')) + ':'} origin"
@@ -233,13 +239,6 @@ class Urdf:
             raise InputError(f"{self.path}: {where} {key} has {text!r}, allowed: {allowed}")
         return values
 
-    def link(self, joint: ElementTree.Element, tag: str) -> str:
-        """The `parent` or `child` link of a joint."""
-        part = joint.find(tag)
-        if part is None or part.get("link") is None:
-            raise InputError(f"{self.path}: joint {joint.get('name')!r} has no {tag} link, allowed: one")
-        return str(part.get("link"))
-
 
 def read_urdf(path: PathLike) -> Urdf:
     """Reads a URDF file.
@@ -258,21 +257,24 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
     root = xml_root(text, path, "a URDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
-    links = tuple(str(link.get("name")) for link in root.findall("link"))
-    if not links:
+    named = {what: [(str(each.get("name")), each) for each in root.findall(what)] for what in ("joint", "link")}
+    if not named["link"]:
         raise InputError(f"{path}: there is no <link>, allowed: at least 1")
-    by_child: dict[str, ElementTree.Element] = {}
-    urdf = Urdf(str(path), text, by_child, links, root)
-    for joint in root.findall("joint"):
-        child = urdf.link(joint, "child")
-        if child in by_child:
-            raise InputError(f"{path}: link {child!r} hangs on two joints, allowed: one")
-        by_child[child] = joint
-    for what, names in (("joint", [str(joint.get("name")) for joint in by_child.values()]), ("link", links)):
-        for name, times in Counter(names).items():
+    by_child = dict[str, UrdfJoint]()
+    for name, element in named["joint"]:
+        parts = {tag: element.find(tag) for tag in ("parent", "child")}
+        ends = {tag: None if part is None else part.get("link") for tag, part in parts.items()}
+        for tag in (tag for tag in ("child", "parent") if ends[tag] is None):
+            raise InputError(f"{path}: joint {name!r} has no {tag} link, allowed: one")
+        joint = UrdfJoint(name, str(element.get("type")), str(ends["parent"]), str(ends["child"]), element)
+        if joint.child in by_child:
+            raise InputError(f"{path}: link {joint.child!r} hangs on two joints, allowed: one")
+        by_child[joint.child] = joint
+    for what, each in named.items():
+        for name, times in Counter(name for name, _ in each).items():
             if times > 1:
                 raise InputError(f"{path}: {what} {name!r} is there {times} times, allowed: once")
-    return urdf
+    return Urdf(str(path), text, root, dict(named["link"]), by_child)
 
 
 def xml_root(text: str, path: PathLike, what: str) -> ElementTree.Element:

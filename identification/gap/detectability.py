@@ -94,16 +94,20 @@ class Detectability(Documented):
 
 
 @single_thread()  # the same bits, whatever the number of threads
-def detectability(arm: Arm, postures: Array, conditions: Conditions | None = None) -> Detectability:
+def detectability(
+    arm: Arm, postures: Array, conditions: Conditions | None = None, runs: Array | None = None
+) -> Detectability:
     """Which effects measurements at (m, n) postures [rad] could detect, and at which size: with the noise of the arm's
     data sheet, else per millimetre of noise.
 
     conditions : of the rows; thermal effects are included only if it has temperatures
+    runs : (m,) > 0, how many each row stands for, None: one
 
     Raises `InputError` with fewer than 4 residual degrees of freedom.
     """
-    model = Model(arm)
-    rows = Rows.of(Measurements(np.atleast_2d(postures), np.zeros((len(np.atleast_2d(postures)), model.dimension))))
+    model, sigma = Model(arm), arm.sigma or 1.0
+    postures, deviations = np.atleast_2d(postures), None if runs is None else sigma / np.sqrt(runs)
+    rows = Rows.of(Measurements(postures, np.zeros((len(postures), model.dimension)), sigma=deviations))
     given = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
     filled = replace(rows.conditions, **given)
     rows = replace(rows, positions=model.position(rows.postures, None, filled), conditions=filled)
@@ -111,7 +115,7 @@ def detectability(arm: Arm, postures: Array, conditions: Conditions | None = Non
     exact = fit(library.base, rows, {})
     require_spare(exact.freedom, len(rows))
     problem = linearized(library, exact, outside=False)
-    return assess(library, problem, problem.products, rows, arm.sigma or 1.0)
+    return assess(library, problem, problem.products, rows, rows.sigma or sigma)
 
 
 def require_spare(freedom: int, rows: int) -> None:

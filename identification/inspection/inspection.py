@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array
+from identification.arrays import Array, rows_in_words
 from identification.document import Document, Documented, Sheet, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
@@ -23,7 +23,7 @@ from identification.estimation import Identification, doubts, estimate
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import DRAWN, Reading, Readings, data_warnings, gap_notes, read_differently
 from identification.kinematics.chain import BASE
-from identification.kinematics.counting import in_columns
+from identification.kinematics.counting import TURN, in_columns
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, rms_distance
@@ -51,15 +51,8 @@ class Inspection(Documented):
     few: bool
     parts: Sequence[Any]
 
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """What should be put right before anything is fitted, in sentences."""
-        return tuple(self.data["problems"])
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What these data cannot say, in sentences."""
-        return tuple(self.data["notes"])
+    problems = property(lambda self: tuple(self.data["problems"]))  # to be put right before anything is fitted
+    notes = property(lambda self: tuple(self.data["notes"]))  # what these data cannot say
 
     def to_json(self) -> dict[str, Any]:
         """`data`."""
@@ -106,14 +99,10 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         drawing = rms_distance(drawing_residuals(arm, measurements))
     except InputError:  # too few rows for least squares
         drawing = readings.written.rms
-    joints, ranges, still = _ranges(arm, measurements.postures)
+    joints, ranges, notes = _ranges(arm, measurements.postures)
     problems = units or _problems(arm, measurements, readings, drawing, fit)
     problems += doubts.copied_rows(measurements) + ([] if units else doubts.outside_limits(arm, measurements))
-    # what the data cannot say
-    notes = []
-    if still and not units:
-        hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
-        notes.append(f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen")
+    notes = [] if units else notes  # what the data cannot say
     if fit is not None and not problems:  # a fit leaves more than noise, by chi2 or by repeats
         looks = fit.misfit and f"{fit.misfit.partition('. ')[0]}; armcal diagnose looks for what is missing"
         notes += [looks] if looks else [doubt for doubt in fit.doubts if doubt.startswith(MISFIT)]
@@ -210,27 +199,39 @@ def _problems(
     return [sentence for sentence in doubts.hardly_determined(fit) if sentence.startswith(doubts.FEW)]
 
 
-def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[int]]:
-    """Of each joint the entry of `joints` (as the controller counts), its row of the table, and which hardly move."""
-    outside = doubts.beyond_limits(arm, postures).sum(axis=0).tolist()
+def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[str]]:
+    """Of each joint the entry of `joints` (as the controller counts), and its row of the table; and notes of joints
+    that hardly move, and of few readings within the limits that are whole turns away from all others."""
+    beyond, entries, rows, still, notes = doubts.beyond_limits(arm, postures), [], [], list[int](), list[str]()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
-    shown, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
-    entries, rows, still = [], [], []
-    for j, kind in enumerate(arm.joint_types, start=1):
+    columns, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
+    for j, (kind, column, outside) in enumerate(zip(arm.joint_types, columns.T, beyond.T, strict=True), start=1):
         unit, factor = ("deg", 180.0 / np.pi) if kind == REVOLUTE else ("mm", 1.0)
-        low, high = float(shown[:, j - 1].min()) * factor, float(shown[:, j - 1].max()) * factor
-        lower, upper = (limits[:, j - 1] * factor).tolist()
-        ends = {"low": low, "high": high, "limit_low": lower, "limit_high": upper}
+        low, high, lower, upper = (np.r_[column.min(), column.max(), limits[:, j - 1]] * factor).tolist()
+        ends, count = {"low": low, "high": high, "limit_low": lower, "limit_high": upper}, int(outside.sum())
         given = {name: None if np.isnan(x) else x for name, x in ends.items()}
-        entries.append({"joint": j, "unit": unit, **given, "rows_outside": outside[j - 1]})
+        entries.append({"joint": j, "unit": unit, **given, "rows_outside": count})
         # none where it may turn all the way round, and readings of several turns do not matter
         has_limits = np.isfinite(lower) and (doubts.limited(arm)[j - 1] or j in tied)
         shown_limits = (f"{x:.2f}" if has_limits else "none" for x in (lower, upper))
-        rows.append([str(j), f"{low:.2f}", f"{high:.2f}", *shown_limits, unit, str(outside[j - 1])])
+        rows.append([str(j), f"{low:.2f}", f"{high:.2f}", *shown_limits, unit, str(count)])
         # of a joint that turns by less than 5 deg its own errors are hardly seen, whatever others in its column do
         if np.ptp(postures[:, j - 1]) < (np.radians(5.0) if kind == REVOLUTE else 0.0):
             still.append(j)
-    return entries, rows, still
+        # readings of a joint that really turns several times do not all fall within half a turn, whole turns aside: of
+        # eight spread over four half turns once in a hundred times, of twelve once in a thousand
+        turns = np.round((column - np.median(column)) / TURN) * (kind == REVOLUTE)
+        away = (turns != 0.0) & ~outside
+        if 0 < away.sum() <= len(away) / 8 and np.ptp(column - TURN * turns) < np.pi:
+            degrees, others = np.degrees(column[away]), np.degrees(column[turns == 0.0])
+            place = f"joint {j} reads {degrees[0]:.4g} deg in {rows_in_words(away)}"
+            where = f"whole turns away from the other rows ({others.min():.4g} to {others.max():.4g} deg)"
+            matters = "play, gear_ratio and the range of the calibration follow the angle as it is written"
+            notes.append(f"{place}, {where}: correct that if the joint was not there, since {matters}")
+    if still:
+        hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
+        notes.insert(0, f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen")
+    return entries, rows, notes
 
 
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------

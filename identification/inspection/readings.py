@@ -7,7 +7,7 @@ way to read the columns the base (and in space the measured point) is fitted to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import combinations
@@ -20,11 +20,11 @@ from scipy.optimize import minimize_scalar
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import require
-from identification.instruments import Placement, Unplaced
+from identification.instruments import Unplaced
 from identification.kinematics.chain import TOOL
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, to_angles
-from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
+from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, spread_rows
@@ -68,15 +68,16 @@ class Reading:
     @property
     def changes(self) -> int:
         """How many things are read differently."""
-        swapped = sum(a != b for a, b in enumerate(self.order)) // 2
-        zeros, reversed_ = sum(k != 0 for k in self.quarters), sum(sign < 0 for sign in self.signs)
-        return swapped + zeros + reversed_ + self.mirrored + bool(self.sums) + (self.turned != 1) + (self.scaled != 1)
+        swapped, zeros = (
+            int(np.count_nonzero(each)) for each in (self.order - np.arange(len(self.order)), self.quarters)
+        )
+        others = (self.mirrored, bool(self.sums), self.turned != 1, self.scaled != 1)
+        return swapped // 2 + zeros + self.signs.count(-1) + sum(others)
 
     @property
     def moved_zeros(self) -> bool:
         """Nothing but zeros of joints that are off by no whole quarter turns: a fit takes them for what they are."""
-        others = self.changes - sum(k != 0 for k in self.quarters)
-        return not others and any(k % 1.0 for k in self.quarters)
+        return self.changes == np.count_nonzero(self.quarters) and any(k % 1.0 for k in self.quarters)
 
     @property
     def other_units(self) -> bool:
@@ -88,9 +89,9 @@ class Reading:
         """(n,) what to add to each joint [rad], by the shorter way."""
         return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
 
-    def flipped(self, joints: Collection[int]) -> Reading:
-        """With these joints, from 0, turning the other way than before."""
-        return replace(self, signs=tuple(-sign if j in joints else sign for j, sign in enumerate(self.signs)))
+    def flipped(self, joint: int) -> Reading:
+        """With this joint, from 0, turning the other way than before."""
+        return replace(self, signs=tuple(-sign if j == joint else sign for j, sign in enumerate(self.signs)))
 
     def with_quarters(self, joint: int, k: float) -> Reading:
         """With so many quarter turns added to a joint, from 0."""
@@ -122,16 +123,13 @@ class Reading:
             sentences.append(f"the joint angles are in {unit} (name the columns q1{columns}..)")
         if self.scaled != 1.0:
             times, larger = max(self.scaled, 1.0 / self.scaled), self.scaled > 1.0
-            small, large = ("measurements", "arm file") if larger else ("arm file", "measurements")
+            large, small = ("arm file", "measurements")[:: 1 if larger else -1]
             lengths = f"the lengths of the {large} are {times:.4g} times those of the {small}"
-            names = [name for factor, name in UNITS.items() if abs(times / factor - 1.0) <= 0.02]
-            if names:
-                whose = "positions" if larger else "lengths of the arm file"
-                columns = ", whose columns end in _m" if larger and names == ["metres"] else ""
-                lengths = f"the {whose} are in {names[0]}{columns} ({lengths})"
-            else:
-                lengths += ", which is the factor of no unit (another arm, or a length that is mistyped)"
-            sentences.append(lengths)
+            unit = next((name for factor, name in UNITS.items() if abs(times / factor - 1.0) <= 0.02), "")
+            columns = ", whose columns end in _m" if larger and unit == "metres" else ""
+            whose = "positions" if larger else "lengths of the arm file"
+            which_unit = ", which is the factor of no unit (another arm, or a length that is mistyped)"
+            sentences.append(f"the {whose} are in {unit}{columns} ({lengths})" if unit else lengths + which_unit)
         swaps = sorted({tuple(sorted((a, b))) for a, b in enumerate(self.order) if a != b})
         sentences += [f"columns of joints {a + 1} and {b + 1} are swapped" for a, b in swaps]
         sentences += [f"joint {j} turns the other way" for j, sign in enumerate(self.signs, start=1) if sign < 0]
@@ -245,26 +243,62 @@ def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
 @lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings
 def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
     """`read_differently` of an arm that may stand anywhere."""
-    chain, (q, x, few) = arm.chain, _rows(arm, measurements)
-    kinds = arm.joint_types
-    turning = [j for j, kind in enumerate(kinds) if kind != PRISMATIC]
+    chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
+    slides = np.array([kind == PRISMATIC for kind in kinds])
+    turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions
     hopeless = np.inf  # of what is left more than this: no hope, and a search for lengths may end early
 
-    def placed(reading: Reading) -> Placement:
-        """Where the drawing stands by it."""
-        columns, positions = q.copy(), x * reading.scaled
-        columns[:, turning] *= reading.turned
+    def placed(reading: Reading) -> Reading:
+        """With where the drawing stands by it."""
+        positions = x * reading.scaled
         positions[:, -1] *= -1.0 if reading.mirrored else 1.0
-        frames = chain.tip_frames(reading.postures(columns))
+        frames = chain.tip_frames(reading.postures(q * np.where(slides, 1.0, reading.turned)))
         tool = np.zeros(3) if TOOL in chain.settled else None
-        return chain.instrument.place(Unplaced(frames, positions, chain.reach, tool=tool, hopeless=hopeless))
+        place = chain.instrument.place(Unplaced(frames, positions, chain.reach, tool=tool, hopeless=hopeless))
+        return replace(reading, base=place.base, rms=place.rms)
 
     written = Reading(tuple(range(arm.links)), (1,) * arm.links, (0,) * arm.links)
     if few:
-        return Readings(_with_place(written, placed(written)))
-    if (units := _other_units(arm, q, x, written, placed)) is not None or not search:
-        return units or Readings(written)
-    written = _with_place(written, placed(written))
+        return Readings(placed(written))
+
+    # other units: radians in `_deg` columns, degrees in `_rad` columns, where all are below 7 deg or one is above 7 rad
+    largest, turns = float(np.abs(q[:, turning]).max(initial=0.0)), [1.0]
+    if largest > 0.0:
+        turns += [180.0 / np.pi] if largest < np.radians(7.0) else [np.pi / 180.0] if largest > 7.0 else []
+    tips = [chain.tip_frames(q * np.where(slides, 1.0, k))[:, : arm.dimension, 3] for k in turns]
+    # how far apart the drawing then has the positions, and they are; of contacts nothing is read
+    drawn = {k: max(_spread(points), np.finfo(float).tiny) for k, points in zip(turns, tips, strict=True)}
+    spread, readings = 0.0 if chain.instrument.contact else _spread(x), []
+
+    def least(of: Callable[[float], float], values: Array, tolerance: float) -> float:
+        """Where a function is least near the best of these values."""
+        near, step = min(values, key=of), values[1] - values[0]
+        return float(minimize_scalar(of, bounds=(near - step, near + step), options={"xatol": tolerance}).x)
+
+    for other in (replace(written, turned=k) for k in turns):
+        readings.append(other)
+        # lengths some times those of the other file: no drawing is wrong by half or twice the size; what repeats of one
+        # posture scatter by has no ratio to it
+        if spread and not 0.5 < (ratio := drawn[other.turned] / spread) < 2.0:
+
+            def left_at(k: float, other: Reading = other) -> float:
+                return placed(replace(other, scaled=float(np.exp(k)))).rms
+
+            two = np.log(2.0)  # a point far from the tip adds to the spread of positions
+            k = least(left_at, np.log(ratio) + two * np.arange(-3, 4), 1e-4)
+            readings += [replace(other, scaled=float(np.exp(k)))] if abs(k) > two else []
+    if len(readings) > 1 and max(drawn.values()) >= 1e-3 * arm.reach:
+        share = {reading: placed(reading).rms / drawn[reading.turned] for reading in readings}
+        best = min(share, key=share.__getitem__)
+        if CLEARLY * share[best] < share[written]:
+            better = placed(best)
+            explained = better.rms <= DRAWN * arm.reach
+            certain = explained and share[written] > 10.0 * share[best]
+            return Readings(placed(written), better, explained=explained, certain=certain)
+    if not search:
+        return Readings(written)
+
+    written = placed(written)
     hopeless = 2.0 * max(DRAWN * arm.reach, written.rms / CLEARLY)  # twice what may be left
     tried = {written: written.rms}
 
@@ -275,19 +309,19 @@ def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
             def left_with(k: float, j: int = j) -> float:
                 return placed(best.with_quarters(j, k)).rms
 
-            near, step = min(np.arange(0.0, 4.0, 0.25), key=left_with), 0.25  # one start is near enough to the best
-            k = float(minimize_scalar(left_with, bounds=(near - step, near + step), options={"xatol": 1e-3}).x)
+            k = least(left_with, np.arange(0.0, 4.0, 0.25), 1e-3)  # one start is near enough to the best
             yield best.with_quarters(j, round(k) % 4 if abs(k - round(k)) < 0.02 else k)  # whole within 2 deg
 
-    def mirrored(best: Reading) -> list[Reading]:  # lengths are the same in a mirrored frame
-        return [replace(best, mirrored=not best.mirrored)] if chain.instrument.reads_positions else []
+    def flips(best: Reading) -> Iterator[Reading]:
+        """A mirrored frame, in which lengths are the same, or one joint that turns the other way."""
+        yield from [replace(best, mirrored=not best.mirrored)] if mirrors else []
+        yield from (best.flipped(j) for j in range(arm.links))
 
     def changed(best: Reading) -> Iterator[Reading]:
         """One more thing read differently: a mirrored frame, a sign, a zero off by quarter turns, two columns of like
         joints swapped, and one joint, or all from one on, counted from a link farther back than the one before, or from
         the base: of joints that turn about parallel axes one after the other."""
-        yield from mirrored(best)
-        yield from (best.flipped([j]) for j in range(arm.links))
+        yield from flips(best)
         yield from (best.with_quarters(j, k) for j in turning for k in (1, 2, 3))
         for a, b in (each for each in combinations(range(arm.links), 2) if kinds[each[0]] == kinds[each[1]]):
             order = list(best.order)
@@ -298,23 +332,21 @@ def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
             for start in range(first, last - 1):
                 every = best.matrix
                 for j in range(start + 1, last):
-                    one = best.matrix
-                    one[j, start:j] = every[j, start:j] = (
-                        np.array(senses[start - first : j - first]) * senses[j - first]
-                    )
+                    one, back = best.matrix, np.array(senses[start - first : j - first]) * senses[j - first]
+                    one[j, start:j] = every[j, start:j] = back
                     yield replace(best, sums=tuple(map(tuple, one.tolist())))
                 yield replace(best, sums=tuple(map(tuple, every.tolist())))
 
     def changed_twice(best: Reading) -> Iterator[Reading]:
         """With a sign or a mirrored frame beside another change."""
         for one in (best, *changed(best)):
-            yield from (one, *mirrored(one), *(one.flipped([j]) for j in range(arm.links)))
+            yield from (one, *flips(one))
 
     def simplest() -> Reading:
         """The fewest changes, and zeros among them, of those that leave about as little as the best."""
         enough = ALIKE * min(tried.values())
         near = [reading for reading, rms in tried.items() if rms <= enough]
-        return min(near, key=lambda reading: (reading.changes, sum(map(bool, reading.quarters)), tried[reading]))
+        return min(near, key=lambda reading: (reading.changes, np.count_nonzero(reading.quarters), tried[reading]))
 
     for change in (moved_zero, moved_zero, changed, changed_twice, changed, changed):
         ranked = sorted(tried, key=tried.__getitem__)
@@ -336,61 +368,8 @@ def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
     as_simple = (r for r in tried if explained and r.changes == best.changes and not r.moved_zeros)
     alike = sorted((r for r in as_simple if r != best and tried[r] <= ALIKE * tried[best]), key=tried.__getitem__)
     hopeless = np.inf
-    best, *others = (_with_place(r, placed(r)) for r in (best, *alike[:2]))  # two are named beside the simplest
+    best, *others = map(placed, (best, *alike[:2]))  # two are named beside the simplest
     return Readings(written, best, tuple(others), explained)
-
-
-def _with_place(reading: Reading, place: Placement) -> Reading:
-    return replace(reading, base=place.base, rms=place.rms)
-
-
-def _other_units(
-    arm: Arm, q: Array, x: Array, written: Reading, placed: Callable[[Reading], Placement]
-) -> Readings | None:
-    """Radians in `_deg` columns, degrees in `_rad` columns, and lengths that are some times those of the other file,
-    which is measured, where that fits the arm clearly better for how far apart the positions then are. Angles are
-    suspected only where all are below 7 deg, or one is above 7 rad."""
-    turning = np.array([kind == REVOLUTE for kind in arm.joint_types])
-    largest = float(np.abs(q[:, turning]).max(initial=0.0))
-    angles = [1.0]
-    if 0.0 < largest < np.radians(7.0):
-        angles.append(180.0 / np.pi)
-    elif largest > 7.0:  # [rad], more than a turn
-        angles.append(np.pi / 180.0)
-    tips = {
-        turned: arm.chain.tip_frames(q * np.where(turning, turned, 1.0))[:, : arm.dimension, 3] for turned in angles
-    }
-    drawn = {turned: max(_spread(points), np.finfo(float).tiny) for turned, points in tips.items()}
-    spread = 0.0 if arm.chain.instrument.contact else _spread(x)  # of contacts nothing is read
-    readings = []
-
-    def left(reading: Reading) -> float:
-        """As a share of how far apart the positions are."""
-        return placed(reading).rms / drawn[reading.turned]
-
-    for other in (replace(written, turned=turned) for turned in angles):
-        readings.append(other)
-        # no drawing is wrong by half or twice the size; what repeats of one posture scatter by has no ratio to it
-        if spread and not 0.5 < (ratio := drawn[other.turned] / spread) < 2.0:
-
-            def left_at(k: float, other: Reading = other) -> float:
-                return left(replace(other, scaled=float(np.exp(k))))
-
-            two = np.log(2.0)  # a point far from the tip adds to the spread of positions
-            near = min(np.log(ratio) + two * np.arange(-3, 4), key=left_at)
-            k = minimize_scalar(left_at, bounds=(near - two, near + two), options={"xatol": 1e-4}).x
-            readings += [replace(other, scaled=float(np.exp(k)))] if abs(k) > two else []
-    if len(readings) == 1 or max(drawn.values()) < 1e-3 * arm.reach:
-        return None
-    share = {reading: left(reading) for reading in readings}
-    better = min(share, key=share.__getitem__)
-    if CLEARLY * share[better] >= share[written]:
-        return None
-    explained = share[better] * drawn[better.turned] <= DRAWN * arm.reach
-    certain = explained and share[written] > 10.0 * share[better]
-    return Readings(
-        _with_place(written, placed(written)), _with_place(better, placed(better)), explained=explained, certain=certain
-    )
 
 
 def _spread(points: Array) -> float:

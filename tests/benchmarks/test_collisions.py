@@ -135,7 +135,7 @@ class Judge:
 def joints_of(urdf: Path, base: str, tip: str) -> list[str]:
     from identification.files.urdf import MOVING, read_urdf
 
-    return [str(e.get("name")) for e in read_urdf(urdf).elements(base, tip) if e.get("type") in MOVING]
+    return [e.name for e in read_urdf(urdf).joints(base, tip) if e.type in MOVING]
 
 
 def plan_of(folder: Path, arm: str, seed: int, *more: str) -> tuple[dict[str, Any], np.ndarray, list[str], float]:

@@ -6,24 +6,29 @@ gives the bits of one that was not disturbed.
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.doe.faults import COMMANDS, SIGNALS, Command, Reference, random_kills
+from tests.doe.faults import COMMANDS, SIGNALS, Command, Reference, verdict
 
 pytestmark = pytest.mark.benchmark
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
 def test_kills_at_random_moments(command: Command, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    count = request.config.getoption("--kills")
     reference = Reference.of(command, tmp_path / "reference")
-    wrong = random_kills(reference, tmp_path, count, seed=len(command.name))
-    sent = Counter(SIGNALS[kill % len(SIGNALS)].name for kill in range(count))
     print(f"\n| {command.name} | {reference.seconds:.1f} s |", end="")
-    for name, number in sent.items():
-        print(f" {number - len(wrong[name])} of {number} {name} |", end="")
-    print("", *(f"\n  {name} {text}" for name, texts in wrong.items() for text in texts))
-    assert not any(wrong.values())
+    moments = np.random.default_rng(len(command.name)).uniform(size=request.config.getoption("--kills"))
+    wrong = []
+    for first, number in enumerate(SIGNALS):
+        shares = dict(enumerate(moments[first :: len(SIGNALS)].tolist()))
+        verdicts = {s: verdict(reference, tmp_path / f"{number.name}{k}", number, s) for k, s in shares.items()}
+        lines = [
+            f"  {number.name} after {s:.2f} of its time: {'; '.join(said)}" for s, said in verdicts.items() if said
+        ]
+        print(f" {len(shares) - len(lines)} of {len(shares)} {number.name} |", end="")
+        wrong += lines
+    print("", *wrong, sep="\n")
+    assert not wrong

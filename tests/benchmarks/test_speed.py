@@ -243,10 +243,11 @@ def diagnosis_of_two_hundred_rows() -> tuple[float, str]:
 
 
 def diagnosis_of_a_robot() -> tuple[float, str]:
+    from identification import load_measurements
     from identification.gap.diagnose import diagnose
-    from tests.identification.gap.test_ur10 import ARM, FILE, SAMPLE, load
+    from tests.identification.gap.test_ur10 import ARM, FILE, SAMPLE
 
-    data = load(FILE if FILE.exists() else SAMPLE)
+    data = load_measurements(FILE if FILE.exists() else SAMPLE, 3)
     return timed(lambda: diagnose(ARM, data))[1], f"UR10, {len(data):,} rows"
 
 

@@ -23,73 +23,48 @@ from collections import Counter
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from click.testing import CliRunner, Result
 from hypothesis.errors import StopTest
 from hypothesis.internal.conjecture.data import ConjectureData
 
 import doe
 import identification
-from doe.cli import main as verbs
 from tests.fuzz.commands import Case, cases
-from tests.fuzz.judge import BAD_INPUT, FAILED, HELP, RESULT, broken, prepare, run_here
+from tests.fuzz.judge import broken, prepare, run_here
 
-WORD, LIMIT = 12.0, 60.0  # [s] without a word, and in all
+LIMIT = 60.0  # [s]
 MEMORY = 6 * 2**30  # bytes of addresses that a case may use
-CUT, SILENT, BROKEN = "stopped at 60 s", "silent for 10 s", "promise broken"
-KINDS = (RESULT, BAD_INPUT, FAILED, HELP, CUT, SILENT, BROKEN)
-
-
-def run_by_files(home: Path, words: list[str]) -> Result:
-    """A call whose streams are files, so that what it says is seen while it works."""
-    paths = [home / name for name in ("stdout", "stderr")]
-    for stream, path in enumerate(paths, start=1):
-        os.dup2(os.open(path, os.O_CREAT | os.O_TRUNC | os.O_RDWR), stream)
-    error: BaseException | None = None
-    try:
-        verbs.main(words, prog_name="armcal")
-    except BaseException as raised:  # noqa: BLE001 - a traceback is an outcome
-        error = raised
-    sys.stdout.flush()
-    sys.stderr.flush()
-    code = error.code if isinstance(error, SystemExit) and isinstance(error.code, int) else int(error is not None)
-    info = None if error is None else (type(error), error, error.__traceback__)
-    out, err = (path.read_bytes() for path in paths)
-    return Result(CliRunner(), out, err, b"", None, code, error, info)  # type: ignore[arg-type]
+KINDS = RESULT, FAILED, BAD_INPUT, HELP, CUT, BROKEN = (
+    *("result", "job failed", "bad input", "help", "stopped at 60 s", "promise broken"),
+)
 
 
 def work(case: Case, home: Path, told: Connection) -> None:
     """Runs a case in this process, and tells the kind of its outcome, a broken promise, and the last words."""
     os.setpgid(0, 0)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    folder = home / "files/work"
     try:
-        outcome = run_here(case, folder, lambda words: run_by_files(home, words))
-        promise = broken(case, outcome, folder)
+        outcome = run_here(case, home / "work")
+        promise = broken(case, outcome, home / "work")
+        kind = HELP if outcome.out.startswith("Usage: ") else KINDS[outcome.code or 0]
         last = (outcome.err.strip().splitlines() or [""])[-1][:300]
-        told.send((outcome.kind, "", last) if promise is None else (BROKEN, promise, last))
+        told.send((kind if promise is None else BROKEN, promise or "", last))
     except BaseException as error:  # noqa: BLE001 - what a child says is all there is
         told.send((BROKEN, f"{type(error).__name__}: {error}", ""))
     os._exit(0)
 
 
 def outcome_of(case: Case, home: Path) -> tuple[str, str, str]:
-    """What a process of its own tells, or that it was silent too long, or stopped, or died."""
+    """What a process of its own tells, or that it was stopped, or died."""
     shutil.rmtree(home, ignore_errors=True)
-    (home / "files/work").mkdir(parents=True)
-    prepare(case, home / "files/work")
+    (home / "work").mkdir(parents=True)
+    prepare(case, home / "work")
     context = multiprocessing.get_context("fork")
     reading, writing = context.Pipe(duplex=False)
     child = context.Process(target=work, args=(case, home, writing))
     child.start()
     writing.close()
-    spoken = home / "stderr"
     try:
-        for limit in (WORD, LIMIT - WORD):
-            if reading.poll(limit):
-                return reading.recv()
-            if limit == WORD and "--quiet" not in case.words and not (spoken.exists() and spoken.stat().st_size):
-                return SILENT, "", ""
-        return CUT, "", spoken.read_text(errors="replace")[-300:]
+        return reading.recv() if reading.poll(LIMIT) else (CUT, "", "")
     except EOFError:
         return BROKEN, "died without an outcome", ""
     finally:
@@ -118,7 +93,7 @@ def fuzz(out: Path, first: int, number: int) -> None:
             kind, promise, words = outcome_of(case, Path(home) / "home")
             file.write(json.dumps([seed, case.verb, kind, promise, round(time.monotonic() - began, 2), words]) + "\n")
             file.flush()
-            if kind in (BROKEN, CUT, SILENT):  # to look at: its command, its files
+            if kind in (BROKEN, CUT):  # to look at: its command, its files
                 kept = {"words": case.words, "files": case.files, "what": [kind, promise]}
                 (out / f"case-{seed}.json").write_text(json.dumps(kept))
 

@@ -1,28 +1,18 @@
-"""Strategies of whole cases: a verb with options, right and wrong, and the files that it is given.
-
-Some of these files are armcal's own: small campaigns of a planar arm, a spatial one and a ball bar, made once.
-"""
+"""Strategies of whole cases: a verb with options, right and wrong, and the files that it is given."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from dataclasses import dataclass, field
-from functools import cache
-from pathlib import Path
 
 import click
-from click.testing import CliRunner
 from hypothesis import strategies as st
 
 from doe.cli import main
 from doe.cli.verb import FilePath
-from tests.fuzz.inputs import arms, measurements, mostly_valid, one_in, pick, plans, studies, targets, urdfs, words
+from tests.fuzz.inputs import ARMS, PLANAR, arms, campaigns, mostly_valid, one_in, pick, studies, tables, words
 
 LOOPS = {"loop": "pool", "pool": "loop"}  # links that lead in a circle, in every case's folder
 THERE = {"there.csv": "mine\n", "folder/mine.txt": "mine\n"}  # files of the user's, in every case's folder
-WRITTEN_BY_ARMCAL = "calibrated.toml extended.toml arm.toml plan.csv data.csv"
 # of options and arguments: what makes sense, for some arm at least; of one verb: VERB.NAME
 VALUES = {
     "design.runs": "12 8 20 4 3 1 100000",
@@ -58,7 +48,7 @@ VALUES = {
     "truth": "truth.toml arm.toml",
     "data": "data.csv data.csv data.csv more.csv",
     "targets": "targets.csv plan.csv",
-    "files": WRITTEN_BY_ARMCAL,
+    "files": "calibrated.toml extended.toml arm.toml plan.csv data.csv",
     "only": "lengths joint_offsets base tool effects joint_offset:2 none",
     "study": "study.toml",
     "keep": "plan.csv data.csv",
@@ -69,7 +59,9 @@ VALUES = {
     "settle": "2 0 -1 nan",
     "template": "arm.toml plan.csv robot.urdf",
     "seed": "0 7 12 -1 99999999999999999999",
-    **dict.fromkeys(("arm", "arms", "model", "calibrated", "prior_from"), "arm.toml"),
+    **dict.fromkeys(("arm", "arms", "model"), "arm.toml"),
+    **dict.fromkeys(("calibrated", "prior_from"), "calibrated.toml calibrated.toml extended.toml arm.toml"),
+    **dict.fromkeys(("validate.model", "compensate.model"), "calibrated.toml"),
     **dict.fromkeys(("plan", "test_poses"), "plan.csv"),
 }
 # options that another one asks for
@@ -94,53 +86,6 @@ NO_INPUT = ["none.csv", "folder", "loop", "arm.toml", "plan.csv", "data.csv", ""
 # budgets, so that a case takes little
 ALWAYS = {"seconds", "workers", "compare.repeats", "compare.solvers", "grid", "starts"}
 WEIGHTS = {"demo": 1, "compare": 1, "study": 4, "discriminate": 2, "diagnose": 4, "advise": 3}
-MAKERS = {"plan.csv": plans, "candidates.csv": plans, "data.csv": measurements, "more.csv": measurements}
-MAKERS |= {"targets.csv": targets, "study.toml": studies}
-
-PLANAR = "links_mm = [260.0, 180.0]\n[measurement]\nsigma_mm = 0.1\n"
-SPATIAL = (
-    'kind = "spatial"\n[[dh]]\na_mm = 0.0\nalpha_deg = 90.0\nd_mm = 400.0\n'
-    "[[dh]]\na_mm = -600.0\nalpha_deg = 0.0\nd_mm = 0.0\n[tool]\nx_mm = 0.0\ny_mm = 60.0\nz_mm = 80.0\n"
-    "[measurement]\nsigma_mm = 0.1\n"
-)
-BAR = '[instrument]\nkind = "distance"\ncenter_mm = [500.0, -200.0, 300.0]\n'
-OFFSET = '[calibration]\nvalues = {"joint_offset:2" = 0.3}\n'
-CAMPAIGNS = {  # of each kind the file, and what its truth has besides
-    "planar": (PLANAR, "[calibration]\nlength_errors_mm = [0.5, -0.2]\njoint_offsets_deg = [0.1, 0.3]\n"),
-    "spatial": (SPATIAL, OFFSET),
-    "bar": (SPATIAL + BAR, OFFSET),
-}
-ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.08\nb_deg = 0.02\n'
-STEPS = (
-    "design arm.toml --runs 40 --starts 1 --seconds 1 --out plan.csv",
-    "simulate arm.toml plan.csv --truth truth.toml --out data.csv",
-    "score arm.toml plan.csv",
-    "identify arm.toml data.csv --out calibrated.toml",
-    "diagnose arm.toml data.csv --out extended.toml --force",
-    "validate calibrated.toml data.csv",
-)
-
-
-def files_by_armcal() -> dict[str, dict[str, str]]:
-    """Kind of arm -> name -> text of each file."""
-    runner, campaigns = CliRunner(), {}
-    for kind, (arm, values) in CAMPAIGNS.items():
-        with runner.isolated_filesystem():
-            Path("arm.toml").write_text(arm)
-            Path("truth.toml").write_text(arm + values + ECCENTRIC)
-            for line in STEPS:
-                done = runner.invoke(main, [*line.split(), "--json", "--quiet"], catch_exceptions=False)
-                assert done.exit_code == 0, done.stderr
-            paths = (path for path in sorted(Path().iterdir()) if path.name in WRITTEN_BY_ARMCAL.split())
-            campaigns[kind] = {path.name: path.read_text() for path in paths}
-    return campaigns
-
-
-@cache
-def every_campaign() -> dict[str, dict[str, str]]:
-    """All of `files_by_armcal`, by one process of its own, as cases are forks of this one."""
-    done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, check=True)
-    return dict(json.loads(done.stdout))
 
 
 @dataclass(frozen=True)
@@ -158,36 +103,29 @@ class Case:
 
 @st.composite
 def cases(draw: st.DrawFn, verbs: frozenset[str] = frozenset(main.commands)) -> Case:
-    """Of these verbs, and now and then of none; the files that the line or a study names, spoilt one in seven."""
+    """Of these verbs, and now and then of none; the files that the line or a study names, changed and spoilt."""
     verb = pick(draw, [verb for verb in sorted(verbs) for _ in range(WEIGHTS.get(verb, 8))])
-    arm = draw(arms())
-    line = [verb, *draw(arguments(verb, arm.spatial))]
+    kind, other = draw(st.permutations(list(ARMS)))[:2]
+    line = [verb, *draw(arguments(verb, kind not in PLANAR))]
     if one_in(draw, 50):
         line[draw(st.integers(0, len(line) - 1))] = draw(words)
-    files, needed = {}, {*line, *(("plan.csv",) if "study.toml" in line else ())}
-    if "init" not in line or one_in(draw, 6):  # which writes it
-        files["arm.toml"] = draw(mostly_valid(arm.text))
-    if arm.urdf or "robot.urdf" in line:
-        files["robot.urdf"] = arm.urdf or draw(mostly_valid(draw(urdfs(3))))
-    for name in sorted(MAKERS.keys() & needed):
-        files[name] = draw(mostly_valid(draw(MAKERS[name](arm))))
-    if "truth.toml" in needed:
-        zeros = [0.0] * len(arm.kinds)
-        none = f"[calibration]\nlength_errors_mm = {zeros}\njoint_offsets_deg = {zeros}\n"
-        known = arm.spatial or "[calibration]" in arm.text
-        files["truth.toml"] = draw(mostly_valid(arm.text + ("" if known else none)))
-    if verb == "report" or one_in(draw, 6):  # what armcal itself wrote, a table of another arm now and then
-        own, other = (every_campaign()[kind] for kind in draw(st.permutations(list(CAMPAIGNS)))[:2])
-        for name in sorted(needed & own.keys()):
-            files[name] = other[name] if one_in(draw, 40) else draw(mostly_valid(own[name]))
+    written = campaigns()[kind] | {"study.toml": draw(studies(kind not in PLANAR))}
+    written |= {"candidates.csv": written["plan.csv"], "more.csv": written["data.csv"]}
+    written["targets.csv"] = written[pick(draw, ["data.csv", "plan.csv"])]
+    files, needed = {}, {*line, "robot.urdf", *(("plan.csv",) if "study.toml" in line else ())}
+    needed |= {"arm.toml"} if "init" not in line or one_in(draw, 6) else set()  # which writes it
+    for name in sorted(needed & written.keys()):
+        text = campaigns()[other].get(name, "") if one_in(draw, 40) else written[name]
+        if verb != "report" and one_in(draw, 2):  # else as armcal wrote it
+            text = draw(arms(kind)) if name == "arm.toml" else draw(tables(text)) if name.endswith("csv") else text
+        files[name] = draw(mostly_valid(text))
     return Case(line, files)
 
 
 @st.composite
 def arguments(draw: st.DrawFn, verb: str, spatial: bool) -> list[str]:
     """Words after the verb, for an arm of this kind."""
-    line: list[str] = []
-    needed: dict[str, str] = {}
+    line, needed = list[str](), dict[str, str]()
     parameters = main.commands[verb].params
     seldom = 6 if len(parameters) < 15 else 12  # so that some of the longest lines make sense too
     for parameter in parameters:
@@ -204,7 +142,7 @@ def arguments(draw: st.DrawFn, verb: str, spatial: bool) -> list[str]:
             continue
         several = parameter.nargs == -1 and one_in(draw, 2 if name == "files" else 8)
         count = draw(st.integers(2, 6)) if several else 1
-        for value in dict.fromkeys(draw(value_of(full, parameter)) for _ in range(count)):
+        for value in dict.fromkeys(value_of(draw, full, parameter) for _ in range(count)):
             line += [parameter.opts[0], value] if isinstance(parameter, click.Option) else [value]
     for option, value in needed.items():
         place = line.index(option) if option in line else len(line)
@@ -212,18 +150,12 @@ def arguments(draw: st.DrawFn, verb: str, spatial: bool) -> list[str]:
     return [*line, *([pick(draw, ["--none", "--json", "extra", "--help", "-"])] if one_in(draw, 60) else [])]
 
 
-@st.composite
 def value_of(draw: st.DrawFn, full: str, parameter: click.Parameter) -> str:
     """One that makes sense for an option or argument VERB.NAME, but for one in thirty."""
     name = full.rpartition(".")[2]
     if isinstance(parameter.type, FilePath) and parameter.type.written:
         return pick(draw, NO_OUTPUT if one_in(draw, 30) else PICTURES if parameter.type.picture else WRITTEN)
     if one_in(draw, 30):
-        file = isinstance(parameter.type, click.Path) or name == "study"
-        return pick(draw, NO_INPUT) if file else draw(words)
-    known = VALUES.get(full, VALUES.get(name, "")).split()
-    return pick(draw, known or list(getattr(parameter.type, "choices", ())) or ["1"])
-
-
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(files_by_armcal()))
+        return pick(draw, NO_INPUT) if isinstance(parameter.type, click.Path) or name == "study" else draw(words)
+    values = VALUES.get(full, VALUES.get(name, "")).split()
+    return pick(draw, values or list(getattr(parameter.type, "choices", ())) or ["1"])

@@ -1,14 +1,25 @@
-"""Random files: arms, tables that fit them, studies, and what people and programs get wrong in texts."""
+"""Random files: what armcal wrote of small arms, with what people add to it, change in it and get wrong."""
 
 from __future__ import annotations
 
+import csv
+import json
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import chdir
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TypeVar
 
-import numpy as np
+from click.testing import CliRunner
 from hypothesis import strategies as st
+
+from doe.cli import main
+from identification.effects import Effect, of_dimension
 
 T = TypeVar("T")
 WORDS = (
@@ -56,291 +67,196 @@ def mostly_valid(draw: st.DrawFn, text: str) -> str:
     return draw(spoilt(text)) if one_in(draw, 7) else text
 
 
+# -- campaigns ---------------------------------------------------------------------------------------------------------
+NOISE = "[measurement]\nsigma_mm = 0.1\n"
+ROWS = "".join(
+    f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}\n" for a, alpha, d in ((0.0, 90.0, 400.0), (-600.0, 0.0, 0.0))
+)
+SLIDES = '[[dh]]\na_mm = 0.0\nalpha_deg = 90.0\nd_mm = 100.0\njoint = "prismatic"\n'
+SLIDES += "[joint_limits_mm]\nlower = [0.0]\nupper = [400.0]\n"
+URDF = '<robot name="r"><link name="link_0"/>' + "".join(
+    f'<link name="link_{j}"><inertial><mass value="2.5"/></inertial></link><joint name="j{j}" type="revolute">'
+    f'<origin xyz="0.1 0 0.3" rpy="0 0 0"/><parent link="link_{j - 1}"/><child link="link_{j}"/>'
+    f'<axis xyz="{axis}"/><limit lower="-1.745" upper="1.745" effort="1" velocity="1"/></joint>\n'
+    for j, axis in enumerate(("0 0 1", "0 1 0", "0 1 0"), start=1)
+)
+URDF += (
+    '<link name="tool0"/><joint name="end" type="fixed"><parent link="link_3"/><child link="tool0"/></joint></robot>'
+)
+SPACE = f'kind = "spatial"\n{NOISE}[tool]\nx_mm = 0.0\ny_mm = 60.0\nz_mm = 80.0\n'
+BAR = '[instrument]\nkind = "distance"\ncenter_mm = [500.0, -200.0, 300.0]\n'
+LIMITS = "[joint_limits_deg]\nlower = [-70.0, -50.0, -100.0]\nupper = [130.0, 110.0, 20.0]\n"
+ARMS = {  # kind -> its file
+    "planar": f"links_mm = [260.0, 180.0]\n{NOISE}",
+    "limited": f'name = "a<b>"\nlinks_mm = [300.0, 240.0, 190.0]\n{NOISE}{LIMITS}',
+    "spatial": SPACE + ROWS,
+    "sliding": SPACE + ROWS + SLIDES,
+    "bar": SPACE + ROWS + BAR,
+    "urdf": f'urdf = "robot.urdf"\nbase_link = "link_0"\ntip_link = "tool0"\n{SPACE}',
+}
+PLANAR = ("planar", "limited")
+ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.08\nb_deg = 0.02\n'
+STEPS = (
+    "design arm.toml --runs 40 --solver random --seconds 0.2 --out plan.csv",
+    "simulate arm.toml plan.csv --truth truth.toml --out data.csv",
+    "identify arm.toml data.csv --out calibrated.toml",
+)
+
+
+def written_by_armcal() -> dict[str, dict[str, str]]:
+    """Kind of arm -> name -> text of each file of its campaign."""
+    campaigns = {}
+    for kind, arm in ARMS.items():
+        count, spatial = 3 if kind == "limited" else 2, kind not in PLANAR
+        truth = f"length_errors_mm = {[0.5] * count}\njoint_offsets_deg = {[0.2] * count}\n"
+        truth = 'values = {"joint_offset:2" = 0.3}\n' if spatial else truth
+        files = {"arm.toml": arm, "truth.toml": f"{arm}[calibration]\n{truth}{ECCENTRIC}", "robot.urdf": URDF}
+        with TemporaryDirectory() as folder, chdir(folder):
+            for name, text in files.items():
+                Path(name).write_text(text)
+            for line in STEPS:
+                done = CliRunner().invoke(main, [*line.split(), "--quiet"], catch_exceptions=False)
+                assert done.exit_code == 0, done.stderr
+            campaigns[kind] = {path.name: path.read_text() for path in sorted(Path().iterdir())}
+        campaigns[kind]["extended.toml"] = campaigns[kind]["calibrated.toml"] + ECCENTRIC
+    return campaigns
+
+
+@cache
+def campaigns() -> dict[str, dict[str, str]]:
+    """All of `written_by_armcal`, by one process of its own, as cases are forks of this one."""
+    done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, check=True)
+    return dict(json.loads(done.stdout))
+
+
 # -- arms --------------------------------------------------------------------------------------------------------------
-NAMES = ("arm", "arm", "a<b>&'c'", "\\u001b[31mred", "[bold]x[/bold]", "{{ 7 * 7 }}", "é" * 300)
-CURVE = 'joint_error_curve"\njoint = 1\nfrom_deg = -90.0\nto_deg = 90.0\nvalues_deg = [0.1, 0.0, 0.1, 0.2]'
-EFFECTS = (
-    *('encoder_eccentricity"\njoint = 2', 'encoder_eccentricity"\njoint = 1\na_deg = 0.05\nb_deg = 0.02'),
-    *('gear_ratio"\njoint = 1', 'backlash"\njoint = 2', 'thermal_growth"', 'transmission_ripple"\njoint = 1\nk = 7'),
-    *('outliers"\nshare = 0.1\nsize = 10', 'joint_noise"\njoint = 1\nstd_deg = 0.01', 'base_drift"'),
-    *('joint_step"\njoint = 1\nat = 0.5', 'serial_correlation"\nrho = 0.5', 'joint_hysteresis"\njoint = 2', CURVE),
-    f'{CURVE}\ngeometry = {{"joint_offset:1" = 0.01, "joint_offset:2" = -0.2}}',
+CURVE = '[[effects]]\nname = "joint_error_curve"\njoint = 1\nfrom_deg = -90.0\nto_deg = 90.0\n'
+CURVE += "values_deg = [0.1, 0.0, 0.1, 0.2]\n"
+CONSTRAINTS = (
+    *('workspace_box"\nx_mm = [-500.0, 900.0]', 'keep_out_circle"\ncenter_mm = [300.0, 100.0]\nradius_mm = 40.0'),
+    'line_of_sight"\nhalf_angle_deg = 30.0\ntracker_mm = [2000.0, 0.0]\ntoward_mm = [0.0, 0.0]',
+    'keep_out_sphere"\ncenter_mm = [300.0, 100.0, 200.0]\nradius_mm = 40.0',
+    'line_of_sight"\nhalf_angle_deg = 30.0\ntracker_mm = [2e3, 0.0, 9e2]\ntoward_mm = [0.0, 0.0, 0.0]',
+    'keep_out_cylinder"\nstart_mm = [300.0, 100.0, 0.0]\nend_mm = [300.0, 100.0, 500.0]\nradius_mm = 40.0',
 )
-OF_GRAVITY = ('joint_compliance"', 'gravity_tilt"', 'payload_error"')
-OF_PAYLOAD = ('payload_place"', 'payload_place"\nx_mm = 50.0\ny_mm = 0.0\nz_mm = -1e9')
-OF_LENGTHS = ('length_offset"', 'length_offset"\nc_mm = 1e6')
-OF_PLANAR = ('base_offset"', 'axis_tilt"\njoint = 1', 'axes_skew"')
-OF_SPATIAL = ('axis_runout"\njoint = 1', 'bearing_compliance"\njoint = 1')
-ODD_EFFECTS = ('none_such"', 'session_base"\nsessions = 2', 'link_bending"')
-ODD_EFFECTS += OF_GRAVITY + OF_PAYLOAD + OF_PLANAR + OF_LENGTHS
-AT = "\ncenter_mm = [700.0, -200.0, 300.0]"
 INSTRUMENTS = (
-    *(
-        f'distance"{AT}',
-        'distance"',
-        'distance"\ncenter_mm = [0.0, 0.0, 0.0]',
-        'distance"\ncenter_mm = [1e9, 0.0, 0.0]',
-    ),
-    *('sphere"\nradius_mm = 30.0', 'sphere"\nradius_mm = 1e-6', 'plane"', f'sphere"\nradius_mm = 30.0{AT}'),
+    'distance"',
+    'sphere"\nradius_mm = 30.0',
+    'plane"',
+    'socket"',
+    'sphere"',
+    'plane"\nradius_mm = 5.0',
+    'x"',
 )
-ODD_INSTRUMENTS = ('plane"\nradius_mm = 5.0', 'distance"\nradius_mm = 5.0', 'none"', f'plane"{AT}')
-ODD_INSTRUMENTS += ('sphere"\nradius_mm = -1.0', 'sphere"')
-TWO_TOOLS = "[tool.1]\nz_mm = 60.0\n[tool.2]\ny_mm = "
-TOOLS = ("", "[tool]\nx_mm = 50.0", "[tool]\ny_mm = 50.0", f"{TWO_TOOLS}100.0", f"{TWO_TOOLS}1e9")
-LOAD = "\npayload_at_mm = [10.0, 0.0, 80.0]\npayload_kg = 5"
-LOADS = ("", "\npayload_kg = 5.0", "\npayload_at_mm = [0, 0, 80]", LOAD, f"{LOAD}e300")
-ELBOW = ((0.0, 90.0, 400.0), (-600.0, 0.0, 0.0), (-500.0, 0.0, 0.0), (0.0, 90.0, 150.0), (0.0, -90.0, 120.0))
-LAUGHS = '<!DOCTYPE r [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>\n'
+EITHER = [CURVE, f'{CURVE}geometry = {{"joint_offset:1" = 0.01, "joint_offset:2" = -0.2}}\n']
+TABLES = {  # number of axes of space -> tables of an arm in it
+    2: [
+        *(f'[[constraints]]\nkind = "{text}\n' for text in CONSTRAINTS[:3]),
+        "[gravity]\nacceleration_m_s2 = [0.0, -9.81]\nlink_masses_kg = [1.0, 1.0]\n",
+        "[calibration]\nlength_errors_mm = [0.3, 0.3]\njoint_offsets_deg = [-0.5, 0.5]\n",
+    ],
+    3: [
+        *(f'[[constraints]]\nkind = "{text}\n' for text in CONSTRAINTS[3:]),
+        "[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\nlink_masses_kg = [1.0, 1.0]\npayload_kg = 5.0\n",
+        "[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\nlink_masses_kg = [1, 1]\npayload_at_mm = [10, 0, 80]\n",
+        *("[base]\nx_mm = 1500.0\nrz_deg = 90.0\n", "[machining]\ntranslation_mm = 0.1\n"),
+        '[calibration]\nvalues = {"translation_x:2" = 0.5}\n',
+    ],
+}
+ODD = ['[[effects]]\nname = "none_such"\n', "[tool.1]\nz_mm = 60.0\n[tool.2]\ny_mm = 100.0\n"]
+ODD += [f'[instrument]\nkind = "{text}\n' for text in INSTRUMENTS]
+SIZES = ("0.0", "1e-9", "1e-3", "30.0", "1e3", "1e6", "1e9", "1e300", "-1.0")
 
 
-@dataclass(frozen=True)
-class ArmText:
-    """A file, the URDF file beside it, and what is known of the arm.
-
-    kinds : of the joints, "deg" or "mm";  lower, upper : (n,) limits in these units
-    lengths : (n,) of the links of a planar arm [mm];  reach : [mm]
-    """
-
-    text: str
-    kinds: tuple[str, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    lengths: np.ndarray
-    reach: float
-    urdf: str = ""
-
-    @property
-    def spatial(self) -> bool:
-        return 'kind = "spatial"' in self.text
-
-    @property
-    def instrument(self) -> str:
-        """Kind of what measures lengths, "": positions are measured."""
-        table = re.search(r'\[instrument\]\nkind = "(\w+)"', self.text)
-        return table[1] if table and self.spatial else ""
-
-    def positions(self, postures: np.ndarray) -> np.ndarray:
-        """(m, d) [mm] of a planar arm's tip at (m, n) [deg]; in space of anything within reach."""
-        if self.spatial:
-            return np.random.default_rng(len(postures)).uniform(-0.5 * self.reach, 0.5 * self.reach, (len(postures), 3))
-        z = np.exp(1j * np.radians(np.cumsum(postures, axis=1))) @ self.lengths
-        return np.column_stack([z.real, z.imag])
-
-
-def numbers(values: object) -> str:
-    return "[" + ", ".join(repr(float(v)) for v in np.ravel(np.asarray(values))) + "]"
+def effect(cls: type[Effect]) -> str:
+    """An entry with the lowest of its settings."""
+    settings = "".join(f"{name} = {setting.low:g}\n" for name, setting in cls.settings.items())
+    return f'[[effects]]\nname = "{cls.name}"\n{"joint = 2" if cls.per_joint == "required" else ""}\n{settings}'
 
 
 @st.composite
-def arms(draw: st.DrawFn) -> ArmText:
-    """Planar, from Denavit-Hartenberg rows (a joint slides now and then), or from a URDF file."""
-    kind = pick(draw, ["planar"] * 4 + ["dh", "urdf"])
-    n = pick(draw, [2, 3, 3, 4, 1, 12] if kind == "planar" else [3, 2, 4, 5, 1])
-    width, middle = pick(draw, [180.0, 100.0, 60.0, 20.0, 1e-6, 5e5]), pick(draw, [0.0, 30.0])
-    lower, upper = np.full(n, middle - width), np.full(n, middle + width)
-    kinds, urdf, lengths, reach = ["deg"] * n, "", np.zeros(n), 1500.0
-    parts, rows = [f'name = "{pick(draw, NAMES)}"', *([] if kind == "planar" else ['kind = "spatial"'])], []
-    if kind == "planar":
-        odd = [pick(draw, [300.0, 150.0, 80.0, 500.0, 1e-6, 1e-3, 1e6, 1e9]) for _ in range(n)]
-        lengths = np.array(odd) if one_in(draw, 5) else 300.0 * 0.8 ** np.arange(n)
-        parts.append(f"links_mm = {numbers(lengths)}")
-        reach = float(lengths.sum())
-    elif kind == "dh":
-        rows = [f"[[dh]]\na_mm = {a}\nalpha_deg = {alpha}\nd_mm = {d}" for a, alpha, d in ELBOW[:n]]
-        if (slide := pick(draw, [-1, -1, -1, 0, n - 1])) >= 0:
-            rows[slide] += '\njoint = "prismatic"'
-            kinds[slide], lower[slide], upper[slide] = "mm", 0.0, 400.0
-    else:
-        lower, upper = np.full(n, -100.0), np.full(n, 100.0)
-        urdf = draw(urdfs(n))
-        where = pick(draw, ['"robot.urdf"'] * 8 + [f"'''{urdf}'''"] * 4 + ['"../../../etc/passwd"'])
-        parts += [f"urdf = {where}", 'base_link = "link_0"', f'tip_link = "link_{n}"']
-        urdf = LAUGHS + urdf if one_in(draw, 20) else draw(mostly_valid(urdf))
-    if kind != "urdf" and (width != 180.0 or draw(st.booleans())):
-        for unit in sorted(set(kinds)):
-            of_unit = np.array(kinds) == unit
-            bounds = f"lower = {numbers(lower[of_unit])}\nupper = {numbers(upper[of_unit])}"
-            parts.append(f"[joint_limits_{unit}]\n{bounds}")
-    text = "\n".join([*parts, *rows, *draw(tables_of_arm(n, reach, kind != "planar"))]) + "\n"
-    return ArmText(text, tuple(kinds), lower, upper, lengths, reach, urdf)
-
-
-@st.composite
-def tables_of_arm(draw: st.DrawFn, n: int, reach: float, spatial: bool) -> list[str]:
-    """Noise, instrument, base, tool, machining, gravity, constraints, effects, calibration."""
-    parts, lengths = [], one_in(draw, 3 if spatial else 60)
-    if spatial or not one_in(draw, 5):
-        parts.append(f"[measurement]\nsigma_mm = {pick(draw, [0.1] * 12 + [0.05, 1e-9, 1e3, 1e9])!r}")
-    if spatial and one_in(draw, 30 if lengths else 2):
-        parts[-1] += f"\nsigma_deg = {pick(draw, ['0.05', '1e-9', '1e9'])}"
-    if lengths:
-        instrument = pick(draw, ODD_INSTRUMENTS if one_in(draw, 12) else INSTRUMENTS)
-        parts.append(f'[instrument]\nkind = "{instrument}')
-    if spatial:
-        if "center_mm" not in "".join(parts) and draw(st.booleans()):
-            parts.append(f"[base]\nx_mm = 1500.0\nrz_deg = {pick(draw, ['90.0', '1e6'])}")
-        parts.append(pick(draw, TOOLS))
-        if one_in(draw, 4):
-            parts.append(f"[machining]\ntranslation_mm = {pick(draw, ['0.1', '0.3', '1.0', '1e-12', '1e300'])}")
-    gravity = one_in(draw, 3 if spatial else 2)
-    if gravity:
-        down = numbers([0.0, 0.0, -9.81] if spatial else [0.0, -9.81])
-        parts.append(f"[gravity]\nacceleration_m_s2 = {down}\nlink_masses_kg = {numbers(np.ones(n))}")
-        parts[-1] += pick(draw, LOADS) if spatial else ""
-    parts += [draw(constraints(reach, 3 if spatial else 2)) for _ in range(pick(draw, [0] * 6 + [1, 2]))]
-    fitting = EFFECTS + (OF_SPATIAL if spatial else OF_PLANAR) + (OF_GRAVITY if gravity else ())
-    fitting += (OF_PAYLOAD if gravity and spatial else ()) + (OF_LENGTHS if lengths and spatial else ())
-    for _ in range(pick(draw, [0, 0, 0, 0, 0, 1, 1, 2])):
-        parts.append(f'[[effects]]\nname = "{pick(draw, ODD_EFFECTS if one_in(draw, 12) else fitting)}')
-    if spatial and n > 1 and not one_in(draw, 3):
-        name = "base.x" if one_in(draw, 12) else f"translation_x:{n}"  # the base may be known
-        parts.append(f'[calibration]\nvalues = {{"{name}" = 0.5}}')
-    elif not spatial and not one_in(draw, 4):
-        offsets = f"joint_offsets_deg = {numbers(np.linspace(-0.5, 0.5, n))}"
-        parts.append(f"[calibration]\nlength_errors_mm = {numbers(np.full(n, 0.3))}\n{offsets}")
-    return parts
-
-
-@st.composite
-def constraints(draw: st.DrawFn, reach: float, dimension: int) -> str:
-    """With sizes of the arm's, or with absurd ones."""
-    size, zeros = reach * pick(draw, [1.0, 0.5, 0.1, 1e-9]), numbers(np.zeros(dimension))
-    point, away = numbers(np.full(dimension, size / 2)), numbers(np.full(dimension, 3 * reach))
-    shape = "keep_out_circle" if dimension == 2 else "keep_out_sphere"
-    kinds = [
-        'workspace_box"\n' + "\n".join(f"{axis}_mm = [{-size!r}, {size!r}]" for axis in "xyz"[:dimension]),
-        f'{shape}"\ncenter_mm = {point}\nradius_mm = {size / 10!r}',
-        f'line_of_sight"\nhalf_angle_deg = 30.0\ntracker_mm = {away}\ntoward_mm = {zeros}',
-        f'keep_out_cylinder"\nstart_mm = {point}\nend_mm = {zeros}\nradius_mm = {size / 20!r}',
-    ]
-    return f'[[constraints]]\nkind = "{pick(draw, kinds[: dimension + 1])}'
-
-
-@st.composite
-def urdfs(draw: st.DrawFn, n: int) -> str:
-    """A chain of n joints that turn; masses and a fixed joint now and then."""
-    axes = [np.eye(3)[pick(draw, [2, 1, 0])] for _ in range(n)]
-    mass = '<inertial><mass value="2.5"/></inertial>' if draw(st.booleans()) else ""
-    lines = ["<?xml version='1.0'?>", '<robot name="r">', '<link name="link_0"/>']
-    for j, axis in enumerate(axes, start=1):
-        ends = f'<parent link="link_{j - 1}"/><child link="link_{j}"/><axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
-        limit = '<limit lower="-1.745" upper="1.745" effort="1" velocity="1"/>'
-        lines.append(f'<link name="link_{j}">{mass}</link>')
-        lines.append(f'<joint name="j{j}" type="revolute"><origin xyz="0.1 0 0.3" rpy="0 0 0"/>{ends}{limit}</joint>')
-    if draw(st.booleans()):
-        lines.append('<link name="tool0"/><joint name="end" type="fixed">')
-        lines.append(f'<parent link="link_{n}"/><child link="tool0"/></joint>')
-    return "\n".join([*lines, "</robot>"]) + "\n"
+def arms(draw: st.DrawFn, kind: str) -> str:
+    """The file of a kind of arm with some further tables, and now and then with a number of another size."""
+    text = campaigns()[kind]["arm.toml"]
+    dimension = 2 if kind in PLANAR else 3
+    fitting = [*EITHER, *TABLES[dimension], *map(effect, of_dimension(dimension).values())]
+    odd = [*ODD, *TABLES[5 - dimension], *map(effect, of_dimension(5 - dimension).values())]
+    for _ in range(pick(draw, [0, 0, 1, 1, 2, 3])):
+        text += pick(draw, odd if one_in(draw, 12) else fitting)
+    if one_in(draw, 4):
+        number = pick(draw, list(re.finditer(r"-?\d+\.\d+", text)))
+        text = text[: number.start()] + pick(draw, SIZES) + text[number.end() :]
+    return text.replace("sigma_mm = 0.1", "sigma_mm = 0.1\nsigma_deg = 0.05") if one_in(draw, 12) else text
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------
-def csv(draw: st.DrawFn, columns: dict[str, np.ndarray | list[str]]) -> str:
-    """The text of a table; of one in eight with semicolons and decimal commas."""
+Number = Callable[[int], object]
+FURTHER: dict[
+    str, dict[str, Number]
+] = {  # columns that tables may have besides: of each a function of the row's number
+    "order": {"order": lambda k: k},
+    "time": {"time_s": lambda k: 7.5 * k},
+    "session": {"session": lambda k: f"day {1 + k // 20}"},
+    "posture": {"posture": lambda k: k // 2},
+    "sigma": {"sigma_mm": lambda k: 0.1},
+    "payload": {"payload_kg": lambda k: k % 3 * 2.5},
+    "temperature": {"temperature_C": lambda k: 18.0 + 0.1 * k},
+    "directions": {f"direction{j}": lambda k, j=j: 1 if k % (j + 1) else -1 for j in (1, 2, 3)},  # type: ignore[misc]
+    "commanded": {f"commanded{j}_deg": lambda k, j=j: 7.0 * k % (90.0 * j) for j in (1, 2)},  # type: ignore[misc]
+    "unknown": {"note": lambda k: "a<b>"},
+    "marker": {"marker": lambda k: 1 + k % 2},
+    "surface": {"surface": lambda k: f"side {k % 2}"},
+    "weight": {"weight": lambda k: 0.025},
+    "angles": {f"r{axis}_deg": lambda k: 9.0 * k % 90.0 for axis in "xyz"},
+    "quaternion": {f"q{part}": lambda k: 0.5 for part in "wxyz"},
+}
+
+
+@st.composite
+def tables(draw: st.DrawFn, text: str) -> str:
+    """A table of armcal's with other rows, sizes and columns, and with semicolons and decimal commas now and then."""
+    first, *lines = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
+    kept = pick(draw, [range(40)] * 6 + [range(8), range(1), [0] * 20, [k // 3 for k in range(30)]])
+    rows = [lines[k] for k in kept if k < len(lines)]
+    columns = dict(zip(first, zip(*rows, strict=True), strict=True))
+    for start, factors in (
+        ("q", [1.0] * 8 + [3.0, 1e3]),
+        (("x_", "y_", "z_", "dist"), [1.0] * 8 + [0.0, 1.1, 1e-3, 1e6]),
+    ):
+        if (factor := pick(draw, factors)) != 1.0:
+            columns |= {
+                name: tuple(repr(factor * float(cell)) for cell in cells)
+                for name, cells in columns.items()
+                if name.startswith(start)
+            }
+    for further in draw(st.lists(st.sampled_from(list(FURTHER)), max_size=3, unique=True)):
+        columns |= {name: tuple(str(of(k)) for k in range(len(rows))) for name, of in FURTHER[further].items()}
+    if one_in(draw, 12):
+        del columns[pick(draw, list(columns))]
     european = one_in(draw, 8)
-    separator, rows = (";" if european else ","), zip(*columns.values(), strict=True)
-    lines = [separator.join(cell if isinstance(cell, str) else f"{cell:.9g}" for cell in row) for row in rows]
-    text = "\n".join([separator.join(columns), *lines]) + "\n"
+    separator = ";" if european else ","
+    text = "\n".join(map(separator.join, [list(columns), *zip(*columns.values(), strict=True)])) + "\n"
     return text.replace(".", ",") if european else text
 
 
-def drawn_postures(draw: st.DrawFn, arm: ArmText, rows: int) -> np.ndarray:
-    """(m, n) within the limits, or equal, or far outside, or of many turns."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    postures = rng.uniform(arm.lower, arm.upper, (rows, len(arm.kinds)))
-    kind = pick(draw, ["random"] * 5 + ["same", "repeated", "outside", "turns"])
-    if kind in ("same", "repeated"):
-        postures = postures[rng.integers(0, max(rows // 3, 1) if kind == "repeated" else 1, rows)]
-    return postures * {"outside": 3.0, "turns": 1000.0}.get(kind, 1.0)
-
-
-def named(arm: ArmText, values: np.ndarray, letter: str = "q") -> dict[str, np.ndarray]:
-    return {f"{letter}{j}_{kind}": column for j, (kind, column) in enumerate(zip(arm.kinds, values.T, strict=True), 1)}
-
-
-def conditions(draw: st.DrawFn, arm: ArmText, rows: int) -> dict[str, np.ndarray]:
-    """Columns that a plan may have too."""
-    number, signs = np.arange(rows), range(1, len(arm.kinds) + 1)
-    every = (
-        {"payload_kg": number % 3 * 2.5},
-        {"temperature_C": np.linspace(18.0, 25.0, rows)},
-        {f"direction{j}": np.where(number % (j + 1), 1, -1) for j in signs},
-    )
-    return {name: column for columns in every if one_in(draw, 4) for name, column in columns.items()}
-
-
 @st.composite
-def plans(draw: st.DrawFn, arm: ArmText) -> str:
-    """With weights now and then."""
-    rows = pick(draw, [12, 20, 30, 3, 1])
-    weight = {"weight": np.full(rows, 1.0 / rows)} if one_in(draw, 5) else {}
-    postures = named(arm, drawn_postures(draw, arm, rows))
-    return csv(draw, {"run": np.arange(1, rows + 1), **postures, **conditions(draw, arm, rows), **weight})
-
-
-@st.composite
-def measurements(draw: st.DrawFn, arm: ArmText) -> str:
-    """Positions, of planar arms those that they have, with noise and an offset, or lengths, or contacts; and columns
-    of any kind."""
-    rows = pick(draw, [20, 40, 60, 8, 2])
-    angles, rng, number = drawn_postures(draw, arm, rows), np.random.default_rng(rows), np.arange(rows)
-    exact = arm.positions(angles + pick(draw, [0.0, 0.1]))
-    places = exact + pick(draw, [0.1, 0.1, 0.1, 0.0, 50.0, 1e6]) * rng.standard_normal(exact.shape)
-    columns: dict = named(arm, angles) | {f"{axis}_mm": column for axis, column in zip("xyz", places.T, strict=False)}
-    if arm.instrument == "distance" and not one_in(draw, 20):
-        unit, size = ("m", 1e-3) if one_in(draw, 12) else ("mm", 1.0)
-        columns = named(arm, angles) | {f"distance_{unit}": size * np.linalg.norm(places, axis=1)}
-    elif arm.instrument and not one_in(draw, 20):
-        columns = named(arm, angles)
-        if draw(st.booleans()):
-            columns["surface"] = [f"side {k % 2}" for k in number]
-    every: dict[str, dict] = {
-        "order": {"order": number},
-        "time": {"time_s": number * 7.5},
-        "session": {"session": [f"day {1 + 2 * k // rows}" for k in range(rows)]},
-        "posture": {"posture": number // 2},
-        "sigma": {"sigma_mm": np.full(rows, 0.1)},
-        "commanded": named(arm, angles + 0.01, "commanded"),
-        "unknown": {"note": ["a<b>"] * rows},
-        "marker": {"marker": [str(1 + k % 2) for k in range(rows)]},
-        "angles": {f"r{axis}_deg": rng.uniform(-90.0, 90.0, rows) for axis in "xyz"},
-        "quaternion": {f"q{part}": rng.standard_normal(rows) for part in "wxyz"},
-    }
-    chosen = draw(st.lists(st.sampled_from(list(every)), max_size=3, unique=True))
-    for key in [*chosen, *(["marker"] if TWO_TOOLS in arm.text and not one_in(draw, 8) else [])]:
-        columns |= every[key]
-    return csv(draw, columns | conditions(draw, arm, rows))
-
-
-@st.composite
-def targets(draw: st.DrawFn, arm: ArmText) -> str:
-    """Positions within reach and beyond, or postures, or both, with orientations now and then."""
-    rows, kind = pick(draw, [5, 1, 12]), pick(draw, ["positions", "postures", "both", "poses"])
-    angles = drawn_postures(draw, arm, rows)
-    places = arm.positions(angles) * pick(draw, [1.0, 1.0, 0.0, 100.0, 1e295])
-    columns: dict = {f"{axis}_mm": column for axis, column in zip("xyz", places.T, strict=False)}
-    if kind in ("postures", "both"):
-        columns = {**(columns if kind == "both" else {}), **named(arm, angles)}
-    if kind == "poses":
-        columns |= {f"r{axis}_deg": np.linspace(-90.0, 90.0, rows) for axis in "xyz"}
-    return csv(draw, columns)
-
-
-@st.composite
-def studies(draw: st.DrawFn, arm: ArmText) -> str:
+def studies(draw: st.DrawFn, spatial: bool) -> str:
     """A small study of one or two plans."""
-    plan = ["random", "best_of_random", "plan.csv", "exchange", *(() if arm.spatial else ("dft",))]
-    plan = ["none", "../plan.csv"] if one_in(draw, 12) else plan
-    chosen = [f'"{pick(draw, plan)}"' for _ in range(draw(st.integers(1, 2)))]
-    few = 3 if arm.spatial else 1  # equations of a row make up for the parameters
-    runs = ["[1]", "[]"] if one_in(draw, 12) else [f"[{12 * few}]", f"[{10 * few}, {20 * few}]", f"[{8 * few}]"]
-    lines = ['arms = ["arm.toml"]', f"plans = [{', '.join(chosen)}]", f"runs = {pick(draw, runs)}"]
-    lines += ["solver_seconds = 0.2", f"replications = {pick(draw, ['1', '5', '20'])}"]
-    lines += ["sigma_mm = [0.1]"] if draw(st.booleans()) else []
+    plans = ["none", "../plan.csv"] if one_in(draw, 12) else ["random", "best_of_random", "plan.csv", "exchange", "dft"]
+    lines = [
+        'arms = ["arm.toml"]',
+        f"plans = {json.dumps(draw(st.lists(st.sampled_from(plans), min_size=1, max_size=2)))}",
+    ]
+    lines += [f"runs = {pick(draw, ['[12]', '[36]', '[30, 60]', '[1]', '[]'])}", "solver_seconds = 0.2"]
+    lines += [f"replications = {pick(draw, ['1', '5', '20'])}", *(["sigma_mm = [0.1]"] if draw(st.booleans()) else [])]
     if one_in(draw, 3):
-        of_space = arm.spatial is not one_in(draw, 12)
-        planar = f"length_errors_mm = {numbers(np.full(len(arm.kinds), 0.5))}"
-        lines.append('[[truths]]\nname = "t"\n' + ('values = {"joint_offset:2" = 0.2}' if of_space else planar))
+        planar = "length_errors_mm = [0.5, 0.5]\njoint_offsets_deg = [0.1, 0.1]"
+        lines.append('[[truths]]\nname = "t"\n' + ('values = {"joint_offset:2" = 0.2}' if spatial else planar))
     if one_in(draw, 3):
-        effect = "base_drift" if arm.spatial else "base_offset"
-        lines.append(f'[[models]]\nname = "m"\neffects = [{{name = "{effect}"}}]')
+        lines.append(f'[[models]]\nname = "m"\neffects = [{{name = "{"base_drift" if spatial else "base_offset"}"}}]')
     return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    sys.stdout.write(json.dumps(written_by_armcal()))

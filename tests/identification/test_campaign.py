@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Arm, Calibration, Campaign, InputError, Measurements, Model
+from identification import Arm, Calibration, InputError, Measurements, Model, campaign_document
 from identification.workflow import Written, identify_files
 
 LENGTHS = [300.0, 200.0]
@@ -27,10 +27,8 @@ def folder(tmp_path: Path) -> Path:
 
 def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> None:
     names = [folder / name for name in ("arm.toml", "calibrated.toml", "data.csv", "other.csv")]
-    campaign = Campaign.of(names)
-    assert [*campaign.kinds.values()] == ["arm", "arm with a calibration", "measurements", "measurements"]
-    assert campaign.chosen == str(folder / "calibrated.toml")
-    document = campaign.document()
+    document, kinds = campaign_document(names)
+    assert [*kinds.values()] == ["arm", "arm with a calibration", "measurements", "measurements"]
     assert document.verdict[0].startswith(f"On 30 rows of {folder / 'other.csv'}, {folder / 'calibrated.toml'} takes")
     assert "more than 99.9 % of the error is removed" in document.verdict[0]
     assert any("compensate" in action.command for action in document.actions)
@@ -39,8 +37,8 @@ def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> 
 
 def test_a_plan_is_read_and_what_is_no_table_of_the_arm_is_one_line(folder: Path) -> None:
     (folder / "plan.csv").write_text("run,q1_deg,q2_deg\n1,10,20\n")
-    assert Campaign.of([folder / "arm.toml", folder / "plan.csv"]).verdict[0].endswith("plan.csv has 1 runs.")
+    assert campaign_document([folder / "arm.toml", folder / "plan.csv"])[0].verdict[0].endswith("plan.csv has 1 runs.")
     (folder / "plan.csv").write_text("a,b\n1,10\n")
     with pytest.raises(InputError, match="q1_deg") as refused:
-        Campaign.of([folder / "arm.toml", folder / "plan.csv"])
+        campaign_document([folder / "arm.toml", folder / "plan.csv"])
     assert "\n" not in str(refused.value)

@@ -9,10 +9,11 @@ import pytest
 
 from doe import DesignProblem, solve
 from doe.problem.uncertain import workspace
-from identification import Arm, ArmModel, InputError, Model, for_design
+from identification import Arm, ArmModel, InputError, Model, Plan, for_design
 from identification.instruments import Plane, Sphere
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.frames import pose, rotation_to_z
+from tests.doe.arms import FOUR
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
@@ -92,3 +93,15 @@ def test_what_no_plan_can_be_made_for() -> None:
     far = replace(arm.chain, base=pose(-20.0 * CENTER), settled=frozenset({BASE, TOOL}))
     with pytest.raises(InputError, match="sphere is touched within limits and constraints at 0 of 40000 random"):
         DesignProblem.of(Model(replace(arm, chain=far)))
+
+
+def test_weights_of_a_plan_are_runs_of_what_it_could_show() -> None:
+    """A posture of weight 4 / 12 is seen as one that is measured four times, and one of weight 0 not at all."""
+    model, postures = ArmModel(FOUR), np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (10, 4))
+    weighted = model.detectability(Plan(postures, np.array([4, 1, 1, 1, 1, 1, 1, 1, 1, 0]) / 12.0))
+    repeated = model.detectability(Plan(postures[[0, 0, 0, *range(9)]]))
+    drift = [name.endswith("drift") for name in repeated.names]  # is of the order, which weights do not have
+    np.testing.assert_allclose(weighted.norm_fractions[np.invert(drift)], repeated.norm_fractions[np.invert(drift)])
+    assert weighted.freedom == repeated.freedom - 6
+    size, larger = (each.detectable["gear_ratio:2"].value for each in (repeated, weighted))
+    assert larger > size * np.sqrt(12.0 / 10.0)  # as many runs as rows, and fewer degrees of freedom

@@ -102,6 +102,36 @@ def linear(matrix: np.ndarray, right: np.ndarray) -> Callable[..., tuple[np.ndar
     return linearize
 
 
+@pytest.mark.parametrize("seed", range(60))
+def test_from_every_corner_to_the_best_of_all_sets_of_active_bounds(seed: int) -> None:
+    """Linear problems in a box, some of whose columns nearly depend on each other: from each corner of the box to the
+    least sum of squares, which the best of the 81 choices of what is at its lower bound, at its upper one, or free
+    has; and where bounds are active the gradient leads out of the box."""
+    generator, p = np.random.default_rng(seed), 4
+    matrix = generator.standard_normal((6, p)) @ (np.eye(p) + generator.uniform(-1.0, 1.0) * np.ones((p, p)))
+    right, lower = 3.0 * generator.standard_normal(6), np.zeros(p)
+    upper = generator.choice([0.5, 2.0, INF], p)
+    ends = np.where(np.isfinite(upper), upper, 5.0)
+    starts = np.array([np.where(at, ends, lower) for at in np.ndindex(*[2] * p)])
+    fits = levenberg_marquardt(
+        problem(linear(matrix, np.tile(right, (16, 1))), p, 16, lower=lower, upper=upper), starts
+    )
+    best = INF
+    for at in np.ndindex(*[3] * p):
+        x, free = np.where(np.array(at) == 1, upper, lower), np.array(at) == 2
+        if np.all(np.isfinite(x[~free])):
+            x[free] = np.linalg.lstsq(matrix[:, free], right - matrix[:, ~free] @ x[~free])[0]
+            inside = np.all((x >= lower) & (x <= upper))
+            best = min(best, float(np.sum((right - matrix @ x) ** 2))) if inside else best
+    assert set(fits.status) == {Status.converged}
+    assert np.all((fits.parameters >= lower) & (fits.parameters <= upper))
+    np.testing.assert_allclose(fits.rss, best, rtol=1e-9)
+    pull = (right - fits.parameters @ matrix.T) @ matrix
+    assert np.all(
+        np.where(fits.active, pull * np.where(fits.parameters <= lower, -1.0, 1.0), 1e-6 - np.abs(pull)) > 0.0
+    )
+
+
 def test_what_is_not_determined_stays_where_it_was() -> None:
     """Two equal columns: only their sum moves, by the shortest step; and a column of zeros."""
     generator = np.random.default_rng(6)

@@ -128,38 +128,24 @@ def test_notebook_runs_as_it_is(path: Path, tmp_path: Path, monkeypatch: pytest.
 
 
 @by_notebook
-def test_notebook_asserts_its_numbers(path: Path) -> None:
-    sources = [cell.source for cell in code_cells(read(path))]
-    assert sum(len(re.findall(r"^ *assert ", source, re.MULTILINE)) for source in sources) >= 5
-
-
-@by_notebook
-def test_committed_notebook_was_run_from_top_to_bottom(path: Path) -> None:
+def test_committed_notebook(path: Path) -> None:
+    """It asserts its numbers, was run from top to bottom, shows a picture, is small and of no machine."""
     import nbformat
 
-    notebook = read(path)
-    nbformat.validate(notebook)
-    assert [cell.execution_count for cell in code_cells(notebook)] == list(range(1, len(code_cells(notebook)) + 1))
-    kinds = {kind for output in outputs(notebook) for kind in output.get("data", {})}
-    assert "image/png" in kinds, "a notebook without a picture"
-    assert not [o for o in outputs(notebook) if o.output_type == "error" or o.get("name") == "stderr"]
-
-
-@by_notebook
-def test_formulas_need_no_script(path: Path) -> None:
-    """An exported page shows LaTeX only with MathJax, which it takes from the network."""
-    notebook = read(path)
-    shown = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
-    shown += [output.data["text/markdown"] for output in outputs(notebook) if "text/markdown" in output.get("data", {})]
-    assert not re.search(r"\$[^$]+\$|\\\\[\[(]", "\n".join(shown))
-
-
-@by_notebook
-def test_committed_notebook_is_small_and_of_no_machine(path: Path) -> None:
     assert path.stat().st_size < LARGEST
     notebook = read(path)
+    nbformat.validate(notebook)
+    cells, printed = code_cells(notebook), list(outputs(notebook))
+    assert sum(len(re.findall(r"^ *assert ", cell.source, re.MULTILINE)) for cell in cells) >= 5
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    assert "image/png" in {kind for output in printed for kind in output.get("data", {})}, "without a picture"
+    assert not [o for o in printed if o.output_type == "error" or o.get("name") == "stderr"]
     assert set(notebook.metadata) <= {"kernelspec", "language_info"}
     assert all(cell.metadata == {} for cell in notebook.cells)
     words = [cell.source for cell in notebook.cells]
-    words += [o.get("text") or o.get("data", {}).get("text/plain", "") for o in outputs(notebook)]
+    words += [o.get("text") or o.get("data", {}).get("text/plain", "") for o in printed]
     assert not re.search(r"/(home|tmp|root|work|usr|Users|opt)/|[A-Z]:\\|object at 0x", "\n".join(words))
+    # an exported page shows LaTeX only with MathJax, which it takes from the network
+    shown = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
+    shown += [output.data["text/markdown"] for output in printed if "text/markdown" in output.get("data", {})]
+    assert not re.search(r"\$[^$]+\$|\\\\[\[(]", "\n".join(shown))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -32,21 +31,14 @@ from doe.studies.blind.simulator import (
 )
 from identification import Arm, Array, EffectSpec, Measurements, load_arm
 
+TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
 EVERY_JOINT = "joint_compliance*"  # stands for the compliance of all joints at once
-COMMON = ("encoder_eccentricity", "encoder_second_harmonic", "transmission_ripple", "gear_ratio", "joint_coupling")
-LIBRARY_JOINT = ("joint_compliance", *COMMON, "backlash", "gravity_backlash")
-LIBRARY_WHOLE = (
-    *(EVERY_JOINT, "link_bending", "thermal_growth", "base_offset", "base_drift", "base_rotation_drift"),
-    "axes_skew",
-)
-SPACE_JOINT = ("joint_compliance", "gravity_backlash", "bearing_compliance", *COMMON, "backlash")
-SPACE_WHOLE = (EVERY_JOINT, "thermal_growth", "base_drift", "base_rotation_drift")
-OUTSIDE = ("free_ripple", "bump", "cubic", "cable_pull", "step_drift")  # when the study began; two are inside by now
-SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}
-SPACE_OUTSIDE = ("bump", "cubic", "cable_pull", "axis_wobble")
-# not in the library, and in the plane no one effect of it explains half of them
-PHYSICS_WHOLE = ("gripper_play", "refraction", "two_warm_ups", "payload_swap", "warm_offset")
-PHYSICS = ("memory_hysteresis", "two_joint_cable", "gear_wear", "cross_talk", "stick_slip", *PHYSICS_WHOLE)
+LIBRARY_JOINT, LIBRARY_WHOLE = (tuple(TABLE["names"][key]) for key in ("library_joint", "library_whole"))
+SPACE_JOINT, SPACE_WHOLE = (tuple(TABLE["names"][key]) for key in ("space_joint", "space_whole"))
+OUTSIDE, SPACE_OUTSIDE = (tuple(TABLE["names"][key]) for key in ("outside", "space_outside"))
+PHYSICS_WHOLE = tuple(TABLE["names"]["physics_whole"])
+PHYSICS = (*TABLE["names"]["physics_joint"], *PHYSICS_WHOLE)
+SINCE_INSIDE = {"free_ripple": "transmission_ripple", "step_drift": "base_step"}  # of `OUTSIDE`
 OF_ARM = (*LIBRARY_WHOLE, *PHYSICS_WHOLE, "step_drift")
 NOT_INSIDE = {*OUTSIDE, *SPACE_OUTSIDE, *PHYSICS} - set(SINCE_INSIDE)
 COUNTS = {"small": (14, 22), "several": (6, 9)}  # of many effects at once, the least and the most
@@ -101,7 +93,6 @@ class CellSpec:
         return np.random.default_rng([20261125 if self.space else 20261121, self.number, seed])
 
 
-TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
 CELLS = {name: CellSpec(**spec) for name, spec in TABLE["plane"].items()}
 CELLS |= {f"space, {name}": CellSpec(**spec, space=True) for name, spec in TABLE["space"].items()}
 
@@ -143,8 +134,7 @@ def truth_of(spec: CellSpec, rng: np.random.Generator) -> TrueArm:
     """The arm of a data set."""
     if not spec.space:
         return random_truth(rng, int(rng.integers(spec.links[0], spec.links[1] + 1)))
-    truth = random_six_axes(rng)
-    return replace(truth, tools=truth.tools[: spec.reflectors])
+    return replace(truth := random_six_axes(rng), tools=truth.tools[: spec.reflectors])
 
 
 def arm_of(truth: TrueArm) -> Arm:
@@ -250,15 +240,16 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
 
 def settings(name: str, values: Values) -> dict[str, float]:
     """Of an effect as an arm file has it, what is not estimated."""
-    return {s: float(v) for s, v in values.items() if s in ("k", "at")} | ({"side": 1.0} if name == "base_step" else {})
+    return {s: float(values[s]) for s in ("k", "at") if s in values} | ({"side": 1.0} if name == "base_step" else {})
 
 
 def numbered(values: Values) -> dict[str, float]:
     """Amplitudes of an effect, named as the library names its parameters: `v` of a drift is vx, vy; `c` c1, c2, .."""
     named: dict[str, float] = {}
-    for name, value in ((name, value) for name, value in values.items() if name not in SHAPES):
-        ends = [""] if np.ndim(value) == 0 else "xyz" if name in "vw" else range(1, len(value) + 1)
-        named |= {f"{name}{end}": float(part) for end, part in zip(ends, np.atleast_1d(value), strict=False)}
+    for name in (name for name in values if name not in SHAPES):
+        parts = np.atleast_1d(values[name]).tolist()
+        ends = [""] if np.ndim(values[name]) == 0 else "xyz" if name in "vw" else range(1, len(parts) + 1)
+        named |= {f"{name}{end}": part for end, part in zip(ends, parts, strict=False)}
     return named
 
 
@@ -266,12 +257,10 @@ def values_of(truth: TrueArm) -> dict[str, float]:
     """Parameter name -> true value [API units]; in space without the geometry, which others say differently."""
     values: dict[str, float] = {}
     if truth.in_plane:
-        errors = zip(truth.links[:, 0] - truth.lengths, truth.offsets, strict=True)
-        for j, (length, offset) in enumerate(errors, start=1):
-            values |= {f"length_error:{j}": float(length), f"joint_offset:{j}": float(offset)}
-    for effect in truth.effects:
-        values |= {f"{key(effect)}.{name}": value for name, value in numbered(effect[2]).items()}
-    return values
+        errors = {"length_error": truth.links[:, 0] - truth.lengths, "joint_offset": truth.offsets}
+        values = {f"{name}:{j + 1}": float(error[j]) for j in range(truth.n) for name, error in errors.items()}
+    named = ((key(effect), numbered(effect[2])) for effect in truth.effects)
+    return values | {f"{effect}.{name}": value for effect, of_effect in named for name, value in of_effect.items()}
 
 
 def key(effect: Drawn) -> str:
@@ -407,8 +396,7 @@ def many_effects(
 ) -> list[Drawn]:
     """What a real robot has at once, each effect of its own size lambda between two: so many effects of the library at
     random as `COUNTS` says, one of gravity; `small`: one or more in every joint."""
-    plane = truth.in_plane
-    names = LIBRARY_JOINT + LIBRARY_WHOLE if plane else SPACE_JOINT + SPACE_WHOLE
+    names = LIBRARY_JOINT + LIBRARY_WHOLE if truth.in_plane else SPACE_JOINT + SPACE_WHOLE
     listed = [(name, joint) for name in names for joint in joints_of(name, truth.n)]
     listed = [listed[k] for k in rng.permutation(len(listed))]
     of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
@@ -416,17 +404,17 @@ def many_effects(
     if kind == "small":
         first = {j: (name, j) for name, j in reversed(listed) if j is not None}
         listed = [*first.values(), *(place for place in listed if place not in first.values())]
-    most = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1))
+    most, effects = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1)), list[Drawn]()
     span, limits = base_jacobian(truth, run), np.log(sizes)
-
-    def drawn(name: str, joint: int | None) -> Drawn | None:
-        lam = rng.uniform(*limits) if plane else None  # in this order since the study began
+    for name, joint in listed:
+        lam = rng.uniform(*limits) if truth.in_plane else None  # in this order since the study began
         direction = directions(truth, name, joint, rng)
         size = float(np.exp(rng.uniform(*limits) if lam is None else lam))
-        return sized(truth, run, (name, joint, direction), size, span)
-
-    every = (drawn(name, joint) for name, joint in listed)
-    return list(islice((effect for effect in every if effect is not None), most))
+        if (effect := sized(truth, run, (name, joint, direction), size, span)) is not None:
+            effects.append(effect)
+        if len(effects) == most:
+            break
+    return effects
 
 
 def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, values: Values | None = None) -> Array:

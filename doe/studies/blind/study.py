@@ -21,7 +21,7 @@ import polars as pl
 
 from doe.discrimination.design import discrimination_design
 from doe.discrimination.t_optimal import discriminate
-from doe.jobs import Key, Row, RowTable, Workers, frame_of, parquet, run_tasks
+from doe.jobs import Key, Row, frame_of, parquet, run_tasks
 from doe.problem.problem import DesignProblem
 from doe.studies.blind.cells import CELLS, SAME_ARM, TABLE, DataSet, data_set, to_be_planned
 from identification import (
@@ -29,7 +29,6 @@ from identification import (
     Array,
     Diagnosis,
     InputError,
-    Progress,
     design_model,
     diagnose,
     fitted_arm,
@@ -42,7 +41,6 @@ from identification.files.io import write_together
 BATCH = SAME_ARM  # sets per task
 AMBIGUOUS = "one, lambda 8, m=20"  # the cell whose ambiguous sets are measured further
 FURTHER_RUNS = (2, 8)  # more postures for an ambiguous set
-ROWS = "sets.parquet"
 NOTHING, OUTSIDE = "nothing", "outside the library"
 ALL, ALL_OUTSIDE = "all sets", "all outside the library"  # stand for a cell where a figure is of all of them together
 KEEPS = "confirmed with 3 x the reachable error"
@@ -58,15 +56,7 @@ Judged = dict[str, Any]
 
 
 def blind_study(
-    cells: Sequence[str],
-    count: int | None = None,
-    folder: Path | None = None,
-    workers: Workers = 1,
-    *,
-    seed: int = 0,
-    resume: bool = False,
-    force: bool = False,
-    progress: Progress = Progress(),
+    cells: Sequence[str], count: int | None = None, folder: Path | None = None, *, seed: int = 0, **how: Any
 ) -> dict[str, pl.DataFrame]:
     """Diagnose data sets with hidden effects and compare with the truth afterwards: `sets` (what is hidden in each, and
     what the diagnosis says of it, see `examine`) and the tables of `scored`.
@@ -74,7 +64,7 @@ def blind_study(
     cells : names of the simulators' cells
     count : data sets per cell; left out: 1000 without a hidden effect where there is a bar, else 400 or 1200; in space
         100
-    folder : where NAME.parquet of each goes
+    folder : where NAME.parquet of each goes;  how : `workers`, `resume`, `force` and `progress` of `run_tasks`
 
     Raises `InputError` for an unknown cell.
     """
@@ -90,12 +80,10 @@ def blind_study(
             {"cell": cell, "first": first, "sets": min(BATCH, total - first), "seed": seed}
             for first in range(0, total, BATCH)
         ]
-    with RowTable(folder and folder / ROWS, resume=resume, force=force) as table:
-        sets = run_tasks(examine, keys, table, workers, seed=seed, progress=progress)
-        score = scored(sets)
-        if folder is not None:
-            files = {folder / f"{name}.parquet": parquet(frame) for name, frame in score.items()}
-            write_together(files, force=True)
+    sets = run_tasks(examine, keys, folder and folder / "sets.parquet", seed=seed, **how)
+    score = scored(sets)
+    if folder is not None:
+        write_together({folder / f"{name}.parquet": parquet(frame) for name, frame in score.items()}, force=True)
     return {"sets": sets, **score}
 
 

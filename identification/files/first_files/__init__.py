@@ -110,7 +110,7 @@ def mesh_files(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> tuple[d
         if file is None or beside is None:
             missing.append(name)
         else:
-            found[beside] = file
+            found[str(Path(beside).with_suffix(file.suffix))] = file
     return found, missing
 
 

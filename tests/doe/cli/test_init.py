@@ -170,7 +170,7 @@ def test_gravity_is_on_where_the_urdf_file_has_masses(folder: Folder, masses: bo
 def test_meshes_of_bodies_are_copied(folder: Folder) -> None:
     """To where the copy of the URDF file finds them, without the package that they came from; and not onto themselves.
     What is not found is said."""
-    links = {"arm": "package://robot/meshes/a.stl", "hand": "../meshes/b.stl", "left": "package://other/c.stl"}
+    links = {"arm": "package://robot/meshes/a.stl", "hand": "../meshes/b.stl", "left": "package://other/c.dae"}
     text = GRIPPER
     for link, name in links.items():
         mesh = f'<collision><geometry><mesh filename="{name}"/></geometry></collision></link>'
@@ -183,9 +183,8 @@ def test_meshes_of_bodies_are_copied(folder: Folder) -> None:
     folder.write("package/urdf/r.urdf", text)
     said = folder.said("init --urdf package/urdf/r.urdf --tip-link tcp --out cell")
     assert said["files"][-2:] == ["cell/robot/meshes/a.stl", "cell/meshes/b.stl"]
-    assert [
-        line for line in said["next"] if line.startswith("1 meshes are not found, the first of them package://other/c")
-    ]
+    lost = "1 meshes are not found as .stl or .obj, the first of them package://other/c.dae"
+    assert [line for line in said["next"] if line.startswith(lost)]
     cell = load_arm(folder.path / "cell/arm.toml").cell
     assert cell is not None
     with pytest.warns(UserWarning, match=r"meshes of left are not found"):

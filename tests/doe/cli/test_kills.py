@@ -76,7 +76,7 @@ def test_a_search_that_is_stopped_answers_with_its_best(folder: Folder, monkeypa
 
 
 def test_a_full_disk_and_the_way_on(reference: Reference, tmp_path: Path) -> None:
-    """No file above 3 kB: the journal ends in mid-line, the tables cannot be written."""
+    """No file above 3 kB: the tables cannot be written."""
     folder = prepare(tmp_path / "full")
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({3000}, {resource.RLIM_INFINITY}))"
     code = f"{limit}; import sys; sys.argv[0] = 'armcal'; from doe.__main__ import run; run()"

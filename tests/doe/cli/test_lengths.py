@@ -138,5 +138,6 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
     assert found["effects"] == ["encoder_eccentricity:3"]
     assert found["gap"]["held_out_after_mm"] < 0.04  # 0.017 of noise in three coordinates
     assert "cup" not in folder.read("extended.toml").partition("[calibration]")[2]
+    folder.refused("validate extended.toml freshd.csv --refit none", "no calibrated file says where each cup is")
     again = folder.said("validate extended.toml freshd.csv")
     assert again["rms_mm"] < 0.03 < 0.5 < again["rms_nominal_mm"]

@@ -10,7 +10,7 @@ import pytest
 
 from doe.plan.driving import room_of
 from doe.problem.constraints import constraints_of
-from identification import Model, Plan, load_arm
+from identification import Model, Plan, design_model, load_arm
 from tests.doe.cli.conftest import ARM, Folder, table
 from tests.doe.plan.test_moves import sampled
 
@@ -66,8 +66,7 @@ def test_a_plan_among_posts(cell: Folder) -> None:
     assert data["travel_deg"]["after"] == pytest.approx(np.abs(np.diff(joints, axis=0)).max(axis=1).sum())
     assert data["travel_deg"]["after"] >= moves["shortest_deg"] - 1e-9
     arm = load_arm("arm.toml")
-    room = room_of(constraints_of(Model(arm)))
-    assert room is not None
+    room = room_of(design_model(arm), constraints_of(arm))
     assert sampled(room, np.radians(joints), 1500) >= 0.0
     done = cell.armcal("program arm.toml plan.csv --robot kuka --out plan.src")
     assert (done.code, done.err) == (0, "")

@@ -10,7 +10,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from identification import Campaign, load_arm
+from identification import campaign_document, load_arm
 from identification.document import in_a_sentence
 from tests.doe.cli.conftest import Folder
 
@@ -69,22 +69,13 @@ def test_a_page_of_a_diagnosis_names_its_data(campaign: Folder) -> None:
     assert calibration.provenance["sha256"] in campaign.read("gap.html")
 
 
-def test_commands_are_shown_with_what_has_none(campaign: Folder) -> None:
-    campaign.write("targets.csv", "x_mm,y_mm\n400,100\n300,-50\n9000,0\n")
-    made = campaign.said("compensate cal.toml targets.csv --out commands.csv")
-    found = campaign.said("report arm.toml cal.toml commands.csv --out page.html --force")
-    assert found["files"][-1]["kind"] == "joint commands"
-    text = campaign.read("page.html")
-    assert all(f">{angle:.3f}</td>" in text for angle in made["commands_deg"][0])
-    assert made["commands"][2]["message"] in text
-
-
 def test_the_headline_is_the_error_on_rows_that_no_fit_has_seen(campaign: Folder) -> None:
     by_rows = campaign.said("validate cal.toml other.csv")["rms_mm"]
-    headline, *rest = Campaign.of([Path(name) for name in ["arm.toml", "cal.toml", "data.csv", "other.csv"]]).verdict
+    names = [Path(name) for name in ("arm.toml", "cal.toml", "data.csv", "other.csv")]
+    headline, *rest = campaign_document(names)[0].verdict
     assert f"to {in_a_sentence(by_rows)} mm" in headline
     assert headline not in rest
-    (alone, *_) = Campaign.of([Path(name) for name in ["arm.toml", "cal.toml", "data.csv"]]).verdict
+    alone = campaign_document(names[:3])[0].verdict[0]
     assert "On 12 rows of data.csv" in alone
 
 

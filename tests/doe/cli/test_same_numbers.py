@@ -96,16 +96,3 @@ def test_the_same_answer_on_an_older_processor(tmp_path: Path, monkeypatch: pyte
     few = COMMANDS[0], COMMANDS[2], SPATIAL[2]
     done = [CliRunner().invoke(main, [*words.split(), "--json", "--quiet"]) for words in few]
     compared([without_times(json.loads(one.stdout)) for one in done], answers(folder, "Prescott", 2, 7, few))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("commands", [COMMANDS, SPATIAL], ids=["plane", "space"])
-def test_same_seed_same_bytes_and_many_kernels(tmp_path: Path, commands: tuple[str, ...]) -> None:
-    folder = prepare_six(prepare(tmp_path / "work"))
-    first = answers(folder, "Haswell", 1, 0, commands)
-    assert len(first) == len(commands)
-    for threads, hash_seed in ((1, 1), (2, 7)):
-        assert json.dumps(first) == json.dumps(answers(folder, "Haswell", threads, hash_seed, commands))
-    for kernel in ("Prescott", "Nehalem", "Sandybridge", "Zen", "SkylakeX"):
-        for threads in (1, 2):
-            compared(first, answers(folder, kernel, threads, threads, commands))

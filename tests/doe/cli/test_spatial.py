@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 from doe import DesignProblem
-from doe.cli.plans import with_collisions
+from doe.cli.verbs import with_collisions
 from doe.problem.clearance import COLLISIONS
 from identification import PRISMATIC, Model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer

@@ -54,8 +54,8 @@ def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Pa
     with pytest.warns(UserWarning, match="the measured point is not known"):
         demo: Demo = run_demo(tmp_path, replace(spatial(), effort={"solver": "random", "starts": 1}))
     gaps, hidden, diagnosis = demo.data["fresh_gap_mm"], demo.data["hidden"], demo.diagnosed.result
-    room, way = room_of(demo.design.problem.constraints), Plan.load(tmp_path / "plan.csv").postures
-    assert room is not None
+    problem, way = demo.design.problem, Plan.load(tmp_path / "plan.csv").postures
+    room = room_of(problem.model, problem.constraints)
     assert sampled(room, way, 300) > 0.0  # of every move
     assert diagnosis.effects == ("encoder_eccentricity:2",)
     assert diagnosis.confirmed is True

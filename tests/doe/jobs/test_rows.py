@@ -1,95 +1,76 @@
-"""Row tables: nothing finished is lost, nothing is overwritten unasked, floats survive to the bit."""
+"""Tables of rows: nothing finished is lost, nothing is overwritten unasked, floats survive to the bit."""
 
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe import jobs
-from doe.jobs import RowTable, canonical, frame_of
+from doe.jobs import canonical, frame_of, parquet, run_tasks
 from identification import InputError
 
+sys.path.insert(0, str(Path(__file__).parent))
+import work
 
-def fill(path: Path, tasks: range, **how: bool) -> None:
-    with RowTable(path, **how) as table:
-        for task in tasks:
-            table.add(f"{task}", [{"task": task, "value": task / 3.0}])
+KEYS = [{"task": task, "setting": "a"} for task in range(12)]
 
 
 def test_a_table_is_one_file_that_is_refused_resumed_or_replaced(tmp_path: Path) -> None:
-    path = tmp_path / "rows.parquet"
-    fill(path, range(2))
-    assert [f.name for f in tmp_path.iterdir()] == ["rows.parquet"]
-    assert pl.read_parquet(path)["value"].to_list() == [0.0, 1.0 / 3.0]
+    path, asked = tmp_path / "job" / "rows.parquet", list[object]()
+    first = run_tasks(work.draw, KEYS[:2], path, seed=5)
     with pytest.raises(InputError, match="--resume"):
-        RowTable(path)
-    assert [f.name for f in tmp_path.iterdir()] == ["rows.parquet"]
-    fill(path, range(2, 5), resume=True)
-    assert pl.read_parquet(path)["task"].to_list() == [0, 1, 2, 3, 4]
-    with RowTable(path, force=True) as table:
-        assert not path.exists()  # what is replaced does not come back when the new run is killed
-        table.add("4", [{"task": 4}])
-    assert pl.read_parquet(path)["task"].to_list() == [4]
+        run_tasks(work.draw, KEYS[:2], path, seed=5)
+    with pytest.raises(InputError, match="--seed 5, found 6"):
+        run_tasks(work.draw, KEYS, path, seed=6, resume=True)
+    more = run_tasks(work.draw, KEYS[:3], path, seed=5, resume=True, payload=asked.append)
+    assert more.head(len(first)).equals(first.select(more.columns))
+    assert asked == [KEYS[2]]
+    assert more["value"].to_list() == pl.read_parquet(path)["value"].to_list() == work.drawn(KEYS[:3], seed=5)
+    run_tasks(work.draw, KEYS[4:5], path, force=True, progress=lambda *_: asked.append(path.exists()))
+    assert asked[1:] == [False, False]  # what is replaced does not come back when the new run is killed
+    assert pl.read_parquet(path)["task"].to_list() == [4, 4]
+    assert list(path.parent.iterdir()) == [path]
 
 
-def test_rows_of_a_killed_process_are_there(tmp_path: Path) -> None:
-    path = tmp_path / "rows.parquet"
-    table = RowTable(path)
-    for k in range(3):
-        table.add(f"{k}", [{"value": k / 3.0}])
-    table._open.write(b'["{}", [{"val')  # torn in mid-line
-    table._open.close()
-    with pytest.raises(InputError, match="journal: exists"):
-        RowTable(path)
-    with RowTable(path, resume=True) as table:
-        assert list(table.rows) == ["0", "1", "2"]
-        table.add("3", [{"value": 1.0}])
-    assert pl.read_parquet(path)["value"].to_list() == [0.0, 1 / 3, 2 / 3, 1.0]
-
-
-@pytest.mark.parametrize("where", ["work", "table"])
-def test_ctrl_c_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str) -> None:
-    """During the work the table is closed; while it is written the journal remains."""
-    path, name = tmp_path / "rows.parquet", "rows.parquet" if where == "work" else "rows.parquet.journal"
-    if where == "table":
-        monkeypatch.setattr(jobs, "parquet", Mock(side_effect=KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt), RowTable(path) as table:  # noqa: PT012
-        table.add("0", [{"value": 1}])
-        if where == "work":
-            raise KeyboardInterrupt
-    assert [f.name for f in tmp_path.iterdir()] == [name]
+@pytest.mark.parametrize("writing", [False, True])
+def test_ctrl_c_keeps_what_is_finished(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writing: bool) -> None:
+    """While a task runs, or while the table is written at the end, where that of some seconds before stays."""
+    path, run = tmp_path / "rows.parquet", lambda **how: run_tasks(work.stop_at_three, KEYS, path, **how)
+    if writing:
+        monkeypatch.setattr(jobs, "EVERY", 0.0)
+        monkeypatch.setattr(jobs, "parquet", Mock(side_effect=[*map(parquet, [frame_of([{"key": "0"}])] * 3)]))
+    with pytest.raises(StopIteration if writing else KeyboardInterrupt):
+        run(payload=lambda _: "interrupt")
+    kept = [0, 1, 2] if not writing else []
     monkeypatch.undo()
-    with RowTable(path, resume=True) as table:
-        assert table.rows["0"] == [{"key": "0", "value": 1}]
+    assert [file.name for file in tmp_path.iterdir()] == ["rows.parquet"]
+    seen = list[float]()
+    frame = run(payload=lambda _: "", resume=True, progress=lambda done, *_: seen.append(done))
+    assert seen == [*range(len(kept), 13)]
+    assert frame["value"].to_list() == work.drawn(KEYS)
 
 
 def test_bad_places_and_foreign_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.parquet").write_text("no")
     pl.DataFrame({"x": [1]}).write_parquet(tmp_path / "b.parquet")
-    places = {
-        "missing/there/rows.parquet": "allowed",
-        ".": "allowed",
-        "a.parquet": "not a Parquet",
-        "b.parquet": "column 'key'",
-    }
-    for name, said in places.items():
-        with pytest.raises(InputError, match=said):
-            RowTable(tmp_path / name, resume=True)
-    assert len(list(tmp_path.iterdir())) == 2  # and no journal
+    places = {"missing/there/rows.parquet": "no folder", ".": "allowed", "a.parquet": "not a Parquet"}
+    for name, reason in {**places, "b.parquet": "column 'key'"}.items():
+        with pytest.raises(InputError, match=reason):
+            run_tasks(work.draw, KEYS, tmp_path / name, resume=True)
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_a_table_without_a_finished_task_leaves_nothing(tmp_path: Path) -> None:
-    """Of a folder that it made, that is; what is in one stays."""
     for folder in (tmp_path / "new", tmp_path):
-        with RowTable(folder / "rows.parquet") as table:
-            table.add("0", [{"status": "failed"}])
+        run_tasks(work.stop_at_three, [KEYS[3]], folder / "rows.parquet", payload=lambda _: "raises")
         assert not list(tmp_path.iterdir())
 
 
@@ -105,13 +86,22 @@ def test_columns_are_the_union_of_the_rows() -> None:
     assert frame["c"].to_list() == [None, [1.0, 2.0], None]
 
 
-def test_floats_survive_open_and_parquet(tmp_path: Path) -> None:
-    values = np.random.default_rng(1).standard_normal(200) * 10.0 ** np.arange(-100, 100)
-    path = tmp_path / "rows.parquet"
-    table = RowTable(path)
-    table.add("0", [{"value": float(v)} for v in values])
-    table._open.close()  # as a killed process leaves it
-    for _ in range(2):
-        with RowTable(path, resume=True) as again:
-            assert [row["value"] for row in again.rows["0"]] == values.tolist()
-    assert not table.journal.exists()
+def test_floats_survive(tmp_path: Path) -> None:
+    values = (np.random.default_rng(1).standard_normal(200) * 10.0 ** np.arange(-100, 100)).tolist()
+    (tmp_path / "rows").write_bytes(parquet(frame_of([{"value": value} for value in values])))
+    assert pl.read_parquet(tmp_path / "rows")["value"].to_list() == values
+
+
+@given(done=st.sets(st.integers(0, 11)), again=st.sets(st.integers(0, 11)))
+@settings(max_examples=20)
+def test_wherever_it_stopped_the_bytes_are_those_of_one_run(
+    done: set[int], again: set[int], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Finished in any order by two earlier runs."""
+    folder = tmp_path_factory.mktemp("rows")
+    for part in (done, again):
+        run_tasks(work.mixed, [KEYS[k] for k in sorted(part, reverse=True)], folder / "parts", resume=True)
+    for name in ("parts", "whole"):
+        run_tasks(work.mixed, KEYS, folder / name, resume=True)
+    parts, whole = (parquet(pl.read_parquet(folder / name).drop("seconds")) for name in ("parts", "whole"))
+    assert parts == whole

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import importlib
 import logging
 import multiprocessing
 import os
@@ -13,19 +11,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, nullcontext
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from doe import jobs
-from doe.jobs import LOST, RowTable, Workers, call, cluster, parquet, run_tasks
+from doe.jobs import Workers, call, cluster, run_tasks
 from identification import InputError, JobError
 
 sys.path.insert(0, str(Path(__file__).parent))  # workers find the tasks by name
@@ -39,7 +34,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path
 
 
 def rows(function: Any, workers: Workers = 1, keys: list[dict[str, Any]] = KEYS, **options: Any) -> pl.DataFrame:
-    return run_tasks(function, keys, RowTable(), workers, **options).drop("seconds")
+    return run_tasks(function, keys, None, workers, **options).drop("seconds")
 
 
 @pytest.fixture
@@ -69,87 +64,27 @@ def test_a_task_that_fails_is_a_row() -> None:
     assert frame.filter(pl.col("status") == "done")["value"].to_list() == work.drawn([*KEYS[:3], *KEYS[4:]])
 
 
-def test_resume_does_only_what_is_missing(tmp_path: Path) -> None:
-    path = tmp_path / "rows.parquet"
-    with pytest.raises(KeyboardInterrupt), RowTable(path) as table:
-        run_tasks(work.stop_at_three, KEYS, table, payload=lambda _: "interrupt")
-    assert pl.read_parquet(path)["task"].unique(maintain_order=True).to_list() == [0, 1, 2]
-    seen = []
-    with RowTable(path, resume=True) as table:
-        frame = run_tasks(work.draw, KEYS, table, progress=lambda done, total, _: seen.append((done, total)))
-    assert seen == [(done, 12) for done in range(3, 13)]
-    assert frame["value"].to_list() == pl.read_parquet(path)["value"].to_list() == work.drawn(KEYS)
-
-
 def test_ctrl_c_among_processes_leaves_what_is_finished_and_no_failures(tmp_path: Path) -> None:
     def stop(done: float, total: float | None, message: str) -> None:
         if done == 5:
             raise KeyboardInterrupt
 
     path = tmp_path / "rows.parquet"
-    with pytest.raises(KeyboardInterrupt), RowTable(path) as table:
-        run_tasks(work.slow_draw, MANY, table, 2, progress=stop)
+    with pytest.raises(KeyboardInterrupt):
+        run_tasks(work.slow_draw, MANY, path, 2, progress=stop)
     kept = pl.read_parquet(path)
     assert 5 <= len(kept) / 2 < 20
     assert set(kept["status"]) == {"done"}
     assert kept["value"].to_list() == work.drawn([{"task": task} for task in kept["task"][::2]])
 
 
-def test_killed_processes_lose_nothing_and_a_task_that_kills_them_is_a_row(tmp_path: Path, run_by: Any) -> None:
-    keys = [{"task": task, "mark": str(tmp_path / "mark") if task == 5 else ""} for task in range(12)]
-    frame, others = rows(work.die, 2, keys), pl.col("task") != 9
-    assert (tmp_path / "mark").exists()
-    expected = rows(work.draw, 1, keys).filter(others)
-    assert frame.filter(others).drop("error").equals(expected.drop("error"))
-    (killer,) = frame.filter(~others).to_dicts()
-    assert (killer["status"], killer["value"]) == ("failed", None)
-    assert killer["error"] == "JobError: the worker process died when it ran this task alone (signal 9)"
-    executor = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))  # does not come back
-    run_by(executor, 1)
+def test_a_killed_process_ends_the_run_and_nothing_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "rows.parquet"
     with pytest.raises(JobError, match="--resume"):
-        rows(work.die, keys=keys[9:])
-    executor.shutdown()
-
-
-def test_tables_are_closed_to_others_and_of_one_seed(tmp_path: Path) -> None:
-    path, run, asked = tmp_path / "job" / "a.parquet", partial(run_tasks, work.draw, seed=5), list[Any]()
-    with RowTable(path) as table:
-        first = run(KEYS[:2], table)
-        with pytest.raises(InputError, match="another run"):
-            RowTable(path, resume=True)
-    with RowTable(path, resume=True) as table:
-        more = run(KEYS[:3], table, payload=asked.append)
-    assert more.head(len(first)).equals(first.select(more.columns))
-    assert asked == [KEYS[2]]
-    assert more["value"].to_list() == work.drawn(KEYS[:3], seed=5)
-    with pytest.raises(InputError, match="exists"):
-        RowTable(path)
-    with pytest.raises(InputError, match="--seed 5, found 6"), RowTable(path, resume=True) as table:
-        run_tasks(work.draw, KEYS, table, seed=6)
-    assert list(path.parent.iterdir()) == [path]
-
-
-@given(done=st.sets(st.integers(0, 11)), again=st.sets(st.integers(0, 11)), killed=st.booleans())
-@settings(max_examples=20)
-def test_wherever_it_stopped_the_bytes_are_those_of_one_run(
-    done: set[int], again: set[int], killed: bool, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """Finished in any order by two earlier runs, of which the last left a table, or a journal with a torn end."""
-    folder = tmp_path_factory.mktemp("rows")
-    for number, part in enumerate((done, again)):
-        table = RowTable(folder / "parts", resume=True)
-        run_tasks(work.mixed, [KEYS[k] for k in sorted(part, reverse=True)], table)
-        if killed and number:
-            table._open.write(b'["torn", [')
-            table._open.close()
-        else:
-            table.__exit__()
-    content = []
-    for name in ("parts", "whole"):
-        with RowTable(folder / name, resume=True) as table:
-            run_tasks(work.mixed, KEYS, table)
-        content.append(parquet(pl.read_parquet(folder / name).drop("seconds")))
-    assert content[0] == content[1]
+        run_tasks(work.die_at_nine, KEYS, path, 2)
+    assert len(pl.read_parquet(path)) < 24
+    again = run_tasks(work.draw, KEYS, path, resume=True)
+    assert again["value"].to_list() == work.drawn(KEYS)
 
 
 # -- a cluster ---------------------------------------------------------------------------------------------------------
@@ -195,7 +130,7 @@ def ready(address: str, count: int) -> str:
 
 
 def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
-    dask: tuple[Any, str, Callable[[], Any]], tmp_path: Path
+    dask: tuple[Any, str, Callable[[], Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same bits without the worker; without the scheduler one line, and what is finished is kept."""
     scheduler, address, start = dask
@@ -207,12 +142,11 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
 
     def kill_one(done: float, total: float | None, message: str) -> None:
         if done >= 20 and not victims:
-            last = table.journal.read_text().splitlines()[-1]
-            victims.append(int(last.rpartition('"process": ')[2].partition("}")[0]))
+            victims.append(pl.read_parquet(path)["process"][-1])
             os.kill(victims[0], signal.SIGKILL)
 
-    with RowTable(path) as table:
-        frame = run_tasks(work.slow_draw, MANY, table, workers, progress=kill_one)
+    monkeypatch.setattr(jobs, "EVERY", 0.0)
+    frame = run_tasks(work.slow_draw, MANY, path, workers, progress=kill_one)
     assert len(victims) == 1
     assert len(set(frame["process"])) == 2
     assert victims[0] not in set(frame["process"][-20:])
@@ -228,39 +162,14 @@ def test_cluster_with_a_killed_worker_and_then_a_killed_scheduler(
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado.application")]
     for logger in loggers:
         logger.addHandler(handler)
-    with pytest.raises(JobError, match="--resume"), RowTable(path, force=True) as table:
-        run_tasks(work.slow_draw, MANY, table, ready(address, 1), progress=kill)
+    with pytest.raises(JobError, match="--resume"):
+        run_tasks(work.slow_draw, MANY, path, ready(address, 1), force=True, progress=kill)
     for logger in loggers:
         logger.removeHandler(handler)
     assert printed == []
     kept = pl.read_parquet(path)
     assert 5 <= len(kept) / 2 < 60
     assert kept["value"].to_list() == work.drawn(MANY[: len(kept) // 2])
-
-
-class Scheduler(Executor):
-    """Stands for the executor of a dask client whose scheduler dies when a number of tasks are done: dask drops what
-    fails while it fetches a result, so the others never end."""
-
-    def __init__(self, tasks: int) -> None:
-        self.tasks, self.status, self._client = tasks, "running", self
-
-    def submit(self, function: Any, /, *arguments: Any, **named: Any) -> Future[Any]:
-        future = Future[Any]()
-        if self.tasks:
-            future.set_result(function(*arguments, **named))
-        self.status = "running" if self.tasks else "connecting"
-        self.tasks -= bool(self.tasks)
-        return future
-
-
-@pytest.mark.parametrize("done", [0, 1, 9])
-def test_futures_that_a_lost_scheduler_never_ends(tmp_path: Path, done: int, run_by: Any) -> None:
-    path = tmp_path / "rows.parquet"
-    run_by(Scheduler(done), 3)
-    with pytest.raises(JobError, match=LOST), RowTable(path) as table:
-        run_tasks(work.draw, MANY, table)
-    assert len(pl.read_parquet(path)) / 2 == done if done else not path.exists()
 
 
 @pytest.mark.parametrize(
@@ -277,19 +186,6 @@ def test_bad_address_is_one_line_at_once(address: str, said: str) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match=f"--cluster.*{said}"):
         cluster(address, patience=0.2).__enter__()
-
-
-def test_processes_without_semaphores_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A system whose shared memory is read-only (EROFS)."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
-
-    # by its full name: as an attribute of its package it is multiprocessing's until somebody has imported it
-    locks = importlib.import_module("joblib.externals.loky.backend.synchronize")
-    monkeypatch.setattr(locks.SemLock, "__init__", refuse)
-    with pytest.raises(JobError, match=r"Read-only file system.*--workers 1"):
-        rows(work.draw, 2)
 
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------

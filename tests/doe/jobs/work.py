@@ -28,10 +28,10 @@ def slow_draw(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
     return [{**row, "process": os.getpid()} for row in draw(key, seed)]
 
 
-def die(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
-    """As `draw`, but task 9 kills its process, and the first one that reaches the key's marked task is killed."""
-    if key["task"] == 9 or (key["mark"] and not Path(key["mark"]).exists()):
-        Path(key["mark"] or os.devnull).touch()
+def die_at_nine(key: dict[str, Any], seed: np.random.SeedSequence) -> Rows:
+    """As `slow_draw`, but task 9 kills its process."""
+    time.sleep(0.05)
+    if key["task"] == 9:
         os.kill(os.getpid(), signal.SIGKILL)
     return draw(key, seed)
 

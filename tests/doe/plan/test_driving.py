@@ -11,10 +11,10 @@ import pytest
 
 from doe import DesignProblem
 from doe.plan.driving import MOVING, drive, one_turn, room_of, with_approach
-from doe.plan.moves import APPROACH, free
+from doe.plan.moves import APPROACH
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
-from identification import Arm, Array, EffectSpec, JobError, Model, Plan
+from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
 from identification.bodies import Body, Cell
 from identification.workspace import LineOfSight, WorkspaceBox
 from tests.doe.problem.test_clearance import cell_of
@@ -42,16 +42,16 @@ def test_a_wall_may_be_left_and_reached_again() -> None:
     )
     box = WorkspaceBox((-600.0, 300.0), (-600.0, 600.0))
     arm = Arm(np.array([300.0, 200.0]), cell=Cell(ball), constraints=(box,))
-    room = room_of(constraints_of(Model(arm)))
-    assert room is not None
+    room = room_of(ArmModel(arm), constraints_of(arm))
     out = np.arccos(200.0 / 300.0 - 1.0 / 3.0)  # the tip is 300 cos q1 + 200 cos (q1 + q2)
     ends = np.array([[out, -out], [-out, out]])
     folded = np.array([[np.pi / 2, np.pi / 2 - 0.01]])
     tips = 300.0 * np.cos(ends[:, 0]) + 200.0 * np.cos(ends.sum(axis=1))
     np.testing.assert_allclose(tips, 300.0)
-    assert free(ends[:1], folded, room).all()
-    assert not free(ends[:1], ends[1:], room).any()  # the stretched arm reaches 500 mm
-    assert room_of(constraints_of(Model(replace(arm, cell=None)))) is None  # nothing is known without bodies
+    assert room.free(ends[:1], folded).all()
+    assert not room.free(ends[:1], ends[1:]).any()  # the stretched arm reaches 500 mm
+    bare = replace(arm, cell=None)  # nothing is known without bodies
+    assert room_of(ArmModel(bare), constraints_of(bare)).free(ends[:1], ends[1:]).all()
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
@@ -59,12 +59,12 @@ def ball(name: str, joint: int, x: float, y: float, radius: float) -> Body:
     return Body(name, joint, np.array([x, y, 0.0, x, y, 0.0, radius]))
 
 
-def ring() -> DesignProblem:
+def ring(clearance: float = 20.0) -> DesignProblem:
     """Two links of 300 and 200 mm and a ball at the tip, which gets between two posts with its elbow on one side only:
     all around is free, and a pocket between joint limits and posts is cut off."""
     posts = ball("above", 0, 0.0, 500.0, 60.0), ball("below", 0, 0.0, -500.0, 60.0)
     limits = np.radians([170.0, 20.0])
-    cell = Cell((*posts, ball("hand", 2, 200.0, 0.0, 30.0)), clearance=20.0)
+    cell = Cell((*posts, ball("hand", 2, 200.0, 0.0, 30.0)), clearance=clearance)
     arm = Arm(np.array([300.0, 200.0]), lower=-limits, upper=limits, sigma=0.1, cell=cell)
     return DesignProblem.of(Model(arm))
 
@@ -95,12 +95,36 @@ def test_postures_behind_a_post_are_replaced_by_the_best_that_are_not() -> None:
     assert problem.objective(np.vstack([postures[:5], new])) > np.quantile(values, 0.9)
 
 
-def test_what_nothing_can_replace_is_named() -> None:
+def test_what_no_way_leads_to_is_kept_and_named() -> None:
+    """Nothing else may be chosen: the plan stays, its moves and what they come near to are said."""
     problem = ring()
     problem = replace(problem, choices=np.radians([[150.0, 0.0], [160.0, 5.0]]))
     postures = np.radians([[-60.0, 5.0], [0.0, -5.0], [150.0, 0.0]])
-    with pytest.raises(JobError, match="no free way was found to run 3; another --seed"):
-        drive(problem, Plan(postures))
+    driven = drive(problem, Plan(postures))
+    assert sorted(driven.plan.postures.tolist()) == sorted(postures.tolist())
+    (move,) = driven.to_json()["moves"]["not_free"]
+    assert move["bodies"] == ["hand", "above"]
+    assert move["distance_mm"] < 10.0
+    assert driven.in_words()[-2:] == [
+        "Moves: 1 may collide on the way:",
+        f"  to row {move['row']}: hand and above come to {move['distance_mm']:.0f} mm",
+    ]
+
+
+def test_runs_without_a_free_approach_are_named() -> None:
+    """The first is just above the post, with a millimetre of room, which 0.6 deg from below take up; from above all are
+    approached."""
+    problem = ring(clearance=2.0)
+    near = 90.0 + np.degrees(2.0 * np.arcsin((90.0 + 2.01) / 2.0 / 500.0))
+    postures = np.radians([[near, 0.0], [120.0, 5.0], [140.0, -5.0]])
+    problem = replace(problem, choices=postures)
+    below, above = (drive(problem, Plan(postures), "given", approach) for approach in ("positive", "negative"))
+    np.testing.assert_array_equal(below.plan.postures, postures)
+    assert below.to_json()["moves"]["no_approach"] == [1]
+    assert below.moves.via.tolist() == [False, True, False, True, False]
+    assert "but not to run 1: no free way was found there from that side" in below.in_words()
+    assert above.to_json()["moves"]["no_approach"] == []
+    assert all(inside(problem, each.moves.postures) for each in (below, above))
 
 
 @pytest.mark.parametrize("approach", ["positive", "negative", "alternate"])
@@ -140,8 +164,7 @@ def test_joints_are_turned_into_one_turn(effects: tuple[EffectSpec, ...], listed
     postures = drawn[problem.feasible(drawn)][:20]
     if listed:
         problem = replace(problem, choices=postures)
-    room = room_of(problem.constraints)
-    assert room is not None
+    room = room_of(problem.model, problem.constraints)
     turned = one_turn(problem, room, np.random.default_rng(0))(postures)
     turns = (turned - postures) / (2.0 * np.pi)
     if effects or listed:
@@ -173,6 +196,7 @@ def test_postures_that_no_way_leads_to_are_turned_or_replaced() -> None:
     turned = np.vstack([postures[:4], postures[4] + [2.0 * np.pi, 0.0]])
     assert problem.objective(found.plan.postures) >= problem.objective(turned) - 1e-9
     assert found.replaced == 1
+    assert any("[joint_limits_deg] of one turn for joint 1, as armcal init" in line for line in found.in_words())
     assert inside(problem, found.moves.postures)
 
 

@@ -10,22 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from doe.plan.driving import nothing
-from doe.plan.moves import Room, Route, Space, approaches, free, route
+from doe.plan.moves import Room, Route, approaches, route
 from identification import Array
-
-PLANE = Space(np.full(2, -2.0), np.full(2, 2.0), np.ones(2))
 
 
 def discs(*places: tuple[float, float, float]) -> Room:
     """Discs (x, y, radius) in the plane of the joints, where 1 rad is 100 mm."""
-    centers, radii = np.array([place[:2] for place in places]), np.array([place[2] for place in places])
+    centers, radii = np.split(np.array(places).reshape(-1, 3), [2], axis=1)
 
     def margin(postures: Array) -> Array:
-        return 100.0 * (np.linalg.norm(postures[:, None] - centers, axis=2) - radii)
+        return 100.0 * (np.linalg.norm(postures[:, None] - centers, axis=2) - radii[:, 0])
 
     # by Cauchy and Schwarz a distance changes by at most the way, and that is at most |dq_1| + |dq_2|
-    return Room(margin, np.full((len(places), 2), 100.0), lambda q: np.all(margin(q) >= 0.0, axis=1))
+    return Room(margin, np.full((len(places), 2), 100.0), np.full(2, -2.0), np.full(2, 2.0), np.ones(2))
 
 
 def sampled(room: Room, way: Array, count: int = 4000) -> float:
@@ -49,7 +46,7 @@ def test_a_move_is_free_where_it_misses_the_disc(ends: list[tuple[float, float]]
     a, b = np.array(ends)
     room = discs((x, y, r))
     gap = 100.0 * (distance_to_segment(np.array([x, y]), a, b) - r)
-    proven = bool(free(a[None], b[None], room)[0])
+    proven = bool(room.free(a[None], b[None])[0])
     assert not (proven and gap < -1e-9)
     assert proven or gap < 0.5
 
@@ -58,23 +55,23 @@ def test_many_moves_at_once_are_each_as_alone() -> None:
     generator = np.random.default_rng(0)
     room = discs((0.0, 0.0, 0.5), (1.0, 1.0, 0.4), (-1.0, 0.3, 0.3))
     starts, ends = generator.uniform(-2.0, 2.0, (2, 80, 2))
-    together, seen = free(starts, ends, room), free(starts, ends, room, levels=3)
+    together, seen = room.free(starts, ends), room.free(starts, ends, levels=3)
     assert 10 < together.sum() <= seen.sum() < 70  # what is seen to collide is not free
     assert not np.any(together & ~seen)
-    alone = [free(a[None], b[None], room)[0] for a, b in zip(starts, ends, strict=True)]
+    alone = [room.free(a[None], b[None])[0] for a, b in zip(starts, ends, strict=True)]
     assert together.tolist() == alone
 
 
 def test_a_move_along_a_wall_is_not_proven_and_ends_all_the_same() -> None:
     """It touches the disc, at one place; nothing can be proven of it."""
-    assert not free(np.array([[-1.0, 0.5]]), np.array([[1.0, 0.5]]), discs((0.0, 0.0, 0.5)))[0]
+    assert not discs((0.0, 0.0, 0.5)).free(np.array([[-1.0, 0.5]]), np.array([[1.0, 0.5]]))[0]
 
 
 def test_nothing_in_the_way_and_no_move() -> None:
-    assert free(np.zeros((3, 2)), np.ones((3, 2)), nothing(2)).all()
+    assert discs().free(np.zeros((3, 2)), np.ones((3, 2))).all()
     here = np.array([[0.7, 0.0]])
-    assert free(here, here, discs((0.0, 0.0, 0.5))).all()
-    assert not free(0.5 * here, 0.5 * here, discs((0.0, 0.0, 0.5))).any()
+    assert discs((0.0, 0.0, 0.5)).free(here, here).all()
+    assert not discs((0.0, 0.0, 0.5)).free(0.5 * here, 0.5 * here).any()
 
 
 # -- ways round --------------------------------------------------------------------------------------------------------
@@ -82,9 +79,9 @@ def test_nothing_in_the_way_and_no_move() -> None:
 def test_a_way_round_a_disc_is_near_the_shortest(seed: int) -> None:
     """The joint that goes 3 rad need not turn back: no way is shorter, and one by way of (0, 1.3) is as long."""
     room, ends = discs((0.0, 0.0, 0.8)), np.array([[-1.5, 0.0], [1.5, 0.0]])
-    way = whole_way(ends, route(ends, room, PLANE, seed=seed))
+    way = whole_way(ends, route(ends, room, seed=seed))
     assert sampled(room, way) >= 0.0
-    assert PLANE.length(way) < 1.15 * 3.0
+    assert room.length(way) < 1.15 * 3.0
 
 
 def test_a_way_out_of_a_pocket() -> None:
@@ -92,7 +89,7 @@ def test_a_way_out_of_a_pocket() -> None:
     angles = np.radians(np.arange(30.0, 331.0, 10.0))
     room = discs(*((float(np.cos(a)), float(np.sin(a)), 0.15) for a in angles))
     ends = np.array([[-1.8, 0.0], [0.0, 0.0]])
-    way = whole_way(ends, route(ends, room, PLANE, seed=1))
+    way = whole_way(ends, route(ends, room, seed=1))
     assert sampled(room, way) >= 0.0
     crossing = [a + s * (b - a) for a, b in pairwise(way) for s in np.linspace(0.0, 1.0, 500)]
     ring = min(crossing, key=lambda q: abs(np.linalg.norm(q) - 1.0))
@@ -101,7 +98,8 @@ def test_a_way_out_of_a_pocket() -> None:
 
 # -- orders ------------------------------------------------------------------------------------------------------------
 def whole_way(postures: Array, found: Route) -> Array:
-    return np.concatenate([np.vstack([way, postures[row]]) for way, row in zip(found.vias, found.rows, strict=True)])
+    np.testing.assert_array_equal([way[-1] for way in found.ways], postures[found.rows])
+    return np.concatenate(found.ways)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -110,7 +108,7 @@ def test_no_permutation_that_is_free_is_shorter_than_the_order(seed: int) -> Non
     generator = np.random.default_rng(seed)
     room = discs((0.0, 0.0, 0.6), (1.2, -1.0, 0.4), (-1.1, 1.0, 0.4))
     postures = generator.uniform(-2.0, 2.0, (60, 2))
-    postures = postures[room.allows(postures)][:6]
+    postures = postures[np.all(room.margin(postures) >= 0.0, axis=1)][:6]
     gap = {
         (i, k): min(
             100.0 * (distance_to_segment(np.array(place[:2]), postures[i], postures[k]) - place[2])
@@ -124,12 +122,12 @@ def test_no_permutation_that_is_free_is_shorter_than_the_order(seed: int) -> Non
         for order in permutations(range(6))
     }
     straight = [length for order, length in lengths.items() if all(gap[pair] > 0.0 for pair in pairwise(order))]
-    found = route(postures, room, PLANE)
+    found = route(postures, room)
     way = whole_way(postures, found)
     assert sorted(found.rows) == list(range(6))
     assert sampled(room, way) >= 0.0
     assert found.unreached == []
-    assert min(lengths.values()) - 1e-9 <= PLANE.length(way) <= min(straight, default=np.inf) + 1e-9
+    assert min(lengths.values()) - 1e-9 <= room.length(way) <= min(straight, default=np.inf) + 1e-9
     if straight and min(straight) == min(lengths.values()):
         assert len(way) == 6
 
@@ -137,9 +135,9 @@ def test_no_permutation_that_is_free_is_shorter_than_the_order(seed: int) -> Non
 def test_an_order_that_is_kept_goes_round() -> None:
     room = discs((0.0, 0.0, 0.5))
     postures = np.array([[-1.0, 0.0], [1.0, 0.1], [-1.0, 0.2], [1.0, 0.3]])
-    found = route(postures, room, PLANE, keep_order=True)
+    found = route(postures, room, keep_order=True)
     assert found.rows.tolist() == [0, 1, 2, 3]
-    assert [len(way) > 0 for way in found.vias] == [False, True, True, True]
+    assert [len(way) > 1 for way in found.ways] == [False, True, True, True]
     assert sampled(room, whole_way(postures, found)) >= 0.0
 
 
@@ -148,8 +146,8 @@ def test_one_posture_that_cannot_be_reached_is_named() -> None:
     room = discs(*((float(np.cos(a)), float(np.sin(a)), 0.15) for a in angles))
     postures = np.array([[1.5, 1.5], [-1.5, 1.5], [0.0, 0.0], [-1.5, -1.5], [1.5, -1.5]])
     for keep_order in (False, True):
-        assert route(postures, room, PLANE, keep_order=keep_order).unreached == [2]
-    assert route(postures[:1], room, PLANE).rows.tolist() == [0]
+        assert route(postures, room, keep_order=keep_order).unreached == [2]
+    assert route(postures[:1], room).rows.tolist() == [0]
 
 
 # -- the side from which a posture is reached --------------------------------------------------------------------------
@@ -157,12 +155,12 @@ def test_every_joint_comes_from_its_side() -> None:
     generator = np.random.default_rng(2)
     room = discs((0.0, 0.0, 0.6), (1.2, -1.0, 0.4))
     postures = generator.uniform(-1.9, 1.9, (40, 2))
-    postures = postures[room.allows(postures)][:12]
+    postures = postures[np.all(room.margin(postures) >= 0.0, axis=1)][:12]
     senses = np.where(generator.random(postures.shape) < 0.5, -1.0, 1.0)
-    entries = approaches(postures, senses, room, PLANE, generator)
-    found = route(postures, room, PLANE, entries=entries)
+    entries = approaches(postures, senses, room, generator)
+    found = route(postures, room, entries)
     assert sampled(room, whole_way(postures, found)) >= 0.0
-    steps = postures[found.rows] - np.array([way[-1] for way in found.vias])
+    steps = postures[found.rows] - np.array([way[-2] for way in found.ways])
     assert np.all(np.sign(steps) == senses[found.rows])
     assert np.abs(steps).max() < np.radians(10.0)
 
@@ -170,7 +168,7 @@ def test_every_joint_comes_from_its_side() -> None:
 def test_no_side_is_left_at_a_limit_or_against_a_disc() -> None:
     postures = np.array([[-2.0, 1.0], [1.0, -1.0], [0.0, 0.0]])
     room = discs((-0.5, -0.5, 0.7))  # 7 mm below the last
-    up = approaches(postures, np.ones((3, 2)), room, PLANE, np.random.default_rng(0))
+    up = approaches(postures, np.ones((3, 2)), room, np.random.default_rng(0))
     assert np.isnan(up[:, 0]).tolist() == [True, False, True]
-    down = approaches(postures, -np.ones((3, 2)), room, PLANE, np.random.default_rng(0))
+    down = approaches(postures, -np.ones((3, 2)), room, np.random.default_rng(0))
     assert np.isnan(down[:, 0]).tolist() == [False, False, False]

@@ -1,4 +1,4 @@
-"""Comparison of solvers: rows evaluated by the problem, summaries and profiles counted by hand."""
+"""Comparison of solvers: rows evaluated by the problem, summaries counted by hand."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from click.testing import CliRunner
 
 from doe import DesignProblem, score
 from doe.cli import main
-from doe.jobs import RowTable, frame_of
-from doe.report.studies import comparison_parts, performance_profile, profile_figure
+from doe.jobs import frame_of
+from doe.report.studies import comparison_parts
 from doe.studies.comparison import compare, evaluated, summary, with_hits
 from identification import Arm, InputError, Model, Plan
 
@@ -57,22 +57,11 @@ def test_summary_counts_hits_and_time_to_a_hit() -> None:
     assert with_hits(ROWS)["loss"].to_list()[3:] == [pytest.approx(1.0 - np.exp(-0.2 / 8)), None, None]
 
 
-def test_profile_by_hand() -> None:
-    profile = performance_profile(ROWS)
-    # instance 0: a in 1 s is the fastest, b takes twice as long; instance 1: only a solves it
-    assert {solver: profile[solver, 1].tolist() for solver in "abc"} == {
-        "a": [1.0, 1.0],
-        "b": [2.0, np.inf],
-        "c": [np.inf, np.inf],
-    }
-
-
-def test_rows_without_any_success_have_tables_and_pictures() -> None:
+def test_rows_without_any_success_have_tables() -> None:
     failed = ROWS.filter(solver="c", repeat=0)
     assert summary(failed)["best"].to_list() == [None]
     for rows in (failed, ROWS):
         assert len(comparison_parts(rows)) == 2  # the problem, and the sentence about the hang
-        assert profile_figure(rows).axes[0].get_xscale() == "log"
 
 
 def test_judged_by_the_problem() -> None:
@@ -106,13 +95,11 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_solvers_run_in_their_own_processes(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     run = partial(compare, [ARM], [4], ["random"], starts=[2], repeats=2, seconds=20.0)
     path = tmp_path / "rows.parquet"
-    with RowTable(path) as table:
-        rows = run(table=table)
+    rows = run(path=path)
     assert rows["status"].to_list() == ["done"] * 2
     assert rows["correct"].all()
     assert len(set(rows["value"])) == 2
-    with RowTable(path, resume=True) as table:
-        assert run(table=table).equals(rows)
+    assert run(path=path, resume=True).equals(rows)
     request.getfixturevalue("in_this_process")
     with pytest.raises(InputError, match="runs"):
         compare([ARM], [2], ["random"])  # two runs cannot tell six parameters
@@ -130,7 +117,7 @@ def test_verb(tmp_path: Path) -> None:
     answer = json.loads(done.stdout)
     assert [r["best"] for r in answer["summary"]] == pytest.approx([0.0, 0.0], abs=1e-9)
     written = {f.name for f in (tmp_path / "out").iterdir()}
-    assert written == {"rows.parquet", "summary.parquet", "profile.svg"}
+    assert written == {"rows.parquet", "summary.parquet"}
     assert pl.read_parquet(tmp_path / "out" / "rows.parquet")["runs"].to_list() == [2, 3]
     refused = CliRunner().invoke(main.commands["compare"], options)
     assert refused.exit_code == 2

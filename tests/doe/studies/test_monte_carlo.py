@@ -73,6 +73,9 @@ def test_cells_pool_blocks_as_if_there_were_none() -> None:
     lost = frame_of([rows[0] | {"fits": 0, "mean_error": None, "squares": None, "rms_mm": None, "expected_std": None}])
     [_, sheet] = monte_carlo_parts({"cells": pooled_rows(lost), "blocks": lost.with_columns(key=pl.lit(""))})
     assert sheet.title.endswith("0 fits, 1 failed, RMS - mm")
+    none = pooled_rows(lost.with_columns(status=pl.lit("failed"), error=pl.lit("no arm")))
+    said = monte_carlo_parts({"cells": none, "blocks": lost.with_columns(key=pl.lit(""), status=pl.lit("failed"))})
+    assert said == ["1 cells, 0 fits", "a: 1 of 1 cells failed: no arm"]
 
 
 def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
@@ -156,7 +159,7 @@ def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(tmp_
         return Study.of(arms, ["analytic", "random"], runs=[*runs], replications=150)
 
     folder, alone = tmp_path / "out", run_study(small(4, 5), seed=1)
-    first = run_study(small(4), folder, 2, seed=1)
+    first = run_study(small(4), folder, workers=2, seed=1)
     with pytest.raises(InputError, match="--resume"):
         run_study(small(4, 5), folder, seed=1)
     both = run_study(small(4, 5), folder, seed=1, resume=True)

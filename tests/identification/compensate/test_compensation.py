@@ -21,10 +21,10 @@ from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 # of three targets the first is reached, the second 0.25 mm off, and the third's command misses a constraint by 3 mm
 FOUND = Compensation(
+    Arm(chain_of([DHRow(100.0, 0.0, 0.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))])),
     np.array([[100.0, 0.0], [900.0, 0.0], [50.0, 50.0]]),
     np.array([[np.pi / 6.0, 40.0], [0.0, 80.0], [-np.pi / 2.0, 20.0]]),
     np.array([1e-9, 0.25, 1e-9]),
-    joint_types=("revolute", "prismatic"),
     barred=("", "", "constraint 1 (table) is missed by 3 mm"),
 )
 

@@ -13,7 +13,7 @@ import pytest
 from identification import Arm, Diagnosis, Measurements, diagnose
 from identification.document import Sheet
 from identification.documents.diagnosis import (
-    curve_parts,
+    curve_table,
     diagnosis_actions,
     diagnosis_verdict,
     effects_in_words,
@@ -61,19 +61,23 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
         (said("named", "backlash:2", confirmed=False), "Not confirmed on rows that no fit has seen. Missing", ""),
         (
             said("ambiguous", "backlash:2", "axes_skew", sets=2),
-            "2 explanations remain, the likeliest with probability 0.40.",
+            "2 explanations remain, the most likely with probability 0.40.",
             "discriminate arm.toml data.csv",
         ),
-        (said("ambiguous", "backlash:2"), f"Likeliest, but less likely than not: {PLAY}.", "discriminate arm.toml"),
+        (
+            said("ambiguous", "backlash:2"),
+            f"Most likely, but with a probability below one half: {PLAY}.",
+            "discriminate arm.toml",
+        ),
         (said("unknown"), PLACE, ""),
-        (said("unknown", "backlash:2"), f"{PLACE} Beside it: {PLAY}.", ""),
+        (said("unknown", "backlash:2"), f"{PLACE} In addition: {PLAY}.", ""),
     ],
 )
 def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: str, command: str) -> None:
     verdict, gap = diagnosis_verdict(data), gap_in_words(data)
     assert " ".join(verdict).startswith(first)
     assert len(verdict[0].split()) <= 16
-    figures = "0.500 to 0.125 mm" if data["confirmation"] is None else "0.600 to 0.250 mm; 0.200 mm were predicted"
+    figures = "0.500 to 0.125 mm" if data["confirmation"] is None else "0.600 to 0.250 mm; 0.200 mm was predicted"
     figures = "leaves 0.125 mm RMS of the data" if data["verdict"] == "none" else figures
     assert figures in gap
     assert command in diagnosis_actions(data)[0].command
@@ -81,7 +85,7 @@ def test_a_verdict_comes_with_what_follows_from_it(data: dict[str, Any], first: 
         assert not any("compensate" in action.command for action in diagnosis_actions(data))
 
 
-@pytest.mark.parametrize(("rms", "word"), [(0.31, "no better than"), (0.27, "no better beyond chance than")])
+@pytest.mark.parametrize(("rms", "word"), [(0.31, "no better than"), (0.27, "not significantly better than")])
 def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: str) -> None:
     """It is said before what was named, and the commands of the robot are to come from the geometry."""
     offered = {"rms_mm": rms, "max_mm": 3.07, "rms_geometry_mm": 0.275, "max_geometry_mm": 1.81, "better": False}
@@ -90,7 +94,7 @@ def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: st
     first = diagnosis_verdict(data)[0]
     assert first.startswith(f"This model predicts {word} the geometry alone: {rms:g}")
     assert "(largest 3.07) against" in first
-    assert first.endswith("in rows that no fit has seen, each with the arm placed anew.")
+    assert first.endswith("in rows that no fit has seen, each with the place of the arm refitted.")
     commands = [action.command for action in diagnosis_actions(data, written=Path("extended.toml"))]
     assert commands[0] == "armcal identify arm.toml data.csv --no-library-prior --out calibrated.toml"
     assert commands[1].startswith("armcal compensate calibrated.toml ")
@@ -100,7 +104,7 @@ def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: st
 
 
 @pytest.mark.parametrize(
-    ("where", "words"), [("joint:3", "at joint 3"), ("time", "in time"), (None, "at a place that is not known")]
+    ("where", "words"), [("joint:3", "at joint 3"), ("time", "in time"), (None, "at an unknown place")]
 )
 def test_where_something_unknown_is(where: str | None, words: str) -> None:
     assert diagnosis_verdict(said("unknown") | {"where": where})[0].endswith(f"is missing, {words}.")
@@ -109,7 +113,7 @@ def test_where_something_unknown_is(where: str | None, words: str) -> None:
 def test_many_explanations_are_counted_and_the_first_spelt_out() -> None:
     joints = [f"backlash:{j}" for j in range(1, 7)]
     count, spelt = diagnosis_verdict(said("ambiguous", *joints, sets=6))
-    assert count == "6 explanations remain, the likeliest with probability 0.40."
+    assert count == "6 explanations remain, the most likely with probability 0.40."
     assert "(backlash:4); or 2 more." in spelt
     assert "backlash:5" not in spelt
 
@@ -133,7 +137,7 @@ def test_shapes_of_curves_are_said_in_short() -> None:
     curve = {"joint": 2, "angle_deg": [-10.0, 0.0, 10.0], "error_deg": [0.03] * 3, "std_deg": [0.01] * 3}
     told = "waves: 11 per turn, 0.02 deg; 14 per turn, 0.01 deg; 2 per turn, 0.01 deg (88 %) over -10 to 10 deg"
     curves = [curve | {"shape": told, "waves": waves}, curve | {"shape": "smooth curve over 1 to 2 deg", "waves": []}]
-    table = curve_parts({"curves": curves})[0]
+    table = curve_table({"curves": curves})
     assert isinstance(table, Sheet)
     assert [row[-1] for row in table.rows] == ["waves 11, 14, 2 (88 %)", "smooth curve"]
 

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identification.arm import Arm
 from identification.compensate import Compensation
 from identification.document import Sheet
 from identification.documents.identification import (
+    FITTED,
     corrected_section,
     identification_actions,
     identification_verdict,
@@ -46,12 +48,12 @@ def test_a_fit_and_a_validation_in_a_sentence_each() -> None:
     assert f"{drawing} 0.250 mm" in identification_verdict(fit | {"rms_drawing_mm": 1.0})
     assert f"{drawing[:10]}px" in identification_verdict(fit | {"rms_drawing_mm": 1.0, "reading_unit": "px"})
     figures = {"rows": 7, "rms_mm": 0.1, "p95_mm": 0.2, "rms_nominal_mm": 1.0, "refit": "base", "notes": []}
-    said = validation_verdict(figures, "c.toml", "d.csv", seen=True)
+    said = validation_verdict(figures | {"notes": [FITTED]}, "c.toml", "d.csv")
     assert said.startswith(f"On 7 rows of d.csv, which it was fitted to, c.toml takes the RMS error {drawing} 0.100 mm")
     assert "this says nothing about others" in said
     assert "removed" not in said
     left_out = identification_verdict(fit | {"cross_validated_mm": 2.0})
-    assert left_out.endswith("to 0.250 mm; of postures left out of the fit it is 2.00 mm (noise included).")
+    assert left_out.endswith("to 0.250 mm; for postures left out of the fit it is 2.00 mm (noise included).")
 
 
 def test_a_value_that_no_controller_tells_from_the_drawing_is_left_out() -> None:
@@ -109,7 +111,7 @@ def commands(errors: list[float], missed: list[float]) -> Compensation:
     k = len(errors)
     angles, targets = np.full((k, 1), 0.5), np.zeros((k, 2))
     barred = tuple("constraint 1 (box) is missed by 2 mm" if by > 0.0 else "" for by in missed)
-    return Compensation(targets, angles, np.array(errors), barred=barred)
+    return Compensation(Arm([100.0]), targets, angles, np.array(errors), barred=barred)
 
 
 def test_counts_of_targets_without_a_command() -> None:

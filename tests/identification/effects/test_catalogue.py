@@ -1,63 +1,141 @@
-"""The catalogue, an effect of one's own in it, and the typical sizes of missing effects."""
+"""The library as a whole: its catalogue, typical sizes, columns of every effect; effects of one's own and of installed
+packages, found by their entry point; a broken one is one line that names it."""
 
 from __future__ import annotations
 
 import inspect
 import re
 import tomllib
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
-from identification import EffectSpec
-from identification.effects import Effect, build, formulas, library
-from identification.effects.catalogue import SUPPLY, entry
-from identification.effects.catalogue import example as example_of
+from identification import Arm, EffectSpec, InputError, effects
+from identification.effects import Effect, base, build, formulas, library
+from identification.effects.catalogue import SUPPLY, entry, example
 from identification.kinematics.chain import KinematicChain, planar_chain
 
-
-def test_every_effect_can_be_read_from_the_example_once_its_settings_are_given() -> None:
-    for found in map(entry, library()):
-        if found["kind"] == "table":
-            continue
-        filled = re.sub(r"= \.\.\.  # a (whole )?number ([-\d.]+) to .*", r"= \2", example_of(found))
-        example = tomllib.loads(filled)
-        assert ("gravity" in example) is ("gravity" in found["needs"])
-        (table,) = example["effects"]
-        values = {key: value for key, value in table.items() if key not in ("name", "joint")}
-        spec = EffectSpec(table["name"], table.get("joint"), values)
-        chain = planar_chain(np.ones(3))
-        chain = KinematicChain(chain.joints, chain.end) if found["arms"] == ["spatial"] else chain
-        assert build(spec, chain).name == found["name"]
+PLANE = planar_chain([300.0, 200.0, 150.0])
+CHAINS = {2: PLANE, 3: KinematicChain(PLANE.joints, PLANE.end)}
+SHIPPED = {name: cls for name, cls in library().items() if cls.__module__.startswith("identification.effects")}
 
 
-def test_what_is_needed_says_how_to_give_it() -> None:
-    for found in map(entry, library()):
-        assert {*found["needs"]} <= {*SUPPLY}, found["name"]
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_effect_stands_in_the_catalogue_and_can_be_read_from_its_example(name: str) -> None:
+    """Once its settings are given; what it needs says how to give it; every typical size has a reason beside it."""
+    row, cls = entry(name), SHIPPED[name]
+    assert {*row["needs"]} <= {*SUPPLY}
+    assert ("each joint" in row["place"]) == (cls.per_joint == "required")
+    assert row["place"].endswith(f"from {cls.first_joint}") == (cls.first_joint > 1)
+    chain = CHAINS[max(cls.dimensions) if row["arms"] == ["spatial"] else 2]
+    if row["kind"] != "table":
+        table = tomllib.loads(re.sub(r"= \.\.\.  # a (whole )?number ([-\d.]+) to .*", r"= \2", example(row)))
+        assert ("gravity" in table) is ("gravity" in row["needs"])
+        (given,) = table["effects"]
+        values = {key: value for key, value in given.items() if key not in ("name", "joint")}
+        effect = build(EffectSpec(given["name"], given.get("joint"), values), chain)
+        assert effect.name == name
+        declaration = re.search(rf'\n\w+\((  # .*)?\n    "{name}",\n(.*\n)*?\)\n', inspect.getsource(formulas))
+        assert declaration is not None
+        assert "# typical: " in declaration.group()
+        assert all(0.0 < (parameter.typical or 0.0) < np.inf for parameter in effect.parameters)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "message"),
+    [
+        ("backlash", None, "backlash needs a joint, allowed: 1 to 3"),
+        ("joint_coupling", 1, "joint_coupling at joint 1, allowed: 2 to 3"),
+        ("backlash", 4, "backlash at joint 4, allowed: 1 to 3"),
+        ("base_drift", 2, "base_drift is of the whole arm, joint = 2 is not allowed"),
+        ("axis_runout", 2, "axis_runout is of spatial arms"),
+        ("baklash", 2, "unknown name 'baklash', did you mean 'backlash'"),
+    ],
+)
+def test_what_an_arm_cannot_have(name: str, joint: int | None, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        build(EffectSpec(name, joint), PLANE)
+
+
+def test_kinds_and_supplies() -> None:
     assert entry("thermal_growth")["supply"] == ["the column temperature_C in the measurements"]
     assert entry("servo_error")["supply"] == [SUPPLY["commands"]]
-    assert entry("joint_hysteresis")["kind"] == "looked for"
+    kinds = {
+        name: entry(name)["kind"] for name in ("joint_hysteresis", "outliers", "session_base", "joint_error_curve")
+    }
+    assert list(kinds.values()) == ["looked for", "scatter", "sessions", "table"]
     assert entry("measurement_scale")["alias"] is not None
 
 
-SHIPPED = {name: cls for name, cls in library().items() if cls.__module__.startswith("identification.effects")}
-SOURCE = inspect.getsource(formulas)
-OWN = {name: cls for name, cls in SHIPPED.items() if not cls.tabulated}  # a table has no parameters
+# -- one's own, and those of installed packages ------------------------------------------------------------------------
+SOURCE = '''
+from identification.effects import Effect
+
+class Bump(Effect):
+    """A bump."""
+    name = "my_bump"
+    summary = "bump"
+
+    def define(self):
+        return (self.parameter("h", "rad", scale=1.0),)
+'''
+installed = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
 
 
-def example(cls: type[Effect]) -> Effect:
-    """The effect at joint 2 of an arm with two links where it needs a joint, with its smallest settings."""
-    settings = {name: allowed.low for name, allowed in cls.settings.items()}
-    spec = EffectSpec(cls.name, 2 if cls.per_joint == "required" else None, settings)
-    chain = planar_chain([300.0, 200.0])
-    return build(spec, chain if 2 in cls.dimensions else KinematicChain(chain.joints, chain.end))
+@pytest.fixture
+def packages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
+    """A folder of packages; the library is as before afterwards."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    effects.library.cache_clear()
+    with patch.dict(base._LIBRARY):
+        yield tmp_path
+    effects.library.cache_clear()
 
 
-@pytest.mark.parametrize("name", [name for name in OWN if not OWN[name].unlisted])
-def test_every_effect_has_typical_sizes_and_a_reason(name: str) -> None:
-    declaration = re.search(rf'\n\w+\((  # .*)?\n    "{name}",\n(.*\n)*?\)\n', SOURCE)
-    assert declaration is not None
-    assert "# typical: " in declaration.group()
-    for parameter in example(OWN[name]).parameters:
-        assert parameter.typical is not None
-        assert 0.0 < parameter.typical < np.inf
+def install(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    point = EntryPoint("my_bump", value, "armcal.effects")
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.effects" else [])
+
+
+@installed
+def test_effects_by_their_entry_point(monkeypatch: pytest.MonkeyPatch, packages: Path) -> None:
+    """A name of the library cannot be taken."""
+    (packages / "bump_package_for_test.py").write_text(SOURCE)
+    install(monkeypatch, "bump_package_for_test:Bump")
+    assert library()["my_bump"].__name__ == "Bump"
+    effects.library.cache_clear()
+    (packages / "thief_package_for_test.py").write_text(SOURCE.replace('"my_bump"', '"backlash"'))
+    install(monkeypatch, "thief_package_for_test:Bump")
+    with pytest.raises(InputError, match="'backlash' is taken by the library"):
+        library()
+
+
+@installed
+@pytest.mark.usefixtures("packages")
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("no_such_package_at_all:Bump", "No module named"),
+        ("math:Bump", "no attribute 'Bump'"),
+        ("math:sqrt", "allowed: a class under Effect"),
+        ("pathlib:Path", "allowed: a class under Effect"),
+    ],
+)
+def test_a_broken_one_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
+    install(monkeypatch, value)
+    with pytest.raises(InputError, match=f"my_bump = {value}.*{expected}"):
+        library()
+
+
+@pytest.mark.usefixtures("packages")
+def test_an_own_effect_may_be_defined_again_but_must_add_something() -> None:
+    one, other = (type("Mine", (Effect,), {"name": "mine", "__module__": "notebook", "bends": 1.0}) for _ in range(2))
+    base.register(one)
+    base.register(other)
+    assert base._LIBRARY["mine"] is other
+    with pytest.raises(InputError, match=r"mine adds nothing, allowed: a method named .* joint_shifts"):
+        build(EffectSpec("mine"), Arm([100.0, 100.0]).chain)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
-from identification import Arm, Conditions, EffectSpec, Gravity, InputError
+from identification import PRISMATIC, Arm, Conditions, EffectSpec, Gravity, InputError
 from identification.conditions import condition_columns
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock
+from identification.kinematics.chain import DHRow, chain_of
 
 LENGTHS, MASSES, CENTERS = np.array([400.0, 300.0]), np.array([5.0, 3.0]), np.array([0.5, 0.4])
 ARM = Arm(LENGTHS, gravity=Gravity([2.0, -9.0], MASSES, CENTERS))
@@ -40,14 +43,15 @@ def test_without_gravity_there_are_no_torques() -> None:
         _ = chain(Arm(LENGTHS)).torques
 
 
-PAIR = Arm([300.0, 200.0])
-
-
-def test_the_joint_from_zero() -> None:
-    assert build(EffectSpec("backlash", 2), PAIR.chain).joint_index == 1
-    assert build(EffectSpec("backlash", 2), PAIR.chain).link_length == 200.0
-    with pytest.raises(InputError, match="thermal_growth needs a joint, allowed: 1 to 2"):
-        _ = build(EffectSpec("thermal_growth"), PAIR.chain).joint_index
+def test_what_a_sliding_joint_is_off_by_is_a_length() -> None:
+    """Newtons bend it by millimetres; of the turning joint beside it torques and angles are as ever."""
+    rows = [DHRow(300.0, np.pi / 2, 0.0), replace(DHRow(0.0, 0.0, 100.0), type=PRISMATIC, limits=(0.0, 200.0))]
+    slider = chain_of(rows)
+    each = (EffectSpec(name, j) for name in ("joint_compliance", "backlash") for j in (1, 2))
+    keys = [p.toml_key for spec in each for p in build(spec, slider).parameters]
+    assert keys == ["c_rad_per_N_m", "c_mm_per_N", "b_deg", "b_mm"]
+    every = build(EffectSpec("joint_compliance"), slider).parameters
+    assert [p.file_unit for p in every] == ["rad/(N m)", "mm/N"]
 
 
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))
@@ -63,6 +67,8 @@ SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array
 )
 def test_values_are_listed_or_computed(values: object, expected: list[float]) -> None:
     assert Setting(-0.5, 0.5, values).scan(SCOPE) == expected  # type: ignore[arg-type]
+    assert Setting(1, 3, whole=True).scan(SCOPE) == [1.0, 2.0, 3.0]
+    assert Setting(1, 3, (0.0, 2.0, 2.5), whole=True).scan(SCOPE) == [2.0]
 
 
 def test_steps_are_tried_between_rows_and_between_sessions() -> None:
@@ -70,7 +76,7 @@ def test_steps_are_tried_between_rows_and_between_sessions() -> None:
     one = Scope(SCOPE.arm, 1, np.zeros((9, 2)), Conditions(time=time)).step_times()
     np.testing.assert_allclose(one, time[1:-2] + 0.0625)  # between rows, but for the first and the last
     two = Conditions(time=np.tile(time, 2), session=np.repeat([0.0, 1.0], 9))
-    found = Scope(SCOPE.arm, 1, np.zeros((18, 2)), two).step_times()
-    assert any(at == pytest.approx(0.55) for at in found)
-    assert max(found) == pytest.approx(1.1 + 0.5 - 0.1875)
+    both = Scope(SCOPE.arm, 1, np.zeros((18, 2)), two).step_times()
+    assert both[-1] == pytest.approx(0.55)
+    assert max(both) == pytest.approx(1.1 + 0.5 - 0.1875)
     assert clock(0.5, 0) < 0.55 < clock(-0.5, 1)

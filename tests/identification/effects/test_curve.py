@@ -61,7 +61,7 @@ DEGREES = np.round(0.02 * np.sin(np.linspace(0.0, 9.0, 25)), 7)
 CURVE = ErrorCurve(np.radians(-60.0), np.radians(90.0), np.radians(DEGREES))
 SPEC = EffectSpec("joint_error_curve", 2, curve=CURVE)
 ARM = Arm(LENGTHS, sigma=0.01, effects=(SPEC, EffectSpec("base_offset")))
-WHOLE = 'name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0\nvalues_deg = [0.0, 0.0, 0.0, 0.0]'
+FLAT = "values_deg = [0.0, 0.0, 0.0, 0.0]"
 Q = np.random.default_rng(5).uniform(-2.5, 2.5, (60, 3))
 
 
@@ -82,10 +82,10 @@ def test_round_trip_through_files(tmp_path: Path) -> None:
     calibration = Calibration.of([0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], {"base_offset.x0": 0.5, "base_offset.y0": 0.1})
     text = with_calibration(with_effects("links_mm = [300.0, 200.0, 150.0]  # mine\n", ARM.effects), calibration)
     (path := tmp_path / "arm.toml").write_text(text)
-    found = load_arm(path).effects[0]
-    assert (found.name, found.joint) == ("joint_error_curve", 2)
-    np.testing.assert_allclose(found.curve.values, CURVE.values, atol=1e-17)
-    assert (found.curve.start, found.curve.stop) == pytest.approx((CURVE.start, CURVE.stop), abs=1e-15)
+    again = load_arm(path).effects[0]
+    assert again.key == SPEC.key
+    np.testing.assert_allclose(again.curve.values, CURVE.values, atol=1e-17)
+    assert (again.curve.start, again.curve.stop) == pytest.approx((CURVE.start, CURVE.stop), abs=1e-15)
     assert "# mine" in text
     assert "values_deg = [0.0, 0.0073" in text
     assert with_effects(text, ARM.effects) == text  # it has them already
@@ -133,31 +133,30 @@ def test_every_use() -> None:
     assert validate(found.calibrated_arm(), elsewhere).model.rms < 0.02
 
 
+HEAD = '"joint_error_curve"\njoint = 1\nfrom_deg = '
+
+
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ('name = "joint_error_curve"\njoint = 1\nfrom_deg = 0.0\nto_deg = 9.0', "values_deg: is missing"),
-        ('name = "gear_ratio"\njoint = 1\nfrom_deg = 0.0', "from_deg: unknown key of gear_ratio"),
+        (f"{HEAD}0.0\nto_deg = 9.0", "values_deg: is missing"),
+        (f"{HEAD}9.0\nto_deg = 0.0\n{FLAT}", "found 9 to 0, allowed: finite angles, the lower one first"),
         (
-            'name = "gear_ratio"\njoint = 1\ngeometry = {"joint_offset:1" = 0.1}',
-            "geometry: unknown key of gear_ratio, allowed: for joint_error_curve only",
+            f'{HEAD}0.0\nto_deg = 9.0\n{FLAT}\ngeometry = {{"joint_offset:3" = 0.1}}',
+            "unknown parameter 'joint_offset:3'",
         ),
-        (f'{WHOLE}\ngeometry = {{"joint_offset:3" = 0.1}}', "geometry: unknown parameter 'joint_offset:3'"),
+        ('"gear_ratio"\njoint = 1\nfrom_deg = 0.0', "from_deg: unknown key of gear_ratio"),
         (
-            'name = "joint_error_curve"\njoint = 1\nfrom_deg = 9.0\nto_deg = 0.0\nvalues_deg = [0.0, 0.0, 0.0, 0.0]',
-            "found 9 to 0, allowed: finite angles, the lower one first",
+            '"gear_ratio"\njoint = 1\ngeometry = {"joint_offset:1" = 0.1}',
+            "geometry: unknown key of gear_ratio, allowed: for joint_error_curve only",
         ),
     ],
 )
 def test_bad_files(tmp_path: Path, entry: str, message: str) -> None:
-    (path := tmp_path / "arm.toml").write_text(f"links_mm = [300.0, 200.0]\n\n[[effects]]\n{entry}\n")
+    (path := tmp_path / "arm.toml").write_text(f"links_mm = [300.0, 200.0]\n\n[[effects]]\nname = {entry}\n")
     with pytest.raises(InputError, match=re.escape(message)) as caught:
         load_arm(path)
     assert str(caught.value).startswith(f"{path}: effects[1].")
-
-
-def test_needs_its_table() -> None:
-    with pytest.raises(InputError, match="joint_error_curve:1 has no table of values"):
-        build(EffectSpec("joint_error_curve", 1), planar_chain(np.ones(2)))
-    with pytest.raises(InputError, match="gear_ratio:1 has a table of values"):
-        build(EffectSpec("gear_ratio", 1, curve=CURVE), planar_chain(np.ones(2)))
+    for name, curve, fault in (("joint_error_curve", None, "no"), ("gear_ratio", CURVE, "a")):
+        with pytest.raises(InputError, match=f"{name}:1 has {fault} table of values"):
+            build(EffectSpec(name, 1, curve=curve), planar_chain(np.ones(2)))

@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from identification import Arm, Calibration, Identification, Measurements, Model, estimate
-from identification.estimation.problem import Prior, Problem, contradicted
+from identification.estimation.problem import Prior, Problem, contradicted, released_drops
 
 LENGTHS, SIGMA = np.array([400.0, 300.0, 150.0]), 0.05
 MODEL = Model(Arm(LENGTHS, sigma=SIGMA))
@@ -45,7 +45,7 @@ def test_the_drop_is_the_squared_distance_in_combined_deviations() -> None:
     jacobian = MODEL.jacobian(data.postures, x).reshape(-1, 6) / SIGMA
     residual = (data.positions - MODEL.position(data.postures, x)).ravel() / SIGMA
 
-    drops = problem.released_drops(earlier, x)
+    drops = released_drops(problem, earlier, x)
     information = jacobian.T @ jacobian
     alone = x + np.linalg.solve(information, jacobian.T @ residual)
     for k, name in enumerate(MODEL.names):

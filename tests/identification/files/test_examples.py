@@ -12,6 +12,7 @@ import pytest
 
 from doe.studies.monte_carlo import StudyFile
 from identification import Plan, load_arm, load_measurements
+from identification.kinematics.chain import BASE
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "identification/files/README.md"
@@ -40,6 +41,24 @@ READ = {  # heading of the example -> what is read of it
 def test_the_example_below_a_heading_is_a_file_that_loads(tmp_path: Path, heading: str, expected: object) -> None:
     (tmp_path / "example").write_text(EXAMPLES[heading])
     assert READ[heading](tmp_path / "example") == expected
+
+
+def test_examples_of_arms_in_space_load(tmp_path: Path) -> None:
+    by_urdf, by_table, cell, lengths, joints = re.findall(
+        r"^```toml\n(.*?)^```",
+        PAGE.read_text().split("### Spatial arms")[1].split("\n## ")[0],
+        re.DOTALL | re.MULTILINE,
+    )
+    (tmp_path / "robot.urdf").write_text((ROOT / "tests/data/spatial/six_axis.urdf").read_text())
+    (tmp_path / "robot.srdf").write_text('<robot name="six"/>')
+    arms = []
+    for text in (by_urdf, by_table, f"links_mm = [4, 3, 2, 1]\n{joints}", by_urdf + cell, by_urdf + lengths):
+        (tmp_path / "arm.toml").write_text(text)
+        arms.append(load_arm(tmp_path / "arm.toml"))
+    first, table, counted, crowded, bar = arms
+    assert (first.links, len(first.constraints), list(first.chain.tools)) == (6, 2, ["top"])
+    assert (table.links, table.chain.settled, bar.chain.coordinates) == (2, {BASE}, 1)
+    assert None not in (counted.counting, crowded.cell)
 
 
 WRITERS = {"to_json", "as_dict", "next_data", "demo_data", "discriminating_data"}  # functions whose keys users read

@@ -45,34 +45,32 @@ def test_files_are_written_together_and_replaced_by_force_only(tmp_path: Path) -
 
 
 def test_places_that_cannot_be_written_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    inside = tmp_path / "no" / "a.csv"
-    refused(files.write_together, {inside: ""}, names=("a.csv", "there is no folder", "allowed"))
-    refused(files.write_together, {tmp_path: ""}, True, names=("is a directory", "allowed"))
-    refused(files.check_writable, inside, names=("there is no folder",))
     files.check_writable(None)
     files.check_writable(tmp_path / "a.csv")
     # who runs the tests may be root, whom no mode bits stop
     monkeypatch.setattr(os, "access", lambda path, mode: not (path == tmp_path.resolve() and mode == os.W_OK))
-    refused(files.check_writable, tmp_path / "plan.csv", names=("cannot be written to",))
+    for place, force, part in (
+        (tmp_path / "no" / "a.csv", False, "there is no folder"),
+        (tmp_path, True, "is a directory"),
+        (tmp_path / "plan.csv", False, "cannot be written to"),
+    ):
+        refused(files.write_together, {place: ""}, force, names=(f"{place}: ", part, "allowed"))
+        refused(files.check_writable, place, force, names=(part,))
     assert held(tmp_path) == {}
 
 
-def test_a_file_that_another_command_wrote_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files.os, "fsync", lambda _: (tmp_path / "b").write_text("theirs"))
-    both = {tmp_path / "a": "1", tmp_path / "b": "2"}
-    refused(files.write_together, both, names=("b: the file exists", "--force"))
-    assert held(tmp_path) == {"b": "theirs"}
+def test_old_files_and_those_of_others_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where another command has written one meanwhile, and where the disk is full."""
 
-
-def test_with_a_full_disk_the_old_files_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object) -> None:
+    def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    path = tmp_path / "a"
-    path.write_text("old")
-    monkeypatch.setattr(files.os, "fsync", fails)
-    refused(files.write_together, {path: "new", tmp_path / "b": "1"}, True, names=("a: cannot be written", "No space"))
-    assert held(tmp_path) == {"a": "old"}
+    both = {tmp_path / "a": "1", tmp_path / "b": "2"}
+    monkeypatch.setattr(files.os, "fsync", lambda _: (tmp_path / "b").write_text("theirs"))
+    refused(files.write_together, both, names=("b: the file exists", "--force"))
+    monkeypatch.setattr(files.os, "fsync", full)
+    refused(files.write_together, both, True, names=("a: cannot be written", "No space"))
+    assert held(tmp_path) == {"b": "theirs"}
 
 
 # -- TOML --------------------------------------------------------------------------------------------------------------
@@ -118,25 +116,15 @@ EUROPE = {"a": [1.5, 0.0], "b": [-22.5, 4.0], "c": ["x,y", "z"]}
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        *(
-            (content, NUMBERS)
-            for content in (
-                b"a,b\n1,2\n3,4",
-                b"\xef\xbb\xbfa,b\r\n1,2\r\n3,4\r\n",
-                b' a ,"b"\n 1 ,2\n3," 4"\n',
-                b"a,b,\n1,2,\n3,4,\n",
-                b"\na,b\r1,2\r3,4\r",
-                b"a,b\n\n1,2\n\n,\n3,4\n\n",
-            )
-        ),
-        *(
-            (content.encode(), EUROPE)
-            for content in (
-                "a;b;c\n1,5;-2,25e1;x,y\n0;4;z\n",
-                "a\tb\tc\n1.5\t-22.5\tx,y\n0\t4\tz\n",
-                "\ufeffa;b;c\r\n\r\n1.5;-22,5;x,y\r\n0;4;z\r\n;;\r\n",
-            )
-        ),
+        (b"a,b\n1,2\n3,4", NUMBERS),
+        (b"\xef\xbb\xbfa,b\r\n1,2\r\n3,4\r\n", NUMBERS),
+        (b' a ,"b"\n 1 ,2\n3," 4"\n', NUMBERS),
+        (b"a,b,\n1,2,\n3,4,\n", NUMBERS),
+        (b"\na,b\r1,2\r3,4\r", NUMBERS),
+        (b"a,b\n\n1,2\n\n,\n3,4\n\n", NUMBERS),
+        (b"a;b;c\n1,5;-2,25e1;x,y\n0;4;z\n", EUROPE),
+        (b"a\tb\tc\n1.5\t-22.5\tx,y\n0\t4\tz\n", EUROPE),
+        (b"\xef\xbb\xbfa;b;c\r\n\r\n1.5;-22,5;x,y\r\n0;4;z\r\n;;\r\n", EUROPE),
         # between commas texts may have commas and points
         (b'x_mm,c\n1.5,"1,5"\n0,"a.1, b"\n', {"x_mm": [1.5, 0.0], "c": ["1,5", "a.1, b"]}),
     ],
@@ -206,15 +194,12 @@ def test_comments_above_the_header(tmp_path: Path, above: str, fit: str, lines: 
     refused(read.floats, "x_mm", names=(f"data.csv: row 2 (line {lines + 3}), column x_mm",))
 
 
-@pytest.mark.parametrize("cell", ["nan", "inf", "-inf", "abc", "1.2.3", "1e999", "0x10", "1_000", "--1", ""])
-def test_cells_that_are_not_finite_numbers(tmp_path: Path, cell: str) -> None:
-    read, shown = table(tmp_path, f"a,x_mm\n1,1.5\n\n1,{cell}\n"), repr(cell) if cell else "an empty cell"
-    place = "data.csv: row 2 (line 4), column x_mm"
-    refused(read.floats, "x_mm", names=(place, f"found {shown}", "allowed: a finite number"))
+def test_cells_that_are_not_finite_numbers_and_columns_that_are_not_there(tmp_path: Path) -> None:
+    for cell in ("nan", "inf", "-inf", "abc", "1.2.3", "1e999", "0x10", "1_000", "--1", ""):
+        read, shown = table(tmp_path, f"a,x_mm\n1,1.5\n\n1,{cell}\n"), repr(cell) if cell else "an empty cell"
+        place = "data.csv: row 2 (line 4), column x_mm"
+        refused(read.floats, "x_mm", names=(place, f"found {shown}", "allowed: a finite number"))
     refused(read.floats, "a", "> 1", lambda v: v > 1, names=("row 1 (line 2), column a", "'1'", "allowed: > 1"))
-
-
-def test_columns_that_are_not_there_or_have_another_decimal_mark(tmp_path: Path) -> None:
     read = table(tmp_path, 'x_mm,y_mm,z_mn\n1.5,2,0\n3,"4,25",0\n')
     refused(read.floats, "z_mm", names=("data.csv", "'z_mm' is missing", "did you mean to rename 'z_mn'?", "x_mm"))
     refused(read.floats, "y_mm", names=("row 2 (line 3), column y_mm", "found '4,25'"))

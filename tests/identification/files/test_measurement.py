@@ -56,28 +56,15 @@ def with_columns(**columns: tuple[object, object]) -> str:
 
 
 # -- reading -----------------------------------------------------------------------------------------------------------
-def test_required_columns(load: Load) -> None:
+def test_columns_are_read(load: Load) -> None:
     data = load(PLAIN, 2)
     np.testing.assert_allclose(data.postures, np.radians([[30, -60], [90, 0]]))
     np.testing.assert_array_equal(data.positions, [[1.5, 2.5], [-3, 4]])
     assert data.optional_columns == frozenset()
     assert data.provenance == {"file": "data.csv", "sha256": hashlib.sha256(PLAIN.encode()).hexdigest()}
-
-
-def test_optional_columns(load: Load) -> None:
-    data = load(
-        with_columns(
-            order=(2, 1),
-            temperature_C=(20.5, 21),
-            payload_kg=(0, 5),
-            direction2=(-1, "+1"),
-            direction1=(1, -1.0),
-            posture=(7, 7),
-            session=("monday", " 2 "),
-            sigma_mm=(0.1, 0.2),
-            run=(1, 2),
-        )
-    )
+    optional = {"temperature_C": (20.5, 21), "payload_kg": (0, 5), "posture": (7, 7), "session": ("monday", " 2 ")}
+    optional |= {"order": (2, 1), "direction2": (-1, "+1"), "direction1": (1, -1.0), "sigma_mm": (0.1, 0.2)}
+    data = load(with_columns(**optional, run=(1, 2)))
     expected = {"order": [2, 1], "temperature": [20.5, 21], "payload": [0, 5], "directions": [[1, -1], [-1, 1]]}
     expected |= {"repeats": [7, 7], "sigma": [0.1, 0.2], "session": ["monday", "2"]}
     assert {name: getattr(data, name).tolist() for name in expected} == expected
@@ -86,9 +73,8 @@ def test_optional_columns(load: Load) -> None:
 
 def test_other_units_are_converted(load: Load) -> None:
     data = load("y_m,x_m,q2_rad,q1_deg,sigma_m\n0.25,0.5,1.5,180,0.001\n")
-    np.testing.assert_allclose(data.postures, [[np.pi, 1.5]])
-    np.testing.assert_allclose(data.positions, [[500, 250]])
-    np.testing.assert_allclose(data.sigma, [1.0])
+    for read, expected in ((data.postures, [[np.pi, 1.5]]), (data.positions, [[500, 250]]), (data.sigma, [1.0])):
+        np.testing.assert_allclose(read, expected)
     assert load("q1_deg,q2_deg,distance_m\n30,50,0.4125\n", BAR).positions[0, 0] == pytest.approx(412.5)
     for more in ({}, {"order": (2, 1)}):  # time is the order
         assert load(with_columns(time_s=(10.5, 2), **more)).order.tolist() == [10.5, 2]
@@ -169,31 +155,18 @@ def test_bad_input_gets_one_line(load: Load, arm: Arm | None, text: str, parts: 
     assert [part for part in ["data.csv: ", *parts] if part not in message] == [], message
 
 
-EVERY = with_columns(
-    order=(1, 2),
-    time_s=(0, 9),
-    temperature_C=(20, 21),
-    payload_kg=(0, 5),
-    direction1=(1, -1),
-    direction2=(1, 1),
-    posture=(1, 2),
-    session=("monday", "friday"),
-    sigma_mm=(0.1, 0.1),
-)
-
-
-@pytest.mark.parametrize("column", EVERY.split("\n", 1)[0].split(","))
-def test_a_cell_that_cannot_be_names_row_line_and_column(load: Load, column: str) -> None:
+def test_a_cell_that_cannot_be_names_row_line_and_column(load: Load) -> None:
     """A word where a number belongs, nothing where something does; a direction may be unknown."""
-    header, first, second = (line.split(",") for line in EVERY.splitlines())
-    place = header.index(column)
-    for wrong, shown in (("left", "found 'left'"), ("inf", "found 'inf'"), ("", "found an empty cell")):
-        if (column == "session" and wrong) or (column.startswith("direction") and not wrong):
-            continue
-        cells = [*second[:place], wrong, *second[place + 1 :]]
-        with pytest.raises(InputError) as caught:
-            load("\n".join(",".join(row) for row in (header, first, cells)) + "\n")
-        assert f"data.csv: row 2 (line 3), column {column}: {shown}, allowed: " in str(caught.value)
+    pairs = dict.fromkeys(("temperature_C", "payload_kg", "posture", "session", "sigma_mm"), (1, 2))
+    text = with_columns(order=(1, 2), time_s=(0, 9), direction1=(1, -1), direction2=(1, 1), **pairs)
+    header, first, second = (line.split(",") for line in text.splitlines())
+    for place, column in enumerate(header):
+        for wrong, shown in (("left", "found 'left'"), ("inf", "found 'inf'"), ("", "found an empty cell")):
+            if not (column == "session" and wrong) and not (column.startswith("direction") and not wrong):
+                cells = [*second[:place], wrong, *second[place + 1 :]]
+                with pytest.raises(InputError) as caught:
+                    load("\n".join(",".join(row) for row in (header, first, cells)) + "\n")
+                assert f"data.csv: row 2 (line 3), column {column}: {shown}, allowed: " in str(caught.value)
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------
@@ -354,7 +327,7 @@ def struck(load: Load, out: list[int] = OUT) -> Measurements:
     return load("\n".join(line for k, line in enumerate(lines) if k - 1 not in out))
 
 
-def test_directions_are_unknown_after_a_gap(load: Load) -> None:
+def test_after_a_gap_directions_are_unknown_and_joints_remember_anew(load: Load) -> None:
     """Sign of each joint's last motion as far as rows that follow each other show it, row after row."""
     assert WHOLE.gaps is None
     data = struck(load)
@@ -363,16 +336,11 @@ def test_directions_are_unknown_after_a_gap(load: Load) -> None:
     for k in range(1, M):
         step = np.sign(Q[k] - Q[k - 1])
         signs[k] = 0.0 if k - 1 in OUT else np.where(step != 0.0, step, signs[k - 1])
-        signs[k] = np.where((step != 0.0) & (k - 1 not in OUT), step, signs[k])
     found = data.conditions.directions
     np.testing.assert_array_equal(found, np.delete(signs, OUT, axis=0))
     moved = found != 0.0
     assert moved.mean() > 0.8
     np.testing.assert_array_equal(found[moved], np.delete(WHOLE.conditions.directions, OUT, axis=0)[moved])
-
-
-def test_what_joints_remember_begins_again_after_a_gap(load: Load) -> None:
-    data = struck(load)
     past, later = np.asarray(data.conditions.past), data.rows(slice(17, None))
     np.testing.assert_array_equal(past[17:], replace(later, directions=None, past=None).conditions.past)
     np.testing.assert_array_equal(past[17], np.repeat(data.postures[17][:, None], past.shape[2], axis=1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import datetime
-import shutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import pytest
 
 from identification import InputError
-from identification.files.arm import arm_from_tables, load_arm
+from identification.files.arm import arm_from_tables
 from identification.files.schema import ArmFile
 from tests.identification.files.test_arm import (
     BY_TABLE,
@@ -24,7 +23,7 @@ from tests.identification.files.test_arm import (
     LENGTHS,
     PLAIN,
     PLANAR,
-    URDF,
+    load,
 )
 
 NAMED = [("tool",), ("tools",), ("values",), ("effects",), ("geometry",)]  # tables whose keys are names
@@ -34,10 +33,8 @@ Path_ = tuple[int | str, ...]
 @pytest.fixture(params=FILES)
 def tables(request: pytest.FixtureRequest, tmp_path: Path) -> dict[str, Any]:
     """Those of a file that is read as it stands, beside its URDF file."""
-    shutil.copy(URDF, tmp_path / "six_axis.urdf")
-    found = tomllib.loads(FILES[request.param])
-    arm_from_tables(found, tmp_path)
-    return found
+    load(tmp_path, FILES[request.param])
+    return tomllib.loads(FILES[request.param])
 
 
 def places(node: Any, path: Path_ = ()) -> Iterator[Path_]:
@@ -143,6 +140,9 @@ def spoilt(text: str, old: str, new: str, named: str) -> tuple[str, str]:
 
 LIMITS = PLAIN + "[joint_limits_deg]\n"
 SIGHT = PLAIN + '[[constraints]]\nkind = "line_of_sight"\ntracker_mm = [1, 0]\n'
+BOX = '[[constraints]]\nkind = "workspace_box"\n'
+SLIDE = "[joint_limits_mm]\nlower = [-50.0]\nupper = [150.0]\n"
+MIXED = 'd_mm=1.0\nconvention = "modified"\n[[dh]]\na_mm=1.0\nd_mm=1.0\nalpha_deg=1.0\nconvention = "standard"'
 BASE = '[[effects]]\nname = "base_offset"\n'
 BACKLASH = PLAIN + '[[effects]]\nname = "backlash"\n'
 TWO = CALIBRATION + 'parameters = ["length_error:1", "joint_offset:2"]\n'
@@ -160,10 +160,7 @@ BAD = [  # values that are of the right type
     (PLAIN + "[joints]\nsign = [1, 0]", "joints.sign: found 0 for joint 2"),
     (PLAIN + "[joints]\ncoupled_to = [2, 1]", "joints.coupled_to: found"),
     (PLAIN + '[[constraints]]\nkind = "box"', "constraints[1].kind: found 'box'"),
-    (
-        PLAIN + '[[constraints]]\nkind = "workspace_box"\nx_mm = [1, 0]\ny_mm = [0, 1]',
-        "constraints[1].x_mm: found [1, 0]",
-    ),
+    (PLAIN + BOX + "x_mm = [1, 0]\ny_mm = [0, 1]", "constraints[1].x_mm: found [1, 0]"),
     (SIGHT + "half_angle_deg = 20\ntoward_mm = [1, 0]", "constraints[1].toward_mm: found [1.0, 0.0]"),
     (BACKLASH, "backlash needs a joint"),
     (PLAIN + BASE + BASE, "base_offset"),
@@ -173,6 +170,9 @@ BAD = [  # values that are of the right type
     (PLAIN + CALIBRATION + "covariance = [[1]]", "calibration.parameters: is missing"),
     (PLAIN + TWO + "covariance = [[1, 0]]", "calibration.covariance: found 1 rows"),
     (PLAIN + TWO + "covariance = [[1], [2]]", "calibration.covariance: found 1 values"),
+    (PLAIN + TWO + "covariance = [[1, 0.1], [0.2, 1]]", "calibration.covariance: found 0.1 in row 1, column 2, 0.2 ac"),
+    (PLAIN + TWO + "covariance = [[1, 2], [2, 1]]", "calibration.covariance: found an eigenvalue of -1 "),
+    (PLAIN + TWO + "covariance = [[1, 0], [0, -1]]", "calibration.covariance: found an eigenvalue of -1 "),
     (PLAIN + CALIBRATION + 'parameters = ["lenght_error:1"]', "'length_error:1'"),
     (PLAIN + CALIBRATION + '[calibration.effects]\n"base_offset.x0_mm" = 1', "'base_offset.x0_mm'"),
     (PLAIN + BASE + CALIBRATION + '[calibration.effects]\n"base_offset.x0" = 1', "'base_offset.x0_mm'"),
@@ -192,57 +192,31 @@ BAD = [  # values that are of the right type
     spoilt(BY_URDF, "end_mm = [350.0, 200.0, 900.0]", "end_mm = [350.0, 200.0, 0.0]", "constraints[3].end_mm: found"),
     spoilt(BY_URDF, "facing = [0.0, 0.0, 1.0]", "", "constraints[4].acceptance_deg: found without facing"),
     spoilt(BY_URDF, 'name = "gear_ratio"', 'name = "link_thermal"', "'link_thermal'"),
+    spoilt(BY_TABLE, SLIDE, "", "dh[3]: a prismatic joint without limits"),
+    spoilt(BY_TABLE, "d_mm = 127.3", MIXED, "dh: found conventions modified and standard"),
     spoilt(
-        BY_TABLE, "[joint_limits_mm]\nlower = [-50.0]\nupper = [150.0]", "", "dh[3]: a prismatic joint without limits"
-    ),
-    spoilt(
-        BY_TABLE,
-        "d_mm = 127.3",
-        'd_mm = 127.3\nconvention = "modified"\n[[dh]]\na_mm=1.0\nd_mm=1.0\nalpha_deg=1.0\nconvention = "standard"',
-        "dh: found conventions modified and standard",
-    ),
-    spoilt(
-        BY_TABLE,
-        "upper = [150.0]",
-        "upper = [150.0]\n[base]\n[calibration.values]\n[calibration.base]\nx_mm = 1.0",
-        "calibration.base: found beside [base]",
+        BY_TABLE, SLIDE, f"{SLIDE}[base]\n[calibration.values]\n[calibration.base]", "calibration.base: found beside"
     ),
     # [instrument] behind the arm
     *(
-        (f"{head}[instrument]\n{lines}\n", part)
+        (f"{head}[instrument]\nkind = {lines}\n", part)
         for head, lines, part in (
-            (
-                HEAD,
-                'kind = "tracker"',
-                "instrument.kind: found 'tracker' for a spatial arm, allowed: distance, plane, ",
-            ),
-            (HEAD, 'kind = "distance"\nradius_mm = 3.0', "radius_mm: found for kind distance, allowed: for sphere"),
-            (HEAD, f'kind = "plane"\n{CENTER}', "instrument.normal: is missing beside center_mm"),
-            (HEAD, 'kind = "plane"\nnormal = [1.0, 2.0, 3.0]', "instrument.center_mm: is missing beside normal"),
-            (HEAD, f'kind = "plane"\n{CENTER}\nnormal = [0, 0, 0]', "normal: found [0, 0, 0], allowed: a direction"),
-            (HEAD, 'kind = "distance"\ncenter_mm = [1.0, 2.0]', "center_mm: found [1.0, 2.0], allowed: three numbers"),
-            (HEAD, f'kind = "distance"\n{CENTER}\n[base]\nx_mm = 1.0', "instrument.center_mm: found beside"),
-            (HEAD, 'kind = "distance"\n[measurement]\nsigma_mm = 1.0\nsigma_deg = 1.0', "sigma_deg: found beside"),
-            (
-                HEAD,
-                f'kind = "socket"\n{CENTER}',
-                "instrument.center_mm: found for kind socket, allowed: for distance, plane",
-            ),
-            (HEAD, 'kind = "socket"\ncups = {A = [1.0, 2.0]}', "allowed: three numbers"),
-            (HEAD, 'kind = "socket"\ndistances_mm = [["A", 3.0]]', "distances_mm[1][2]: found 3.0, allowed: a string"),
-            (
-                HEAD,
-                'kind = "socket"\n[base]\nx_mm = 3.0',
-                "base: found with an [instrument] of kind socket, allowed: left",
-            ),
-            (LENGTHS, 'kind = "sphere"', "instrument.kind: found 'sphere' for a planar arm, allowed: distance"),
-            (HEAD, 'kind = "sphere"', "instrument.radius_mm: is missing, allowed: of ball and stylus tip together"),
-            (LENGTHS, f'kind = "distance"\n{CENTER}', "center_mm: found [1.0, 2.0, 3.0], allowed: two numbers"),
-            (
-                LENGTHS,
-                'kind = "distance"\n[[effects]]\nname = "base_offset"',
-                "base_offset is of measured positions, found",
-            ),
+            (HEAD, '"tracker"', "instrument.kind: found 'tracker' for a spatial arm, allowed: distance, plane, "),
+            (HEAD, '"distance"\nradius_mm = 3.0', "radius_mm: found for kind distance, allowed: for sphere"),
+            (HEAD, f'"plane"\n{CENTER}', "instrument.normal: is missing beside center_mm"),
+            (HEAD, '"plane"\nnormal = [1.0, 2.0, 3.0]', "instrument.center_mm: is missing beside normal"),
+            (HEAD, f'"plane"\n{CENTER}\nnormal = [0, 0, 0]', "normal: found [0, 0, 0], allowed: a direction"),
+            (HEAD, '"distance"\ncenter_mm = [1.0, 2.0]', "center_mm: found [1.0, 2.0], allowed: three numbers"),
+            (HEAD, f'"distance"\n{CENTER}\n[base]\nx_mm = 1.0', "instrument.center_mm: found beside"),
+            (HEAD, '"distance"\n[measurement]\nsigma_mm = 1.0\nsigma_deg = 1.0', "sigma_deg: found beside"),
+            (HEAD, f'"socket"\n{CENTER}', "center_mm: found for kind socket, allowed: for distance, plane"),
+            (HEAD, '"socket"\ncups = {A = [1.0, 2.0]}', "allowed: three numbers"),
+            (HEAD, '"socket"\ndistances_mm = [["A", 3.0]]', "distances_mm[1][2]: found 3.0, allowed: a string"),
+            (HEAD, '"socket"\n[base]\nx_mm = 3.0', "base: found with an [instrument] of kind socket, allowed: left"),
+            (HEAD, '"sphere"', "instrument.radius_mm: is missing, allowed: of ball and stylus tip together"),
+            (LENGTHS, '"sphere"', "instrument.kind: found 'sphere' for a planar arm, allowed: distance"),
+            (LENGTHS, f'"distance"\n{CENTER}', "center_mm: found [1.0, 2.0, 3.0], allowed: two numbers"),
+            (LENGTHS, f'"distance"\n{BASE}', "base_offset is of measured positions, found"),
         )
     ),
 ]
@@ -250,10 +224,8 @@ BAD = [  # values that are of the right type
 
 @pytest.mark.parametrize(("text", "named"), BAD, ids=[named[:50] for _, named in BAD])
 def test_bad_input_is_one_line(tmp_path: Path, text: str, named: str) -> None:
-    shutil.copy(URDF, tmp_path)
-    (path := tmp_path / "arm.toml").write_text(text)
     with pytest.raises(InputError) as caught:
-        load_arm(path)
-    assert str(caught.value).startswith(f"{path}: ")
+        load(tmp_path, text)
+    assert str(caught.value).startswith(f"{tmp_path / 'arm.toml'}: ")
     assert "\n" not in str(caught.value)
     assert named in str(caught.value)

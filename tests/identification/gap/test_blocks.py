@@ -11,10 +11,20 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from identification import InputError, Measurements, Model, diagnose, effects, load_arm, planar_chain, with_effects
+from identification import (
+    Array,
+    InputError,
+    Measurements,
+    Model,
+    diagnose,
+    effects,
+    load_arm,
+    planar_chain,
+    with_effects,
+)
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import base, build
-from identification.gap.blocks import Library, hypotheses
+from identification.gap.blocks import Block, Library, hypotheses
 from identification.gap.fit import At, Rows
 
 SOURCE = '''
@@ -122,22 +132,19 @@ def known() -> Library:
     return hypotheses(ARM, frozenset({"temperature"}), rows())
 
 
-LABELS = [
-    *("transmission_ripple:2[k=7]", "transmission_ripple:3[k=64]", "joint_compliance:2", "joint_compliance"),
-    *("joint_coupling:3", "backlash:1", "thermal_growth", "axes_skew", "base_rotation_drift"),
-    *("breathing[rate=3.5]", "settling", "series:2[terms=3]", "lag:2"),
-]
-
-
-def test_columns_are_derivatives_by_the_effects_parameters() -> None:
-    """Central differences of models with the effect, at the base model's values and, of a parameter that cannot be
-    zero, at its neutral value; steps that move the tip by a hundredth of a mm err by 1e-9 of the column."""
+def test_columns_of_every_effect_are_derivatives_by_its_parameters() -> None:
+    """At joint 3 or of the whole arm, of settings the first and the last: central differences of models with the
+    effect, at the base model's values and, of a parameter that cannot be zero, at its neutral value; steps that move
+    the tip by a hundredth of a mm err by 1e-9 of the column."""
     library = known()
     blocks = [*library.members, *library.unlisted]
     found = library.columns(At(library.base, library.base.parameters.vector(BASE), rows()), blocks)
-    of = {b.label: (b.spec, c) for b, c in zip(blocks, found, strict=True) if b.spec is not None}
-    jumps = [label for label in of if label.startswith("link_jump:3")]
-    for spec, columns in (of[label] for label in (*LABELS, *jumps[:2], *(b.label for b in library.unlisted))):
+    of_name: dict[str, list[tuple[EffectSpec, Array]]] = {}
+    for block, columns in zip(blocks, found, strict=True):
+        if block.spec is not None and block.spec.joint in (None, 3):
+            of_name.setdefault(block.key, []).append((block.spec, columns))
+    assert {"transmission_ripple:3", "joint_compliance", "joint_compliance:3", "axes_skew", "lag:3"} < set(of_name)
+    for spec, columns in (each[k] for each in of_name.values() for k in {0, len(each) - 1}):
         model = Model(ARM.with_effects(*ARM.effects, spec))
         start = model.parameters.vector(BASE)
         for k, parameter in enumerate(model.effects[-1].parameters):
@@ -147,38 +154,31 @@ def test_columns_are_derivatives_by_the_effects_parameters() -> None:
             np.testing.assert_allclose(columns[:, :, k], expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
 
-def test_every_effect_at_every_joint_but_those_of_the_arm() -> None:
+def test_every_effect_at_every_joint_with_values_of_settings_and_their_weights() -> None:
+    """But those of the arm, and joints that cannot have it; together they weigh as one effect of the whole arm, or as
+    one at each of three joints."""
+    of: dict[str, list[Block]] = {}
+    for block in known().members:
+        of.setdefault(block.label.partition("[")[0].partition(":")[0], []).append(block)
     labels = [b.label for b in known().members]
     assert len(set(labels)) == len(labels)
-    assert "encoder_eccentricity:1" not in labels
+    assert not {"encoder_eccentricity:1", "joint_coupling:1"} & set(labels)  # there is no joint before the first
     assert known().skipped["encoder_eccentricity:1"] == "already in the arm's model"
     assert {"encoder_eccentricity:2", "encoder_eccentricity:3"} < set(labels)
-    assert set(NAMES) < {label.partition("[")[0].partition(":")[0] for label in labels}
-    assert "joint_coupling:1" not in labels  # there is no joint before the first
+    assert set(NAMES) < set(of)
     assert set(known().aliases) == {"measurement_scale", "tool_offset", "base_rotation"}
     bare = hypotheses(Arm([300.0, 200.0, 150.0]), frozenset(), rows())
     assert (bare.skipped["thermal_growth"], bare.skipped["link_bending"]) == ("needs temperature", "needs gravity")
     assert "length_offset" not in bare.skipped  # nothing that these data lack: they are of another instrument
-
-
-def test_values_of_settings_and_their_weights() -> None:
-    of: dict[str, list[tuple[float, dict[str, float]]]] = {}
-    for block in known().members:
-        if block.spec is not None:
-            of.setdefault(block.spec.name, []).append((block.weight, dict(block.spec.values)))
-    assert [values["rate"] for _, values in of["breathing"]] == [1.5, 3.5, 7.25]
+    values = {name: [dict(b.spec.values) for b in blocks if b.spec is not None] for name, blocks in of.items()}
     times = rows().conditions.time
     assert times is not None
-    np.testing.assert_allclose([values["at"] for _, values in of["link_jump"]][:12], times[2:-2:3] + 1e-3, atol=1e-5)
-    assert [values["terms"] for _, values in of["series"]] == [2, 3] * 3
+    np.testing.assert_allclose([each["at"] for each in values["link_jump"]][:12], times[2:-2:3] + 1e-3, atol=1e-5)
+    assert [each["rate"] for each in values["breathing"]] == [1.5, 3.5, 7.25]
+    assert [each["terms"] for each in values["series"]] == [2, 3] * 3
     assert len(of["transmission_ripple"]) == 3 * (64 - 3 + 1)
-    # together as one effect of the whole arm, or as one at each of three joints
-    sums = {name: sum(weight for weight, _ in of[name]) for name in of}
-    assert (sums["breathing"], sums["base_drift"]) == (pytest.approx(1.0), 1.0)
-    assert (sums["link_jump"], sums["transmission_ripple"]) == (
-        pytest.approx(np.sqrt(3.0)),
-        pytest.approx(np.sqrt(3.0)),
-    )
+    for name, weight in (("breathing", 1.0), ("base_drift", 1.0), ("link_jump", 3.0), ("transmission_ripple", 3.0)):
+        assert sum(block.weight for block in of[name]) == pytest.approx(np.sqrt(weight))
 
 
 @pytest.mark.parametrize(

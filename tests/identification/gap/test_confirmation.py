@@ -35,22 +35,14 @@ DATA = Measurements(
 
 
 def test_group_means_are_compared_by_students_t() -> None:
-    values = np.random.default_rng(0).normal(0.3, 1.0, 80)
-    groups = np.arange(80) % 8
-    found = mean_of(values, (groups, np.arange(80) // 40))
-    assert found.freedom == 1.0  # two groups are less sure here
-    found = mean_of(values, (groups,))
-    expected = stats.ttest_1samp([values[groups == g].mean() for g in range(8)], 0.0, alternative="greater")
-    assert found.p_above() == pytest.approx(expected.pvalue, rel=1e-12)
-    other = np.random.default_rng(1).normal(0.0, 3.0, 40)
-    difference = found - mean_of(other, (np.arange(40) % 5,))
-    welch = stats.ttest_ind(
-        [values[groups == g].mean() for g in range(8)],
-        [other[np.arange(40) % 5 == g].mean() for g in range(5)],
-        equal_var=False,
-        alternative="greater",
-    )
-    assert difference.p_above() == pytest.approx(welch.pvalue, rel=1e-12)
+    values, other = np.random.default_rng(0).normal(0.3, 1.0, 80), np.random.default_rng(1).normal(0.0, 3.0, 40)
+    groups, means = np.arange(80) % 8, values.reshape(10, 8).mean(axis=0)
+    assert mean_of(values, (groups, np.arange(80) // 40)).freedom == 1.0  # two groups are less sure here
+    mean = mean_of(values, (groups,))
+    expected = stats.ttest_1samp(means, 0.0, alternative="greater")
+    assert mean.p_above() == pytest.approx(expected.pvalue, rel=1e-12)
+    welch = stats.ttest_ind(means, other.reshape(8, 5).mean(axis=0), equal_var=False, alternative="greater")
+    assert (mean - mean_of(other, (np.arange(40) % 5,))).p_above() == pytest.approx(welch.pvalue, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -65,20 +57,14 @@ def test_without_noise_any_two_models_differ_for_sure(move: float, sigma: float,
 
 
 def test_groups_keep_repeats_together_and_are_of_equal_size() -> None:
-    rng = np.random.default_rng(3)
-    number = np.repeat(np.arange(40), 3)
-    postures = rng.uniform(-1.0, 1.0, (40, 4))[number]
+    """In time and in space; of three reflectors of 41 postures one after the other no stretch begins between two."""
+    rng, number = np.random.default_rng(3), np.repeat(np.arange(40), 3)
     time = rng.permutation(120).astype(float)
-    stretches, places = groupings(postures, number, time)
-    assert np.bincount(stretches).tolist() == [15] * GROUPS
-    assert np.bincount(places).tolist() == [15] * GROUPS
+    stretches, places = groupings(rng.uniform(-1.0, 1.0, (40, 4))[number], number, time)
+    assert np.bincount(stretches).tolist() == np.bincount(places).tolist() == [15] * GROUPS
     assert all(np.ptp(time[stretches == g]) == 14.0 for g in range(GROUPS))
     assert all(len(set(places[number == k])) == 1 for k in range(40))
-
-
-def test_a_stretch_of_time_ends_with_a_posture() -> None:
-    """Three reflectors of 41 postures one after the other: no stretch begins between two of them."""
-    rng, number = np.random.default_rng(4), np.repeat(np.arange(41), 3)
+    number = np.repeat(np.arange(41), 3)
     stretches, _ = groupings(rng.uniform(-1.0, 1.0, (41, 4))[number], number, np.arange(123.0))
     assert all(len(set(stretches[number == k])) == 1 for k in range(41))
     assert np.bincount(stretches).tolist() == [18, 15, 15, 15, 15, 15, 15, 15]
@@ -100,28 +86,27 @@ def held_out(rng: np.random.Generator, m: int, size: float, present: float = 1.0
     return confirm(before, after, predicted, float(np.sqrt(variance)), groups, "other postures")
 
 
-def share(answer: bool | None, sets: int = 200, **drawn: float) -> float:
+@pytest.mark.parametrize(
+    ("answer", "least", "most", "drawn"),
+    [  # refuted at 2.5 % on either side of two questions; 200 sets: fail beyond 0.05 + 2.5 standard errors
+        (False, 0.0, 0.09, {"m": 200, "size": 1.0}),
+        (True, 0.9, 1.0, {"m": 200, "size": 1.0}),
+        (False, 0.0, 0.09, {"m": 20, "size": 1.0}),
+        # it does not carry over
+        (False, 0.95, 1.0, {"m": 200, "size": 1.0, "present": 0.0}),
+        (True, 0.0, 0.0, {"m": 200, "size": 1.0, "present": 0.0}),
+        (False, 0.9, 1.0, {"m": 200, "size": 1.0, "noise": 1.5}),  # something else is there as well
+        # few rows neither confirm nor refute, even where nothing is named: they cannot show that nothing is missing
+        (None, 0.9, 1.0, {"m": 6, "size": 0.5}),
+        (None, 0.9, 1.0, {"m": 1, "size": 3.0}),
+        (None, 0.9, 1.0, {"m": 3, "size": 0.0}),
+    ],
+)
+def test_a_right_name_is_confirmed_and_a_wrong_one_refuted(
+    answer: bool | None, least: float, most: float, drawn: dict[str, float]
+) -> None:
     rng = np.random.default_rng(20)
-    return float(np.mean([held_out(rng, **drawn).confirmed is answer for _ in range(sets)]))  # type: ignore[arg-type]
-
-
-def test_a_right_name_is_confirmed_and_rarely_refuted() -> None:
-    # refuted at 2.5 % on either side of two questions; 200 sets: fail beyond 0.05 + 2.5 standard errors
-    assert share(False, m=200, size=1.0) <= 0.09
-    assert share(True, m=200, size=1.0) >= 0.9
-    assert share(False, m=20, size=1.0) <= 0.09
-
-
-def test_a_name_that_does_not_carry_over_is_refuted() -> None:
-    assert share(False, m=200, size=1.0, present=0.0) >= 0.95
-    assert share(False, m=200, size=1.0, noise=1.5) >= 0.9  # something else is there as well
-    assert share(True, m=200, size=1.0, present=0.0) == 0.0
-
-
-def test_few_rows_neither_confirm_nor_refute() -> None:
-    assert share(None, m=6, size=0.5) >= 0.9
-    assert share(None, m=1, size=3.0) >= 0.9
-    assert share(None, m=3, size=0.0) >= 0.9  # nothing named: three rows cannot show that nothing is missing either
+    assert least <= np.mean([held_out(rng, **drawn).confirmed is answer for _ in range(200)]) <= most  # type: ignore[arg-type]
 
 
 def test_errors_shared_by_a_stretch_of_time_do_not_refute() -> None:
@@ -205,17 +190,14 @@ def predicted(seed: int, base: bool, points: dict[str, np.ndarray], dimension: i
     """Rows of points A and B in turns; measured with another base, or with points moved by so much."""
     generator = np.random.default_rng(seed)
     axes = Rotation.random(ROWS, random_state=generator).as_matrix()
-    own = generator.uniform(-1000.0, 1000.0, (ROWS, dimension))
+    tips = generator.uniform(-1000.0, 1000.0, (ROWS, dimension))
     names = np.tile(["A", "B"], ROWS // 2)
-    tips = own + 0.0
-    if dimension == 3:
-        tips += np.array([turn @ points.get(name, np.zeros(3)) for turn, name in zip(axes, names, strict=True)])
-    if base and dimension == 3:
-        tips = tips @ TURN.T + SHIFT
-    if base and dimension == 2:
-        tips = tips @ Rotation.from_euler("z", 2.0).as_matrix()[:2, :2].T + SHIFT[:2]
-    measured = tips + NOISE * generator.standard_normal(tips.shape)
-    return Placed(own, axes if dimension == 3 else None, measured, names)
+    moved = np.array([turn @ points.get(name, np.zeros(3)) for turn, name in zip(axes, names, strict=True)])
+    measured = tips + moved[:, :dimension]
+    turn = TURN if dimension == 3 else Rotation.from_euler("z", 2.0).as_matrix()[:2, :2]
+    measured = measured @ turn.T + SHIFT[:dimension] if base else measured
+    measured = measured + NOISE * generator.standard_normal(tips.shape)
+    return Placed(tips, axes if dimension == 3 else None, measured, names)
 
 
 @pytest.mark.parametrize(
@@ -235,9 +217,8 @@ def test_the_least_that_explains_it_is_refitted(
     base: bool, moved: tuple[str, ...], fresh: tuple[str, ...], dimension: int
 ) -> None:
     rows = predicted(1, base, {name: OTHER if name == "A" else -OTHER for name in moved}, dimension)
-    found = rows.set_up(fresh, elsewhere=not fresh)
-    assert found == (base, moved)
-    left = rows.refitted(*found)[1]
+    assert rows.set_up(fresh, elsewhere=not fresh) == (base, moved)
+    left = rows.refitted(base, moved)[1]
     # of 120 coordinates or more: 6 % is the standard deviation of such an estimate; the values fitted cost nothing
     assert np.sqrt(np.mean(left**2)) == pytest.approx(NOISE, rel=0.15)
     assert fresh or rows.set_up((), elsewhere=False) == (False, ())
@@ -253,33 +234,35 @@ def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
 
 
 def test_points_have_the_numbers_of_the_data() -> None:
-    generator = np.random.default_rng(4)
-    q, y = generator.uniform(-1.0, 1.0, (4, 6)), generator.uniform(-1.0, 1.0, (4, 3))
-    data = Measurements(q, y, marker=np.array(["A", "B", "C", "A"]))
-    held = replace(data, marker=np.array(["C", "D", "B", "C"]), marker_names=())
-    seen = HeldOut.of(held, data)
-    assert (seen.conditions.marker.tolist(), seen.fresh) == ([2.0, 0.0, 1.0, 2.0], ("D",))
-    one, other = (replace(data, marker=np.full(4, name), marker_names=()) for name in ("A", "D"))
-    seen = HeldOut.of(other, one)
-    assert (seen.conditions.marker.tolist(), seen.fresh) == ([0.0] * 4, ())
-    assert HeldOut.of(replace(data, marker=None, marker_names=()), data).conditions.marker is None
+    q = np.random.default_rng(4).uniform(-1.0, 1.0, (4, 6))
+
+    def of(*names: str) -> Measurements:
+        return Measurements(q, q[:, :3], marker=np.array(names) if names else None)
+
+    several, one = of("A", "B", "C", "A"), of(*"AAAA")
+    for held, data, numbers, fresh in (
+        (of("C", "D", "B", "C"), several, [2.0, 0.0, 1.0, 2.0], ("D",)),
+        (of(*"DDDD"), one, [0.0] * 4, ()),
+    ):
+        seen = HeldOut.of(held, data)
+        assert (seen.conditions.marker.tolist(), seen.fresh) == (numbers, fresh)
+    assert HeldOut.of(of(), several).conditions.marker is None
 
 
 def test_the_order_of_measurement_says_what_is_tested() -> None:
-    first, second = DATA.rows(np.arange(60)), DATA.rows(np.arange(60, 100))
-    assert HeldOut.of(second, first).transfer == "a later time"
-    assert HeldOut.of(first, second).transfer == "an earlier time"
-    assert HeldOut.of(DATA.rows(np.arange(1, 100, 2)), DATA.rows(np.arange(0, 100, 2))).transfer == "other postures"
-    assert HeldOut.of(first, first).transfer == "another session"  # numbers start again
-    assert HeldOut.of(replace(second, order=second.order + 100.0), first).transfer == "another session"  # a long pause
-    assert HeldOut.of(replace(second, order=None), first).transfer == "other rows"
-
-
-def test_time_and_temperature_of_a_hold_out_are_on_the_scales_of_the_data() -> None:
-    """Time goes on within a session and starts again in another."""
-    first, second = DATA.rows(np.arange(51)), DATA.rows(np.arange(51, 100))
-    there = HeldOut.of(second, first).conditions
-    np.testing.assert_allclose(there.time, np.arange(51, 100) / 50.0 - 0.5)
-    np.testing.assert_allclose(there.temperature, second.temperature - first.temperature.mean())
+    """Time goes on within a session and starts again in another; temperatures are on the scale of the data."""
+    first, second, numbers = DATA.rows(np.arange(51)), DATA.rows(np.arange(51, 100)), np.arange(100)
+    for rows, data, transfer in (
+        (second, first, "a later time"),
+        (first, second, "an earlier time"),
+        (DATA.rows(numbers[1::2]), DATA.rows(numbers[::2]), "other postures"),
+        (first, first, "another session"),  # numbers start again
+        (replace(second, order=second.order + 100.0), first, "another session"),  # a long pause
+        (replace(second, order=None), first, "other rows"),
+    ):
+        assert HeldOut.of(rows, data).transfer == transfer
+    later = HeldOut.of(second, first).conditions
+    np.testing.assert_allclose(later.time, np.arange(51, 100) / 50.0 - 0.5)
+    np.testing.assert_allclose(later.temperature, second.temperature - first.temperature.mean())
     apart = HeldOut.of(replace(second, order=np.arange(49.0)), first).conditions.time
     np.testing.assert_allclose(apart, np.linspace(-0.5, 0.5, 49))

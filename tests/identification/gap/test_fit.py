@@ -7,45 +7,28 @@ from functools import partialmethod
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.linalg import block_diag
 
-from identification import Arm, Diagnosis, EffectSpec, Gravity, Identification, Measurements, Model, diagnose, estimate
+from identification import Diagnosis, EffectSpec, Identification, Measurements, Model, diagnose, estimate
 from identification.estimation.problem import Problem
 from identification.gap.fit import Rows, fit
-from tests.identification.estimation.cases import arm, data, plan
+from tests.identification.estimation.cases import arm, data, plan, scipy_fit
 from tests.identification.gap.test_diagnose import ARM, diagnosed, measured
-
-GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([8.0, 5.0, 3.0]), np.full(3, 0.5), 6.0)
-
-
-def _rows(arm: Arm, values: dict[str, float], seed: int) -> Rows:
-    rng = np.random.default_rng(seed)
-    model = Model(arm)
-    q = rng.uniform(-np.pi, np.pi, (40, 3))
-    exact = model.position(q, np.array([values.get(name, 0.0) for name in model.names]))
-    sigma = rng.uniform(0.05, 0.2, 40)
-    return Rows.of(Measurements(q, exact + sigma[:, None] * rng.normal(size=(40, 2)), sigma=sigma))
 
 
 @pytest.mark.parametrize("flexibility", [2e-4, -2e-4])
 def test_agrees_with_scipy_within_bounds(flexibility: float) -> None:
-    arm = Arm([300.0, 200.0, 150.0], gravity=GRAVITY, effects=(EffectSpec("link_bending"), EffectSpec("base_offset")))
+    rng, model = np.random.default_rng(1), Model(arm(EffectSpec("link_bending"), EffectSpec("base_offset")))
     values = {"link_bending.flexibility": flexibility, "joint_offset:2": 0.03, "length_error:1": 2.0}
-    rows = _rows(arm, values, 1)
-    model = Model(arm)
-    found = fit(model, rows)
-    lower = np.array([p.lower for p in model.parameters])
-
-    def residual(scaled: np.ndarray) -> np.ndarray:
-        position = model.position(rows.postures, scaled / model.scales, rows.conditions)
-        return rows.whiten(rows.positions - position)
-
-    start = np.clip(np.zeros(len(lower)), lower * model.scales, np.inf) + 1e-9
-    other = least_squares(residual, start, bounds=(lower * model.scales, np.inf), xtol=1e-14, ftol=1e-14, gtol=1e-12)
-    assert found.residual @ found.residual == pytest.approx(2.0 * other.cost, rel=1e-6)
+    q, sigma = plan(40), rng.uniform(0.05, 0.2, 40)
+    exact = model.position(q, model.parameters.vector(values, default=0.0))
+    rows = Measurements(q, exact + sigma[:, None] * rng.normal(size=(40, 2)), sigma=sigma)
+    fitted = fit(model, Rows.of(rows))
+    other = scipy_fit(model, rows, (np.exp(np.mean(np.log(sigma))) / sigma) ** 2)
+    assert fitted.residual @ fitted.residual == pytest.approx(2.0 * other.cost, rel=1e-6)
     at_bound = flexibility < 0.0
-    assert (found.by_name["link_bending.flexibility"] == 0.0) == at_bound
-    assert bool(found.free.all()) != at_bound
+    assert (fitted.by_name["link_bending.flexibility"] == 0.0) == at_bound
+    assert bool(fitted.free.all()) != at_bound
 
 
 DRAWN = np.random.default_rng(8)
@@ -60,16 +43,13 @@ def test_a_covariance_of_every_row_and_a_memory_become_white(d: int) -> None:
     m, rho = 6, 0.6
     half = DRAWN.normal(size=(m, d, d))
     spread = half @ half.transpose(0, 2, 1) + np.eye(d)
-    measured = Measurements(DRAWN.uniform(-1, 1, (m, 2)), DRAWN.normal(size=(m, d)))
-    rows = replace(Rows.of(measured), spread=spread, correlation=rho)
-    assert rows.dimension == d
-    blocks = np.zeros((m * d, m * d))
-    for i in range(m):
-        blocks[i * d : (i + 1) * d, i * d : (i + 1) * d] = spread[i]
-    memory = rho ** np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
-    covariance = blocks @ np.kron(memory, np.eye(d)) @ blocks
+    rows = Rows.of(Measurements(DRAWN.uniform(-1, 1, (m, 2)), DRAWN.normal(size=(m, d))))
+    rows = replace(rows, spread=spread, correlation=rho)
+    memory = np.kron(rho ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))), np.eye(d))
+    covariance = block_diag(*spread) @ memory @ block_diag(*spread)
     whitener = rows.whiten(np.eye(m * d).reshape(m, d, m * d))
     np.testing.assert_allclose(whitener @ covariance @ whitener.T, np.eye(m * d), atol=1e-10)
+    assert rows.dimension == d
     assert rows.log_determinant == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-12)
 
 

@@ -96,7 +96,7 @@ def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
         assert all(said["probabilities"][c.title] == c.probability for c in shown)
         if found.verdict == "ambiguous":
             count = len(found.candidates)
-            assert count >= 2 or "less likely than not" in told
+            assert count >= 2 or "below one half" in told
             assert count == 1 or f"{count} explanations" in told
         line = next(part for part in missing_parts(said) if str(part).startswith("Probability"))
         for title, p in found.probability.items():

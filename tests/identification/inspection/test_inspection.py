@@ -11,8 +11,12 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from identification import Arm, DHRow, Measurements, Model, chain_of, estimate
-from identification.inspection.inspection import inspect
+from identification.inspection.inspection import inspect, other_frame
+from identification.inspection.readings import read_differently
+from identification.kinematics.chain import BASE
+from identification.kinematics.frames import rotation_about
 from identification.validate import validate
+from tests.identification.exponentials import Exponentials, drawing
 
 LENGTHS = np.array([500.0, 400.0, 200.0])
 ARM = Arm(LENGTHS, lower=np.full(3, -2.5), upper=np.full(3, 2.5))
@@ -31,10 +35,10 @@ def data(m: int = 40, base: complex = 0.0, zero: float = 0.0, still: bool = Fals
 
 def test_good_data_have_no_problem() -> None:
     found = inspect(ARM, data())
-    assert found.problems == ()
-    assert (found.data["rows"], found.data["postures"]) == (40, 40)
-    assert 1.0 < found.data["rms_drawing_mm"] < 5.0
-    assert found.to_json()["rms_fitted_mm"] == pytest.approx(0.05 * np.sqrt(2.0 * (1.0 - 6.0 / 80.0)), rel=0.3)
+    read = found.to_json()
+    assert (found.problems, read["rows"], read["postures"]) == ((), 40, 40)
+    assert 1.0 < read["rms_drawing_mm"] < 5.0
+    assert read["rms_fitted_mm"] == pytest.approx(0.05 * np.sqrt(2.0 * (1.0 - 6.0 / 80.0)), rel=0.3)
     assert any("no posture is repeated" in note for note in found.notes)
 
 
@@ -51,40 +55,61 @@ def test_repeats_scatter_in_millimetres_or_are_not_said(unit: float) -> None:
 
 
 def test_each_fault_has_its_sentence() -> None:
-    good = data()
-    flipped = inspect(ARM, replace(good, postures=good.postures * [1.0, 1.0, -1.0]))
-    (sentence,) = flipped.problems
-    assert sentence.startswith("it looks as if joint 3 turns the other way: the drawing then leaves")
-    (zero,) = inspect(ARM, data(zero=0.5)).problems
-    assert zero == "zeros differ from the drawing's: 28.9 deg at joint 2"  # 0.004 and 0.5 rad
-    (limits,) = inspect(replace(ARM, lower=np.array([-2.5, -2.0, -2.5])), good).problems
-    beyond = np.flatnonzero(good.postures[:, 1] < -2.0)
-    assert limits.startswith(
-        f"{len(beyond)} of 40 postures lie outside the joint limits, the first in row {beyond[0] + 1}: "
-    )
-    assert limits.endswith("allowed -114.592 to 143.239")
-    (units,) = inspect(ARM, replace(good, postures=np.radians(good.postures))).problems
-    assert "angles are in radians" in units
-    (copied,) = inspect(ARM, good.rows([*range(40), 5])).problems
-    assert copied.startswith("1 row is an exact copy of another (of 41 rows): the first row 41 of row 6")
-    (wrong,) = inspect(replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good).problems
-    assert wrong.startswith("the drawing is")
+    good, turned = data(), data().postures
+    beyond = np.flatnonzero(turned[:, 1] < -2.0)
+    turned = turned + 2.0 * np.pi * np.isin(np.arange(40), (3, 4, 5))[:, None] * [0, 0, 1]
+    said = f"{len(beyond)} of 40 postures lie outside the joint limits, the first in row {beyond[0] + 1}: joint 2 at "
+    for arm, rows, start, end in (
+        (ARM, replace(good, postures=good.postures * [1, 1, -1]), "it looks as if joint 3 turns the other way: ", ""),
+        (ARM, data(zero=0.5), "zeros differ from the drawing's: 28.9 deg at joint 2", ""),  # 0.004 and 0.5 rad
+        (replace(ARM, lower=np.array([-2.5, -2.0, -2.5])), good, said, "allowed -114.592 to 143.239"),
+        (
+            ARM,
+            replace(good, postures=turned),
+            "3 of 40 postures lie outside the joint limits, the first in row 4: joint 3",
+            "; joint 3 would be within them whole turns (360 deg) away: count these readings from the drawing's zero",
+        ),
+        (ARM, replace(good, postures=np.radians(good.postures)), "it looks as if the joint angles are in radians", ""),
+        (
+            ARM,
+            good.rows([*range(40), 5]),
+            "1 row is an exact copy of another (of 41 rows): the first row 41 of row 6",
+            "",
+        ),
+        (replace(ARM, chain=np.array([500.0, 100.0, 200.0])), good, "the drawing is", ""),
+    ):
+        (sentence,) = inspect(arm, rows).problems
+        assert sentence.startswith(start)
+        assert sentence.endswith(end)
 
 
-def test_whole_turns_beyond_the_limits_are_said() -> None:
-    good = data()
-    turned = good.postures.copy()
-    turned[3:6, 2] += 2.0 * np.pi
-    (sentence,) = inspect(ARM, replace(good, postures=turned)).problems
-    assert sentence.startswith("3 of 40 postures lie outside the joint limits, the first in row 4: joint 3")
-    assert "; joint 3 would be within them whole turns (360 deg) away" in sentence
+def test_few_readings_whole_turns_away_are_noted() -> None:
+    """Where the limits allow both; not of a joint that turns several times, nor where the limits say it already."""
+    free, good = Arm(LENGTHS, lower=np.full(3, -7.0), upper=np.full(3, 7.0)), data()
+    near = np.column_stack([good.postures[:, :2], 0.04 + 0.3 * good.postures[:, 2]])
+    turns = np.zeros((40, 3))
+    turns[6, 2] = -1.0
+    notes = {}
+    for name, arm, q in (
+        ("once", free, near + 2.0 * np.pi * turns),
+        ("limited", ARM, near + 2.0 * np.pi * turns),
+        ("several", free, 2.6 * good.postures),
+        ("half", free, near + 2.0 * np.pi * (np.arange(40) % 2)[:, None]),
+    ):
+        theta = np.cumsum(q, axis=1)
+        tips = np.stack([np.cos(theta) @ LENGTHS, np.sin(theta) @ LENGTHS], axis=1)
+        found = inspect(arm, Measurements(q, tips + 0.05 * np.random.default_rng(1).standard_normal(tips.shape)))
+        notes[name] = [note for note in found.notes if "whole turns" in note]
+    degrees = np.degrees(near[6, 2]) - 360.0
+    (note,) = notes.pop("once")
+    assert note.startswith(f"joint 3 reads {degrees:.4g} deg in row 7, whole turns away from the other rows (")
+    assert not any(notes.values())
 
 
 def test_what_the_data_cannot_say() -> None:
-    found = inspect(ARM, data(still=True))
+    found, rows = inspect(ARM, data(still=True)), data()
+    both = inspect(ARM, replace(rows, postures=rows.postures * [1.0, 0.01, 0.01]))
     assert "joint 3 hardly moves: its own errors cannot be seen" in found.notes
-    still = data()
-    both = inspect(ARM, replace(still, postures=still.postures * [1.0, 0.01, 0.01]))
     assert "joints 2, 3 hardly move: their own errors cannot be seen" in both.notes
     assert any(note.startswith("not estimable separately: ") for note in found.notes)
     few = inspect(ARM, data(m=2))
@@ -116,19 +141,19 @@ def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
     turn = Rotation.from_rotvec([0.1, -0.4, 2.0])
     seen = turn.apply(points(q + np.array([0.0, 0.004, -0.006]), tool)) + np.array([2000.0, -500.0, 700.0])
     rows = Measurements(q, seen + generator.normal(0.0, 0.3, seen.shape))
-    drawn, along = points(q, np.zeros(3)), [points(q, axis) for axis in np.eye(3)]
+    without, along = points(q, np.zeros(3)), [points(q, axis) for axis in np.eye(3)]
 
     def left(p: np.ndarray) -> np.ndarray:
-        there = drawn + sum(x * (one - drawn) for x, one in zip(p[6:], along, strict=True))
+        there = without + sum(x * (one - without) for x, one in zip(p[6:], along, strict=True))
         return (rows.positions - Rotation.from_rotvec(p[:3]).apply(there) - p[3:6]).ravel()
 
     best = least_squares(left, [0.1, -0.4, 2.0, 2000.0, -500.0, 700.0, *tool], xtol=1e-14, ftol=1e-14)
-    drawing = pytest.approx(np.sqrt(2.0 * best.cost / len(q)), rel=1e-7)
+    of_drawing = pytest.approx(np.sqrt(2.0 * best.cost / len(q)), rel=1e-7)
     arm = Arm(chain_of([DHRow(*row) for row in ROWS]))
     fitted = estimate(Model(arm), rows)
-    assert inspect(arm, rows).data["rms_drawing_mm"] == drawing
-    assert fitted.rms_before == drawing
-    assert validate(fitted.calibrated_arm(), rows).nominal.rms == drawing
+    assert inspect(arm, rows).data["rms_drawing_mm"] == of_drawing
+    assert fitted.rms_before == of_drawing
+    assert validate(fitted.calibrated_arm(), rows).nominal.rms == of_drawing
 
 
 def test_two_reflectors_changed_for_half_of_the_rows() -> None:
@@ -148,3 +173,25 @@ def test_two_reflectors_changed_for_half_of_the_rows() -> None:
     assert not any(
         "no geometry" in problem for problem in inspect(loose, Measurements(q, seen, marker=swapped)).problems
     )
+
+
+def test_a_base_that_stands_elsewhere() -> None:
+    """Known to stand somewhere, found 60 degrees and 500 mm from there; a base that is left out is nowhere wrong."""
+    generator = np.random.default_rng(2)
+    truth, q = Exponentials(generator), generator.uniform(-2.0, 2.0, (60, 6))
+    data = Measurements(q, truth.poses(q)[:, :3, 3] + 0.05 * generator.standard_normal((60, 3)))
+    away = truth.base.copy()
+    away[:3, :3] = rotation_about([0.0, 1.0, 0.0], np.radians(60.0)) @ away[:3, :3]
+    away[2, 3] += 500.0
+    chain = replace(drawing(), base=away, settled=frozenset({BASE}))
+
+    def noted(arm: Arm) -> list[str]:
+        return other_frame(arm, read_differently(arm, data).written)
+
+    (said,) = noted(Arm(chain))
+    assert "another frame than [base] says: turned by " in said
+    turn, shift = (float(said.split(word)[1].split()[0]) for word in ("turned by ", "deg and "))
+    assert turn == pytest.approx(60.0, abs=0.5)
+    assert shift == pytest.approx(500.0, abs=5.0)
+    assert "zero of joint 1" not in said
+    assert noted(Arm(replace(chain, base=truth.base))) == noted(Arm(drawing())) == []

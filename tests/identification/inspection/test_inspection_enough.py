@@ -37,31 +37,27 @@ def expected(measured: Measurements, sigma: float) -> float:
 
 
 def test_with_few_rows_the_noise_is_the_one_given_or_that_of_repeats() -> None:
-    """3 rows leave 2 numbers, which say next to nothing of the noise."""
-    measured = rows(3)
+    """3 rows leave 2 numbers, which say next to nothing of the noise; 60 rows say it by their residuals."""
+    measured, many = rows(3), rows(60)
     known, unknown = (estimate(Model(replace(ARM, sigma=sigma)), measured) for sigma in (NOISE, None))
     given, words, few = sufficiency(known, measured, NoiseFloor())
     assert (given["numbers"], given["parameters"], given["spare_numbers"], few) == (6, 4, 2, True)
     assert words[0][1] == "6 numbers for 4 parameters: 2 left to judge the fit"
     assert given["identifiable"] == ("length of links 1 and 2", "zero of joints 1 and 2")
-    assert given["expected_tip_from"] == "sigma"
-    assert given["expected_tip_mm"] == pytest.approx(
-        expected(measured, NOISE), rel=0.03
-    )  # by 1000 poses instead of 20000
     repeats = sufficiency(unknown, measured, NoiseFloor(repeats=0.2 * np.sqrt(2.0)))[0]
-    assert repeats["expected_tip_from"] == "repeats"
-    assert repeats["expected_tip_mm"] == pytest.approx(expected(measured, 0.2), rel=0.03)
+    fit = estimate(Model(ARM), many)
+    left, _, few = sufficiency(fit, many, NoiseFloor())
+    assert (left["spare_numbers"], few) == (116, False)
+    for keys, source, data, sigma in (
+        (given, "sigma", measured, NOISE),
+        (repeats, "repeats", measured, 0.2),
+        (left, "residuals", many, fit.scatter),
+    ):
+        assert keys["expected_tip_from"] == source
+        assert keys["expected_tip_mm"] == pytest.approx(expected(data, sigma), rel=0.03)  # by 1000 poses, not 20000
     nothing, words, _ = sufficiency(unknown, measured, NoiseFloor())
     assert (nothing["expected_tip_mm"], nothing["expected_tip_from"]) == (None, None)
     assert str(dict(words)["accuracy"]).startswith("not known: needs sigma_mm")
-
-
-def test_with_many_rows_the_residuals_say_it() -> None:
-    measured = rows(60)
-    found = estimate(Model(ARM), measured)
-    many, _, few = sufficiency(found, measured, NoiseFloor())
-    assert (many["spare_numbers"], few, many["expected_tip_from"]) == (116, False, "residuals")
-    assert many["expected_tip_mm"] == pytest.approx(expected(measured, found.scatter or 0.0), rel=0.03)
 
 
 def test_what_is_not_determined_is_listed() -> None:
@@ -69,8 +65,7 @@ def test_what_is_not_determined_is_listed() -> None:
     measured = rows(6)
     still = replace(measured, postures=measured.postures * [1.0, 0.0])
     found, words, _ = sufficiency(estimate(Model(replace(ARM, sigma=NOISE)), still), still, NoiseFloor())
-    assert found["identifiable"] == ()
-    assert found["expected_tip_mm"] is None
+    assert (found["identifiable"], found["expected_tip_mm"]) == ((), None)
     assert dict(words)["accuracy"] == "not known: something is not determined"
     assert len(str(dict(words)["does not"]).split("; ")) == 2
 

@@ -54,7 +54,9 @@ def test_a_camera_with_unknown_base() -> None:
     diagnosis = diagnose(arm, data)
     assert diagnosis.named.effects == ("encoder_eccentricity:3",)
     assert all(" px" in gap_figure(diagnosis).axes[k].get_title() for k in (0, 1))
-    assert "On the data, the geometry fitted, the RMS error goes from" in (text := " ".join(str(diagnosis).split()))
+    assert "On the data, with the geometry fitted, the RMS error goes from" in (
+        text := " ".join(str(diagnosis).split())
+    )
     assert f"to {in_a_sentence(diagnosis.gap.rms_after)} px;" in text
     judged = validate(found.calibrated_arm(), data)
     assert f"to {judged.model.rms:.3f} px" in " ".join(str(judged).split())

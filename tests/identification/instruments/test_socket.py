@@ -107,19 +107,17 @@ def test_no_motion_of_arm_and_cups_together_is_a_parameter(monkeypatch: pytest.M
     """Six joints have 27 parameters with one measured point; of the six that place the arm none is left, and the cups
     have three each. A distance ties one; without one the size is that of the drawing."""
     monkeypatch.setattr(minimal, "PRACTICAL", minimal.DISTINCT)
-    for known, count in (([("A", "B")], 21 + 11), (list(combinations("ABC", 2)), 21 + 9), ([], 21 + 12 - 1)):
-        generator = np.random.default_rng(3)
-        truth = Exponentials(generator)
-        data = rows(truth, CUPS, 30, 0.0, generator)
-        instrument = Socket(distances=tuple((a, b, apart(CUPS, a, b)) for a, b in known))
+    generator = np.random.default_rng(3)
+    data = rows(Exponentials(generator), CUPS, 30, 0.0, generator)
+    for pairs, count in (([("A", "B")], 21 + 11), (list(combinations("ABC", 2)), 21 + 9), ([], 21 + 12 - 1)):
+        instrument = Socket(distances=tuple((a, b, apart(CUPS, a, b)) for a, b in pairs))
         arm = Arm(replace(drawing(), instrument=instrument), sigma=NOISE)
         assert not [name for name in Model(arm).names if name.startswith("base")]
         kept = Model(minimal.practical(arm, data))
-        assert len(kept.names) == count
         fit = estimate(kept, data)
-        assert fit.rms_after < (1e-9 if known else 1.0)  # of an arm of the drawn size
+        assert fit.rms_after < (1e-9 if pairs else 1.0)  # of an arm of the drawn size
         jacobian = fit.model.jacobian(data.postures, fit.parameters, data.conditions)
-        assert spectrum(jacobian, fit.model.scales, 1e-7).rank == count
+        assert spectrum(jacobian, fit.model.scales, 1e-7).rank == len(kept.names) == count
 
 
 def test_cups_keep_distances_that_are_known() -> None:
@@ -140,26 +138,17 @@ def test_cups_keep_distances_that_are_known() -> None:
                 assert np.linalg.norm(found[a] - found[b]) == pytest.approx(length, abs=1e-6)
 
 
-def test_cups_of_two_days_are_others() -> None:
-    """The bar was moved: its length is the same."""
-    day, next_day = ("monday/A", (0.0, 0.0, 0.0)), ("monday/B", (300.0, 0.0, 0.0))
-    socket = Socket(
-        (day, next_day, ("tuesday/A", (0.0, 99.0, 0.0)), ("tuesday/B", (0.0, 400.0, 0.0))), (("A", "B", 301.0),)
-    )
+def test_distances_of_cups() -> None:
+    """Cups of two days are others: the bar was moved, its length is the same. A distance between cups that no row
+    names, of a name that is misspelt, say, tells no size; some distances no cups have."""
+    on_x = {name: (100.0 * k, 0.0, 0.0) for k, name in enumerate("ABCD")}
+    monday = ("monday/A", on_x["A"]), ("monday/B", on_x["D"])
+    socket = Socket((*monday, ("tuesday/A", on_x["B"]), ("tuesday/B", (0.0, 400.0, 0.0))), (("A", "B", 301.0),))
     assert len(socket.parameters) == 10
-    socket = replace(socket, at=(day, ("tuesday/B", (300.0, 0.0, 0.0))))
-    assert len(socket.parameters) == 6
-
-
-def test_a_distance_between_cups_that_no_row_names_tells_no_size() -> None:
-    """Of a cup whose name is misspelt, say."""
-    cups, distances = (("A", (0.0, 0.0, 0.0)), ("B", (300.0, 0.0, 0.0))), (("A", "b", 300.0),)
-    assert Socket(cups, distances).size_is_open[0]
-    assert Socket(distances=distances).size_is_open == ("", "") == Socket(cups, (("A", "B", 300.0),)).size_is_open
-
-
-def test_distances_that_no_cups_have() -> None:
-    cups = tuple((name, (100.0 * k, 0.0, 0.0)) for k, name in enumerate("ABC"))
-    socket = Socket(cups, (("A", "B", 10.0), ("B", "C", 10.0), ("A", "C", 300.0)))
+    assert len(replace(socket, at=(monday[0], ("tuesday/B", on_x["D"]))).parameters) == 6
+    cups, wrong, right = (("A", on_x["A"]), ("B", on_x["D"])), (("A", "b", 300.0),), (("A", "B", 300.0),)
+    assert Socket(cups, wrong).size_is_open[0]
+    assert Socket(distances=wrong).size_is_open == ("", "") == Socket(cups, right).size_is_open
+    socket = Socket(tuple(on_x.items())[:3], (("A", "B", 10.0), ("B", "C", 10.0), ("A", "C", 300.0)))
     with pytest.raises(InputError, match="distances_mm: no cups are as far apart as A to B, B to C, A to C"):
         _ = socket.parameters

@@ -1,17 +1,11 @@
-"""The blind study: scoring by hand, the tasks' bookkeeping, and a reduced form of the study itself.
-
-The bars are the targets of the study, where a Bayes classifier (tests/benchmarks/test_ceiling.py) misses them its
-figures less 0.03: a share p of the sets or more is right. Of n sets a rule as good as its bar has a binomial number
-right; fewer than the limits below happen once in 10,000 cases. By default two sets of each of three cells, judged
-together; a hundred of each of some by `pytest -m slow tests/doe/studies/blind`; the full study is `armcal study blind`.
-"""
+"""The blind study: scoring by hand, the tasks' bookkeeping, and a study of two sets of each of three cells, whose bars
+no more than two standard errors may miss; the full study is `armcal study blind`."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +13,6 @@ import numpy as np
 import polars
 import pytest
 from click.testing import CliRunner
-from scipy.stats import binom
 
 from doe.cli import main
 from doe.jobs import frame_of
@@ -39,46 +32,7 @@ from doe.studies.blind.study import (
 )
 from identification import Calibration, Model, fitted_arm
 
-FAIL = 1e-4
-MEASURES = ("alarm", "exact", "class", "in the set", "located", "outliers listed", "next_2 right", "next_8 right")
-BARS = {
-    (cell, measure): float(value)
-    for cell, bars in TABLE["bars"].items()
-    for measure, _, value in (bar.rsplit(maxsplit=2) for bar in bars)
-    if measure in MEASURES
-}
-SLOW = ("none, joint noise", "none, reach noise", "one, lambda 8, m=50", "two, lambda 8", "outside, lambda 7")
-SLOW += ("none m=50", "three outliers, lambda 8")
-SLOW += ("space, none, m=60", "space, lambda 8, m=60", "space, lambda 8, m=200")
-NONE, ONE, BEYOND = "none m=20", "one, lambda 8, m=50", "outside, lambda 7"  # in every run
-
-
-def fewest(counts: Sequence[int], bars: Sequence[float], chance: float = FAIL) -> int:
-    """The smallest number right that a rule with a share `bars` of each `counts` right misses with at most this chance.
-
-    The number right is a sum of independent binomial numbers: its distribution is the convolution of theirs.
-    """
-    parts = [binom.pmf(np.arange(count + 1), count, bar) for count, bar in zip(counts, bars, strict=True)]
-    return int(np.searchsorted(np.cumsum(reduce(np.convolve, parts)), chance))
-
-
-def check(found: polars.DataFrame, *places: tuple[str, str]) -> None:
-    """Fails where fewer sets are right than a rule as good as the bars would get (alarms: wrong)."""
-    rights, counts, bars = [], [], []
-    for cell, measure in places:
-        (row,) = found.filter(cell=cell, measure=measure).iter_rows(named=True)
-        share, bar = row["value"], BARS[cell, measure]
-        share, bar = (1.0 - share, 1.0 - bar) if measure == "alarm" else (share, bar)
-        rights.append(round(share * row["count"]))
-        counts.append(row["count"])
-        bars.append(bar)
-    assert sum(rights) >= fewest(counts, bars), f"{places}: {rights} of {counts} right, bars {bars}"
-
-
-def test_limits_are_those_of_the_binomial_distribution() -> None:
-    """Of 10 sets with bar 0.95: P(5 or fewer) = 6.4e-5 fails, P(6) = 1e-3 does not; P(7 or fewer) = 0.0115."""
-    assert (fewest([10], [0.95]), fewest([10], [0.95], 0.02)) == (6, 8)
-    assert (fewest([4, 6], [0.95, 0.95]), fewest([10], [1.0])) == (6, 10)
+NONE, ONE, BEYOND = "none m=20", "one, lambda 8, m=50", "outside, lambda 7"
 
 
 # -- the study in reduced form -----------------------------------------------------------------------------------------
@@ -102,13 +56,10 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_bars_of_few_sets(small: Path) -> None:
-    found = polars.read_parquet(small / "cells.parquet")
-    check(found, (NONE, "alarm"), (ONE, "exact"), (BEYOND, "located"))
-    check(found, (ONE, "class"))
-    check(found, (ONE, "in the set"))
-    row = found.filter(cell=ONE, measure="gap / true").row(0, named=True)
-    assert row["value"] <= 1.05 + 4.0 * row["standard_error"]
-    rows = polars.read_parquet(small / blind.ROWS).filter(cell=BEYOND)
+    bars = polars.read_parquet(small / "bars.parquet").filter(polars.col("cell") != "all sets")
+    assert {*bars["measure"]} >= {"alarm", "exact", "class", "in the set", "gap / true", "located"}
+    assert bars.filter(outcome="missed").is_empty()
+    rows = polars.read_parquet(small / "sets.parquet").filter(cell=BEYOND)
     for row in rows.iter_rows(named=True):  # some of these shapes have become effects of the library
         assert (row["place"] is None) == bool(row["hidden"]) == (row["outside"] is None)
     assert (small / "reliability.png").stat().st_size > 1000
@@ -116,8 +67,8 @@ def test_the_bars_of_few_sets(small: Path) -> None:
 
 def test_an_extended_study_keeps_what_is_done(small: Path, tmp_path: Path) -> None:
     shutil.copytree(small, tmp_path / "study")
-    before, more = polars.read_parquet(small / blind.ROWS), blind_study([NONE], 3, tmp_path / "study", resume=True)
-    after = polars.read_parquet(tmp_path / "study" / blind.ROWS)
+    before, more = polars.read_parquet(small / "sets.parquet"), blind_study([NONE], 3, tmp_path / "study", resume=True)
+    after = polars.read_parquet(tmp_path / "study" / "sets.parquet")
     assert (len(before), len(after), len(more["sets"])) == (6, 7, 3)
     assert after["seconds"].to_list()[:2] == before["seconds"].to_list()[:2]  # not done again
 
@@ -126,20 +77,10 @@ def test_a_set_in_space() -> None:
     """With a hidden effect; its figures are those of a set in the plane."""
     cell = "space, lambda 8, m=60"
     found = blind_study([cell], 1)
-    check(found["cells"], (cell, "exact"))
+    assert found["bars"].filter(outcome="missed").is_empty()
     (gap_over_true,) = found["cells"].filter(cell=cell, measure="gap / true")["value"]
     assert gap_over_true < 1.3  # of 28 parameters from 180 equations, 200 rows
     assert len(blind_parts(found)) >= 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cell", [*SLOW, blind.AMBIGUOUS])
-def test_the_bars_of_a_cell(cell: str) -> None:
-    """About a third of the ambiguous sets of a hundred are measured further."""
-    found = blind_study([cell], 100)["cells"]
-    for place in BARS:
-        if place[0] == cell:
-            check(found, place)
 
 
 def test_an_ambiguous_set_is_measured_further(monkeypatch: pytest.MonkeyPatch) -> None:

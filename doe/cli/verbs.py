@@ -1,4 +1,4 @@
-"""The verbs of plans, before and after the measurements, and the page of a campaign.
+"""The verbs of `doe`: plans, before and after the measurements, the page of a campaign, studies, and the demo.
 
 Each is declared by its signature, its docstring and its example (doe/cli/verb.py); what they need is loaded when they
 are called, so that `armcal --help` answers at once.
@@ -18,15 +18,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
-from identification import InputError, Progress
+from identification import InputError, JobError, Progress
 from identification.document import Answer, Document, Sheet, in_a_sentence
 from identification.files.io import write_together
-from identification.workflow import VERBS, Names, Written
+from identification.workflow import VERBS, Folder, Names, Written
 
 if TYPE_CHECKING:
     from doe.problem.problem import DesignProblem
     from identification import Arm
 
+BUILT_IN = ("blind", "blind-spatial")  # studies that come with armcal
 MOVES = 30.0  # [s] of a processor that free moves are searched for
 UNLIKE_ROBUST = "score --robust judges it so, this is of a fit by the model of the arm file alone"
 
@@ -435,7 +436,7 @@ def compare_files(
     repeats : Repetitions of each search, with different seeds.
     seconds : Limit of one run [s].
     """
-    from doe.jobs import RowTable, parquet
+    from doe.jobs import parquet
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.studies.comparison import compare, summary
@@ -443,26 +444,16 @@ def compare_files(
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
-    names = [*available_solvers()] if solvers is None else solvers
-    loaded = [load_arm(arm) for arm in arms]
     asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
-    path = None if job.out is None else job.out / "rows.parquet"
+    asked |= {"path": job.out and job.out / "rows.parquet", **job.how(seed, progress, 1)}
+    loaded = [load_arm(arm) for arm in arms]
     kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
     with interruptible(kept):
-        with RowTable(path, resume=job.resume, force=job.force) as table:
-            asked |= {"table": table, "workers": job.where(1), "seed": seed, "progress": progress}
-            rows = compare(loaded, runs, names, **asked)
+        rows = compare(loaded, runs, [*available_solvers()] if solvers is None else solvers, **asked)
         shown, summed = comparison_parts(rows), summary(rows)
         if job.out is not None:
-            from doe.report.page import svg
-            from doe.report.studies import profile_figure
-
-            files: dict[Path, str | bytes] = {
-                job.out / "summary.parquet": parquet(summed),
-                job.out / "profile.svg": svg(profile_figure(rows)),
-            }
-            write_together(files, force=True)
-            shown.append(f"rows, summary and picture written to {job.out}")
+            write_together({job.out / "summary.parquet": parquet(summed)}, force=True)
+            shown.append(f"rows and summary written to {job.out}")
         data = {"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}
         return Answer(data, Document(parts=shown))
 
@@ -600,21 +591,112 @@ def report_files(
 ) -> Answer:
     """One page of a campaign's files.
 
-    Arm files (nominal, calibrated, extended), plans, measurements, joint commands (of compensate). The page has the
-    verdict (first the error on rows that no fit has seen), what to do next, corrected values, errors with their sign,
-    and plans that can be stepped through and edited; it is one file that needs no network.
+    Arm files (nominal, calibrated, extended), plans and measurements. The page has the verdict (first the error on rows
+    that no fit has seen), what to do next, corrected values, errors with their sign, and plans that can be stepped
+    through and edited; it is one file that needs no network.
 
     out : Write the page.
     """
     from doe.report.design import plan_section
     from doe.report.page import hashes
-    from identification import Campaign
+    from identification import campaign_document
 
-    campaign = Campaign.of(files, show_plan=plan_section, package_dirs=package_dir)
-    text = page(campaign.document(), files)
+    document, kinds = campaign_document(files, package_dir, plan_section)
     listed = [
-        {"file": name, "kind": campaign.kinds[name], "bytes": size, "sha256": digest}
-        for name, size, digest in hashes(files)
+        {"file": name, "kind": kinds[name], "bytes": size, "sha256": digest} for name, size, digest in hashes(files)
     ]
-    data = {"page": out, "verdict": campaign.verdict, "files": listed}
-    return Answer(data, Document(parts=campaign.verdict), files={out: ("page", text)})
+    data = {"page": out, "verdict": document.verdict, "files": listed}
+    return Answer(data, Document(parts=document.verdict), files={out: ("page", page(document, files))})
+
+
+# -- studies, and the demo ---------------------------------------------------------------------------------------------
+@VERBS.declare("armcal study study.toml --workers 4")
+def study_files(
+    study: Annotated[str, "STUDY.toml|NAME"],
+    *,
+    replications: Count | None = None,
+    cells: Annotated[tuple[str, ...], "--cell", "NAME"] = (),
+    job: JobOptions,
+    seed: int = 0,
+    progress: Progress = Progress(),
+) -> Answer:
+    """Run a simulation study, or one that comes with armcal.
+
+    Simulate, identify and count: what plans, models and noise do to the accuracy. STUDY is a file (armcal help formats
+    shows one), or the name of a study that comes with armcal: blind (diagnoses of data with hidden effects, compared
+    with the truth afterwards), blind-spatial (the same for six-axis arms).
+    The folder gets cells.parquet (one row per cell and parameter: errors, deviations, coverage), blocks.parquet and
+    plans.parquet; notebooks read them with polars.
+
+    replications : Simulated data sets per cell, instead of the file's.
+    cells : Of blind or blind-spatial: only this; repeatable.
+    """
+    if study not in BUILT_IN and not study.endswith(".toml"):
+        raise InputError.unknown("study: unknown name", study, [*BUILT_IN, "NAME.toml"])
+    if cells and study not in BUILT_IN:
+        raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
+    folder, how = job.out or Path(study).with_suffix(".results"), job.how(seed, progress)
+    with interruptible(f"finished rows are kept in {folder}, go on with --resume"):
+        if study in BUILT_IN:
+            from doe.report.studies import blind_parts, reliability_figure
+            from doe.studies.blind.cells import CELLS
+            from doe.studies.blind.study import blind_study
+
+            offered = {name: spec.reported for name, spec in CELLS.items() if spec.space == (study == "blind-spatial")}
+            if further := [name for name in cells if name not in offered]:
+                raise InputError.unknown(f"--cell: unknown name of the study {study}", further[0], offered)
+            tables = blind_study(cells or [*filter(offered.get, offered)], replications, folder, **how)
+            if len(tables["reliability"]):
+                write_together({folder / "reliability.png": reliability_figure(tables["reliability"])}, force=True)
+            shown, passed = blind_parts(tables), "failed" not in tables.pop("sets")["status"]
+            data = {"out": folder, "passed": passed, **{name: table.to_dicts() for name, table in tables.items()}}
+            return Answer(data, Document(parts=shown), exit_code=0 if passed else 1)
+        from doe.report.studies import monte_carlo_parts
+        from doe.studies.monte_carlo import Study, run_study
+
+        tables = run_study(Study.load(Path(study), replications), folder, **how)
+        rows, blocks = tables["cells"], tables["blocks"]
+        if "done" not in blocks["status"]:
+            reason = re.sub(r"\b[A-Z]\w*Error: ", "", blocks["error"][0])  # users need no exception types
+            raise JobError(f"no cell could be done: {reason}")
+        data = {"out": folder, "cells": rows.to_dicts(), "failed": len(rows.filter(rows["status"] != "done"))}
+        written = f"{len(rows)} rows written to {folder / 'cells.parquet'}"
+        return Answer(data, Document(parts=[*monte_carlo_parts(tables), written]))
+
+
+@VERBS.declare("armcal demo --spatial --out my-demo")
+def demo_files(
+    *,
+    spatial: bool = False,
+    out: Folder = Folder(Path("armcal-demo")),  # noqa: B008
+    force: bool = False,
+    seed: int = 0,
+    progress: Progress = Progress(),
+    page: Callable[[Document, Sequence[Path]], str],
+) -> Answer:
+    """Run the whole loop on a simulated arm.
+
+    The paper's 4-link arm, or one of six axes: from a plan to the missing effect, commands for the real arm, in space a
+    corrected URDF file, and a report.html.
+
+    spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
+    out : Directory for the files.
+    """
+    from doe.demo.run import demo_document, overview_figure, planar, run_demo
+    from doe.demo.run import spatial as six_axes
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()) and not force:
+            raise InputError(f"{out}: exists and is not empty, allowed: a new directory, or --force")
+    except OSError as error:  # a file, a name that is too long, links that lead in a circle, no right to write
+        raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
+    with interruptible(f"the files in {out} are whole, but not all there"):
+        demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
+        document, picture = demo_document(demo), overview_figure(demo)
+        text = page(document, [out / name for name in demo.data["files"]])
+        write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
+        files = ", ".join(demo.data["files"])
+        look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
+        answer = Answer(demo.data, document.plus(look))
+        return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
