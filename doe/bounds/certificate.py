@@ -152,24 +152,19 @@ class ApproximateDesign:
         """Criterion value of the plan."""
         return float(self.problem.criterion.value(self.information))
 
-    @property
-    def proves(self) -> bool:
-        """False where not all of the design space was visited, and for a singular M that has no tangent."""
-        if not np.isfinite(self.largest):
-            return False
-        criterion = self.problem.criterion  # of log-determinants of blocks there may be one all the same
-        blocks = criterion.power == 0 and np.isfinite(criterion.upper_bound(self.information, self.largest))
-        return bool(blocks or np.isfinite(self.value))
+    @cached_property
+    def upper(self) -> float:
+        """No design of the space has a greater value, whatever these weights; inf where not all of it was visited, and
+        for a singular M that has no tangent, as blocks of one may have (D*)."""
+        if not np.isfinite(self.largest) or (self.problem.criterion.power and not np.isfinite(self.value)):
+            return np.inf
+        upper = self.problem.criterion.upper_bound(self.information, self.largest)
+        return upper if np.isfinite(upper) else np.inf
 
     @property
     def gap(self) -> float:
         """max tr(G F) - tr(G M) over the design space; for D that is max d - p. Zero exactly at the optimum."""
-        return self.largest - self.level if self.proves else np.inf
-
-    @property
-    def upper(self) -> float:
-        """No design of the space has a greater value, whatever these weights."""
-        return self.problem.criterion.upper_bound(self.information, self.largest) if self.proves else np.inf
+        return self.largest - self.level if np.isfinite(self.upper) else np.inf
 
     def upper_at(self, runs: int) -> float:
         """The same for another number of new runs (doe/README.md, "Exact plans")."""
@@ -180,8 +175,9 @@ class ApproximateDesign:
     @property
     def efficiency_lower_bound(self) -> float:
         """Fraction 0..1 of an optimum that the weights reach at least, recomputed from them alone."""
-        criterion, p = self.problem.criterion, self.problem.parameters
-        return criterion.efficiency(self.value, self.upper, p) if self.proves else 0.0
+        if not np.isfinite(self.upper):
+            return 0.0
+        return self.problem.criterion.efficiency(self.value, self.upper, self.problem.parameters)
 
     @property
     def bound(self) -> Bound | None:

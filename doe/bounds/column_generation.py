@@ -16,8 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import product
+from functools import cached_property, partial
 from time import perf_counter
 
 import numpy as np
@@ -29,7 +28,7 @@ from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.weights import EXACT, optimal_weights, solve_program, sparsest
 from doe.plan.ascent import PlanAscent
 from doe.problem.constraints import Derivatives
-from doe.problem.postures import grid, listed_candidates, random_postures, well_spread
+from doe.problem.postures import grid, listed_candidates, put_inside, random_postures, well_spread
 from doe.problem.problem import DesignProblem, PriorInformation, Stop, information_of_each, never
 from identification import Array, InputError, JobError, Status, newton_ascent
 
@@ -71,7 +70,8 @@ class CandidateSet:
         g = self.sensitivities(gradient)
         size = max(16, -(-len(g) // 256))
         rows = np.array([start + int(np.argmax(g[start : start + size])) for start in range(0, len(g), size)])
-        return _best(self.postures[rows], g[rows], level, 3 * self.problem.parameters, 0.1)
+        rows, largest = rows[np.argsort(-g[rows], kind="stable")[: 3 * self.problem.parameters]], float(g.max())
+        return self.postures[rows[g[rows] > level + 0.1 * max(largest - level, 0.0)]], largest
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class ContinuousSet:
 
     Constraints are kept by a logarithmic barrier, lowered step by step, so that a climb can follow a wall. What it ends
     at is a numerical maximum; branch and bound makes it a theorem where the model allows.
-    also : (k, n) starts beside the landmarks and random ones
+    also : (k, n) starts beside random ones
     """
 
     problem: DesignProblem
@@ -105,41 +105,55 @@ class ContinuousSet:
         hessian += self._derivatives.bend(postures, weighted)
         return slope / (1.0 + self.prior.runs), 2.0 * hessian / (1.0 + self.prior.runs)
 
+    def drawn(self, count: int, generator: Generator) -> Array:
+        """(k, n) feasible postures: anywhere; with each joint at a limit, in the middle of its range or anywhere; and
+        of such ones that break constraints some that are moved onto these walls.
+
+        Maxima are narrow where walls meet limits: postures anywhere do not come near them.
+        """
+        problem, shape = self.problem, (count, self.problem.joints)
+        low, high = (np.broadcast_to(limit, shape) for limit in (problem.lower, problem.upper))
+        places = np.stack([low, high, 0.5 * (low + high), generator.uniform(low, high)])
+        on_faces = np.choose(generator.integers(0, 4, shape), places)
+        allowed, kinds = problem.feasible(on_faces), [random_postures(problem, count // 4, generator)]
+        if len(broken := on_faces[~allowed][: count // 10]):
+            at_walls = put_inside(problem, broken)
+            kinds.append(at_walls[problem.feasible(at_walls)])
+        return np.concatenate([*kinds, on_faces[allowed]])
+
     @cached_property
     def starts(self) -> Array:
-        """(k, n) limits and middles of the joints that matter, and random postures, those that are feasible."""
-        problem, generator = self.problem, np.random.default_rng(0)
-        active, middle = list(problem.active_joints), 0.5 * (problem.lower + problem.upper)
-        most = 3**7  # limits and middle of seven joints
-        if 3 ** len(active) <= most:
-            places = np.array(list(product(range(3), repeat=len(active))), dtype=int)
-        else:
-            places = generator.integers(0, 3, (most, len(active)))
-        landmarks = np.tile(middle, (len(places), 1))
-        landmarks[:, active] = np.stack([problem.lower, problem.upper, middle])[places, active]
+        """(k, n) of the cheap search."""
         also = [] if self.also is None else [np.atleast_2d(self.also)]
-        anywhere = random_postures(problem, 2000, generator)  # beside the landmarks
-        return np.concatenate([landmarks[problem.feasible(landmarks)], *also, anywhere])
+        return np.concatenate([*also, self.drawn(8000, np.random.default_rng(0))])
 
     def best(
         self, gradient: Array, near: Array, generator: Generator | None = None, stop: Stop = never
     ) -> tuple[Array, Array]:
         """Local maxima (k, n) of tr(G F(q)) and their values (k,), best first.
 
-        Starts are `near` (j, n) and the best of the landmarks; with a generator, a search as thorough as is affordable:
-        the best of many fresh random postures, and others whatever their value, for a high maximum may be narrow.
+        Starts are `near` (j, n) and the best of `starts`; with a generator, a search as thorough as is affordable: the
+        best of many fresh postures, and others whatever their value, for a high maximum may be narrow.
         `stop` ends the climb on its way.
         """
-        pool = self.starts if generator is None else random_postures(self.problem, 20_000, generator)
-        order, climbers = np.argsort(-self.sensitivities(pool, gradient)), 64
-        promising = (
-            [pool[order[:climbers]]] if generator is None else [pool[order[: 4 * climbers]], pool[: 4 * climbers]]
-        )
-        postures = self.climb(np.concatenate([near, *promising]), gradient, stop)
+        pool, climbers = (self.starts, 64) if generator is None else (self.drawn(30_000, generator), 256)
+        others = pool[:0] if generator is None else generator.choice(pool, 64)
+        promising = pool[np.argsort(-self.sensitivities(pool, gradient))[:climbers]]
+        postures = self.climb(np.concatenate([near, promising, others]), gradient, stop)
         values = self.sensitivities(postures, gradient)
         order = np.argsort(-values)
         order = order[distinct(self.problem.comparable(postures[order]))]
         return postures[order], values[order]
+
+    def price(
+        self, gradient: Array, level: float, near: Array, generator: Generator | None = None, stop: Stop = never
+    ) -> tuple[Array, float]:
+        """The best of them that are above the level, and the largest value."""
+        postures, values = self.best(gradient, near, generator, stop)
+        # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
+        reach = 0.2 * np.sqrt(max(values[0] / level - 1.0, 0.0))  # [rad], the root of the relative gap
+        apart = distinct(self.problem.comparable(postures), reach)[: 10 * self.problem.parameters]
+        return postures[apart[values[apart] > level]], float(values[0])
 
     def climb(self, postures: Array, gradient: Array, stop: Stop = never) -> Array:
         """Every posture moved uphill to a local maximum within limits and constraints, of tr(G F(q)) + barrier * sum of
@@ -167,13 +181,10 @@ class ContinuousSet:
 
         # heights of the barrier, relative to the largest sensitivity: a low one first keeps a start near its own walls,
         # where the narrow maxima are, a high one lets it leave a dead end; every second start climbs with the other
-        scale = float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0))
-        heights = (
-            scale * np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)]) if problem.constraints else np.zeros((2, 1))
-        )
-        for pair in heights.T:
+        heights = np.array([(1e-3, 1e-6, 1e-9), (1e-5, 1e-7, 1e-9)]) if problem.constraints else np.zeros((2, 1))
+        limits = problem.lower, problem.upper
+        for pair in float(np.abs(self.sensitivities(q, gradient)).max(initial=0.0)) * heights.T:
             barrier = pair[kind]
-            limits = problem.lower, problem.upper
             q = newton_ascent(q, height, slopes, limits, problem.joint_units, 1e-3 * barrier, stop)
             if problem.constraints:
                 # most starts share a maximum; of those within 1e-6 rad that came by the same barriers one climbs on
@@ -189,13 +200,6 @@ def distinct(postures: Array, tolerance: float = SAME) -> NDArray[np.intp]:
         if first[k]:
             first[k + 1 :] &= np.abs(postures[k + 1 :] - posture).max(axis=1) > tolerance
     return np.flatnonzero(first)
-
-
-def _best(postures: Array, values: Array, level: float, count: int, fraction: float) -> tuple[Array, float]:
-    """Those of the best `count` whose value is above the level by a fraction of the largest, best first; that one."""
-    largest, order = float(values.max()), np.argsort(-values, kind="stable")[:count]
-    order = order[values[order] > level + fraction * max(largest - level, 0.0)]
-    return postures[order], largest
 
 
 # -- optimal designs over them -----------------------------------------------------------------------------------------
@@ -219,15 +223,14 @@ def column_generation(
     rough = tolerance >= 1e-2 and problem.criterion.name != "E"  # for hundreds of parameters
     # E-optimal weights come from a semidefinite program, which is less accurate than Newton's method
     goal = 2.0 * tolerance if rough else max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
-    # rough weights are of many candidates at once: four million entries of their Jacobians, 2000 candidates at least
-    most = max(2000, 4_000_000 // (problem.model.dimension * problem.parameters)) if rough else 6 * problem.parameters
-    everything, start = CandidateSet(problem, candidates, prior), candidates
+    sample, start, everything = 20_000, candidates, CandidateSet(problem, candidates, prior)
     stages: list[Stage] = [(everything.price, goal)]
-    sample = 20_000  # of very many candidates, which is priced first
-    if len(candidates) > 4 * sample:
+    if len(candidates) > 4 * sample:  # some of very many are priced first
         goal = max(goal, 1e-6) if problem.many_parameters else goal  # a pass takes seconds
         start = well_spread(candidates, sample)
         stages = [(CandidateSet(problem, start, prior).price, goal), (everything.price, goal)]
+    # rough weights are of many candidates at once: four million entries of their Jacobians, 2000 candidates at least
+    most = max(2000, 4_000_000 // (problem.model.dimension * problem.parameters)) if rough else 6 * problem.parameters
     design, _ = generate_columns(problem, prior, well_spread(start, most), stages, tolerance, stop)
     now = perf_counter()
     end = now + max(2.0, now - began)
@@ -257,33 +260,21 @@ def continuous_design(
     began, prior, many = perf_counter(), problem.prior.per_new_run(runs), problem.many_parameters
     tolerance = max(tolerance, 1e-6) if problem.criterion.name == "E" else tolerance
     everything, generator = ContinuousSet(problem, prior, also), np.random.default_rng(0)
-
-    def price(gradient: Array, level: float, near: Array, dice: Generator | None = None) -> tuple[Array, float]:
-        """A cheap multistart, or with a generator a thorough one."""
-        postures, values = everything.best(gradient, near, dice, stop)
-        # a posture this near to a better one differs in value by a small part of the gap: one of the two is enough
-        reach = 0.2 * np.sqrt(max(values[0] / level - 1.0, 0.0))  # [rad], the root of the relative gap
-        apart = distinct(problem.comparable(postures), reach)
-        return _best(postures[apart], values[apart], level, 10 * problem.parameters, 0.0)
-
-    def climb_from_anywhere(gradient: Array, level: float, near: Array) -> tuple[Array, float]:
-        return price(gradient, level, near, generator)
-
-    stages: list[Stage] = [(climb_from_anywhere, tolerance)]
+    stages: list[Stage] = [(partial(everything.price, generator=generator, stop=stop), tolerance)]
     if not many:
         start = well_spread(everything.starts, 6 * problem.parameters)
-        stages = [(price, tolerance), *stages]
+        stages = [(partial(everything.price, stop=stop), tolerance), *stages]
     elif also is None:  # a long plan that was climbed on gradients: nearly the support of the best weights
         anywhere = random_postures(problem, 3 * problem.parameters, np.random.default_rng(0))
         start = PlanAscent(problem, runs or len(anywhere))(anywhere, stop=stop)
     else:
         start = also
-    design, gap = generate_columns(problem, prior, start, stages, tolerance, stop)
-    best = everything.best(design.gradient, design.plan.postures, generator if stop() and not many else None)[1][0]
-    largest, rigorous, goal = max(design.level + gap, float(best)), False, max(tolerance, proof)
-    provable = proof > 0.0 and not problem.constraints and not stop()
-    jacobians = trigonometric_jacobian(problem) if provable else None
-    for _ in range(20):  # attempts, each with a posture that was missed
+    rigorous, goal = False, max(tolerance, proof)
+    jacobians = trigonometric_jacobian(problem) if proof > 0.0 and not problem.constraints and not stop() else None
+    for _ in range(20):  # attempts, each with a posture that the multistart has missed
+        design, gap = generate_columns(problem, prior, start, stages, tolerance, stop)
+        thorough = generator if stop() and not many else None
+        largest = max(design.level + gap, everything.best(design.gradient, design.plan.postures, thorough)[1][0])
         if jacobians is None or stop():
             break
         factor, constant = 1.0 / (1.0 + prior.runs), float(prior.mixed(0.0, design.gradient))
@@ -291,16 +282,12 @@ def continuous_design(
         close, tried = goal * abs(design.level), design.plan.postures
         top = maximum(polynomial, problem.lower, problem.upper, tried=tried, tolerance=close, stop=stop)
         largest, rigorous = max(largest, top.value), top.proven
-        if not top.proven:
-            break
-        if top.value <= design.level + close:
-            largest = top.upper
+        if not top.proven or top.value <= design.level + close:
+            largest = top.upper if top.proven else largest
             break
         start = np.concatenate([tried, top.posture[None]])
-        design, gap = generate_columns(problem, prior, start, stages[-2:], tolerance, stop)
-        largest = design.level + gap
     settings = {"rigorous": rigorous, "solver": "column_generation"}
-    return design.certified(largest, 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
+    return design.certified(float(largest), 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
 
 
 def generate_columns(

@@ -45,9 +45,6 @@ MOST_SEEN = 10_000  # postures; memory: of more, the columns of all effects take
 CLOUD = 512  # effort: postures
 # length on random postures; any plan tells much larger effects apart, none much smaller ones
 LAMBDA = 8.0
-# effects with as many parameters: their bases (K, G, s); (D, G) False where a direction belongs to the rival itself;
-# (G,) what is added to the diagonal of B^T S B
-Rivals = tuple[Array, NDArray[np.bool_], Array]
 
 
 @dataclass(frozen=True)
@@ -100,46 +97,39 @@ class MisidentificationBound:
             directions += shown
             owners += [number] * len(shown)
             shares += [float(weights[number]) / len(shown) for _ in shown]
-        # (D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters; (D,) their probabilities
-        self.directions, self.shares = np.array(directions), np.array(shares) / np.sum(shares)
-        self.rivals = list[Rivals]()  # none that the base model explains on any plan
-        for size in sorted({bases[number].shape[1] for number in owners}):
-            chosen = [number for number in dict.fromkeys(owners) if bases[number].shape[1] == size]
-            columns = np.stack([bases[number] for number in chosen], axis=1)
-            lengths = np.einsum("kgs,kl,lgs->g", columns, schur, columns)
-            # numerical: the ridge keeps the inverse of a rival that a plan hides
-            ridge = 1e-12 * np.maximum(lengths, 1e-300)
-            self.rivals.append((columns, np.array(owners)[:, None] != chosen, ridge))
+        # (D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters
+        self.directions, probabilities = np.array(directions), np.array(shares) / np.sum(shares)
+        # of each rival its basis (K, s), a ridge that keeps the inverse of one that a plan hides, and (D,) how probable
+        # the others are; the first explains nothing, and what the base model explains on any plan is no rival
+        self.rivals = [(np.empty((len(schur), 0)), 0.0, probabilities)]
+        for number in dict.fromkeys(owners):
+            basis, others = bases[number], probabilities * (np.array(owners) != number)
+            self.rivals.append((basis, 1e-12 * max(float(np.trace(basis.T @ schur @ basis)), 1e-300), others))
 
     def wrong(self, information: Array) -> Array:
         """(...) bound on the mean probability of a wrong name; infinite where the base model's part is singular."""
         p = self.base
         usable = np.isfinite(log_determinants(information[..., :p, :p]))
         schur = self._off_base(np.where(usable[..., None, None], information, self.reference))[0]
-        seen = self.directions @ schur
-        lengths = np.sum(seen * self.directions, axis=-1)
-        total = np.sum(self.shares * ndtr(-0.5 * np.sqrt(np.maximum(lengths, 0.0))), axis=-1)
-        for rivals in self.rivals:
-            explained = np.sum(np.multiply(*_fit(rivals, schur, seen)), axis=-1)
-            d = np.sqrt(np.maximum(lengths[..., None] - explained, 0.0))
-            total = total + np.sum(self.shares[:, None] * rivals[1] * ndtr(-0.5 * d), axis=(-2, -1))
+        lengths = np.sum((self.directions @ schur) * self.directions, axis=-1)
+        total = np.zeros(usable.shape)
+        for probabilities, shown, _, fitted in self._explained(schur):
+            d = np.sqrt(np.maximum(lengths - np.sum(shown * fitted, axis=-1), 0.0))
+            total += ndtr(-0.5 * d) @ probabilities
         return np.where(usable, total, np.inf)
 
     def gradient(self, information: Array) -> Array:
         """(p + K, p + K) derivative of -log of `wrong`: each pair adds its residual's u u^T (envelope theorem)."""
         schur, base = self._off_base(information)
-        rows, probabilities = [self.directions], [self.shares]
-        for rivals in self.rivals:
-            fitted = _fit(rivals, schur, self.directions @ schur)[1]
-            beside = self.directions[:, None] - np.einsum("dgs,kgs->dgk", fitted, rivals[0])
-            rows.append(beside.reshape(-1, beside.shape[-1]))
-            probabilities.append((self.shares[:, None] * rivals[1]).ravel())
-        u = np.vstack(rows)
-        # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
-        d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), 0.05)
-        slopes = np.concatenate(probabilities) * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
+        total = np.zeros(schur.shape)
+        for probabilities, _, basis, fitted in self._explained(schur):
+            u = self.directions - fitted @ basis.T
+            # numerical: the gradient is infinite where two effects are the same, d = 0; the value itself is exact
+            d = np.maximum(np.sqrt(np.maximum(np.sum((u @ schur) * u, axis=1), 0.0)), 0.05)
+            slopes = probabilities * np.exp(-(d**2) / 8.0) / (4.0 * d * np.sqrt(2.0 * np.pi))
+            total += (u * slopes[:, None]).T @ u
         lift = np.vstack([base, np.eye(len(schur))])
-        return np.asarray(lift @ ((u * slopes[:, None]).T @ u) @ lift.T / self.wrong(information))
+        return np.asarray(lift @ total @ lift.T / self.wrong(information))
 
     def _off_base(self, information: Array) -> tuple[Array, Array]:
         """S (..., K, K), and (..., p, K) what the base parameters must do to leave that."""
@@ -148,17 +138,12 @@ class MisidentificationBound:
         base = -np.linalg.solve(information[..., :p, :p], cross)
         return np.asarray(information[..., p:, p:] + np.swapaxes(cross, -1, -2) @ base), np.asarray(base)
 
-
-def _fit(rivals: Rivals, schur: Array, seen: Array) -> tuple[Array, Array]:
-    """(..., D, G, s) B^T S v, and the parameters of the rivals that come nearest to each direction."""
-    columns, _, ridge = rivals
-    k, g, s = columns.shape
-    flat = columns.reshape(k, g * s)
-    shown = (seen @ flat).reshape(*seen.shape[:-1], g, s)
-    halves = np.moveaxis((schur @ flat).reshape(*schur.shape[:-1], g, s), -3, -1)  # (..., G, s, K)
-    gram = halves @ np.moveaxis(columns, 1, 0) + ridge[:, None, None] * np.eye(s)
-    inverse = np.linalg.inv(gram)[..., None, :, :, :]
-    return shown, (shown[..., None, :] @ inverse)[..., 0, :]
+    def _explained(self, schur: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Per rival (D,) probabilities, (..., D, s) B^T S v, B, and its parameters nearest to each v (..., D, s)."""
+        seen = self.directions @ schur
+        for basis, ridge, probabilities in self.rivals:
+            gram, shown = basis.T @ schur @ basis, seen @ basis
+            yield probabilities, shown, basis, shown @ np.linalg.inv(gram + ridge * np.eye(basis.shape[1]))
 
 
 # -- the plan ----------------------------------------------------------------------------------------------------------

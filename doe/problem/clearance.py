@@ -100,7 +100,8 @@ class Clearance:
         # [mm] of pairs that never come farther apart, and touch by their covers, drawings are compared at the postures
         # where covers overlap most: covers stick out
         drawings = {body.name: body for body in cell.bodies}
-        never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & [{*pair} <= {*drawings} for pair in pairs]
+        drawn_both = np.array([{*pair} <= {*drawings} for pair in pairs], dtype=bool)
+        never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & drawn_both
         for k in np.flatnonzero(never):
             worst = self._frames_at(drawn[np.argsort(apart[:, k])[:60]])
             never[k] = not drawn_touch(drawings[pairs[k][0]], drawings[pairs[k][1]], worst)
@@ -275,7 +276,7 @@ class Clearance:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
         run, nearest = np.repeat(np.arange(len(postures)), self.count), self._seen(postures).nearest
         slopes = self._gradients(postures, run, nearest.ravel())
-        return self.margin(postures), np.swapaxes(slopes.reshape(len(postures), self.count, -1), 1, 2)
+        return self.margin(postures), np.swapaxes(slopes.reshape(len(postures), self.count, postures.shape[1]), 1, 2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
         """(m, n) gradients of the sums with weights (m, k)."""

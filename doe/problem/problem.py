@@ -320,7 +320,7 @@ class DesignProblem:
         """
         drawn = np.random.default_rng(0).uniform(self.lower, self.upper, (256, self.joints))
         slopes = np.sqrt(np.mean(np.sum(self.walls.first(drawn)[1] ** 2, axis=1), axis=0))
-        return np.maximum(slopes, 1e-3 * slopes.max())
+        return np.maximum(slopes, 1e-3 * slopes.max(initial=0.0))
 
 
 def information_of_each(jacobians: Array) -> Array:

@@ -55,8 +55,10 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
     parts: list[Any] = []
     for part in summary(rows).with_columns(label=label, hits=hits).partition_by(*PROBLEM, maintain_order=True):
         arm, digest, criterion, m = part.select(PROBLEM).row(0)
-        bound: Any = with_hits(rows).filter(arm_hash=digest, criterion=criterion, runs=m)["bound"].min()
-        title = f"{arm}, {criterion}, {m} runs" + ("" if bound is None else f", bound {bound:z.7f}")
+        bounded = with_hits(rows).filter(arm_hash=digest, criterion=criterion, runs=m).drop_nulls("bound")
+        title = f"{arm}, {criterion}, {m} runs"
+        for bound, cut in bounded.select("bound", "bound_cut").sort("bound", "bound_cut").head(1).iter_rows():
+            title += f", bound {bound:z.7f}" + ", its search cut by the time limit" * bool(cut)
         parts.append(sheet(part.iter_rows(named=True), COMPARED, title))
     failed = rows.filter(pl.col("status") != "done").with_columns(label=label)
     kinds = failed.group_by("arm", "criterion", "runs", *SETTING, "label", "status", "error", maintain_order=True).len()

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
-COLUMNS: dict[str, Any] = {"parameters": pl.Int64, "correct": pl.Boolean}
+COLUMNS: dict[str, Any] = {"parameters": pl.Int64, "correct": pl.Boolean, "bound_cut": pl.Boolean}
 COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds"), pl.Float64)
 
 
@@ -43,7 +43,7 @@ def compare(
     **how: Any,
 ) -> pl.DataFrame:
     """Problems x solvers x settings x repeats, one row per run: the key's columns, `status`, `outcome` (the solver's
-    own), `value`, `bound`, `efficiency`, `correct`, `seconds`, `error`.
+    own), `value`, `bound`, `bound_cut` (time ended the search for it), `efficiency`, `correct`, `seconds`, `error`.
 
     runs : numbers of measurements m
     solvers : names as in `armcal design --solver`, or settings objects (see `doe.solvers.solver.Solver`) whose classes
@@ -122,6 +122,7 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
         "starts_done": design.starts,
         "value": value if np.isfinite(value) else None,
         "bound": None if bound is None else bound.value,
+        "bound_cut": bound is not None and bound.cut,
         "efficiency": None if bound is None else problem.criterion.efficiency(value, bound.value, problem.parameters),
         "parameters": problem.parameters,
         "correct": bool(allowed and claimed),

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from doe import DesignProblem
+from doe import DesignProblem, solve
 from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
@@ -240,3 +240,10 @@ def test_drawings_of_bodies_that_are_always_near_are_compared(gap: float, clear:
     clearance = Clearance(design_model(Model(arm)))
     assert clearance.clear == ((("cube 2", "cube 1"),) if clear else ())
     assert clearance.touching == (() if clear else (("cube 2", "cube 1"),))
+
+
+def test_two_links_have_no_pair_that_could_touch() -> None:
+    """A joint connects them: there is nothing to keep, and a plan all the same."""
+    links = [Body(f"link {j}", j, np.array([[0.0, 0, 0, length, 0, 0, 20]])) for j, length in ((1, 300.0), (2, 200.0))]
+    cell = Cell(tuple(links), apart=frozenset([frozenset(["link 1", "link 2"])]))
+    assert solve(DesignProblem.of(Model(Arm(np.array([300.0, 200.0]), cell=cell))), 6).certified_optimal

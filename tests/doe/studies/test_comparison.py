@@ -62,6 +62,9 @@ def test_rows_without_any_success_have_tables() -> None:
     assert summary(failed)["best"].to_list() == [None]
     for rows in (failed, ROWS):
         assert len(comparison_parts(rows)) == 2  # the problem, and the sentence about the hang
+        for cut in (True, False):  # by time: the bound holds, and says so
+            sheet = comparison_parts(rows.with_columns(bound=pl.lit(-0.1), bound_cut=cut))[0]
+            assert ("cut by the time limit" in sheet.title) == cut
 
 
 def test_judged_by_the_problem() -> None:
