@@ -231,7 +231,7 @@ def _outwards(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
 
 
 _over_workspace(
-    "workspace_waves", "smooth over the workspace: slow waves along the axes of the base, and products", _products
+    "workspace_smooth", "smooth over the workspace: slow waves along the axes of the base, and products", _products
 )
 _over_workspace(
     "workspace_axes",
