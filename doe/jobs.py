@@ -155,7 +155,7 @@ def run_tasks(
             allowed = f"--seed {made} to go on, or --force to replace them"
             raise InputError(f"{path}: its rows are of --seed {made}, found {seed}, allowed: {allowed}")
     waiting, running = deque(text for text in asked if text not in rows), dict[Future[Any], str]()
-    done, failed, written = len(asked) - len(waiting), 0, time.monotonic()
+    done, failed, due = len(asked) - len(waiting), 0, time.monotonic() + EVERY
 
     def save() -> None:
         """In the order of the keys, whichever finished first."""
@@ -165,12 +165,12 @@ def run_tasks(
             write_together({path: parquet(frame_of(every))}, force=True)
 
     def store(text: str, of_task: list[Row]) -> None:
-        nonlocal done, failed, written
+        nonlocal done, failed, due
         rows[text] = [{KEY: text, **row} for row in of_task]
         done, failed = done + 1, failed + (of_task[0]["status"] != "done")
-        if time.monotonic() - written > EVERY:
+        if (now := time.monotonic()) > due:
             save()
-            written = time.monotonic()
+            due = time.monotonic() + max(EVERY, 10.0 * (time.monotonic() - now))  # of a long table more rarely
         progress(done, len(asked), f"{failed} failed" if failed else "")
 
     progress(done, len(asked), "")

@@ -163,7 +163,7 @@ def spectrum(jacobian: Array, scales: Array, tolerance: float = RANK_TOLERANCE, 
     _, singular_values, turned = np.linalg.svd(np.where(zero, 0.0, triangle / lengths), full_matrices=True)
     values = np.zeros(p)
     values[: singular_values.size] = singular_values
-    if prior is not None:
+    if np.any(held):
         strengths = np.asarray(np.linalg.svd(prior / lengths, compute_uv=False), dtype=float)
         least = np.min(strengths, initial=np.inf, where=significant(strengths, rounding_share(p)))
         tolerance = float(np.clip(0.1 * least / values[0], rounding_share(p), tolerance))

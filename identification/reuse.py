@@ -102,7 +102,7 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
     problem = Problem.of(whole, measurements)
     jacobian = problem.jacobian(x)
     noise = (fit.scatter or 0.0) / (problem.sigma or 1.0)
-    prior = None if fit.prior is None else fit.prior.rows(model.parameters, noise)
+    prior = fit.prior.rows(model.parameters, noise)
     root = spectrum(jacobian[:, estimated], model.scales, prior=prior).root
     moves = np.eye(len(x))[:, [*estimated, *others]]  # by errors of those estimated, and of those held
     moves[estimated, len(estimated) :] = -root @ (root.T @ (jacobian[:, estimated].T @ jacobian[:, others]))

@@ -357,11 +357,13 @@ def identify_files(
 
     def fit(rows: Measurements) -> Identification:
         of_library = library(rows)
-        wide, held = (with_sessions(loaded, rows), None) if of_library is None else (of_library.arm, of_library.prior)
-        model = reuse.only(wide, [*chosen, *(held.deviations if held else ())], rows) if chosen else Model(wide)
+        wide, held = (
+            (with_sessions(loaded, rows), Prior()) if of_library is None else (of_library.arm, of_library.prior)
+        )
+        model = reuse.only(wide, [*chosen, *held.deviations], rows) if chosen else Model(wide)
         if old is not None:
             try:
-                held = replace(held or Prior({}), earlier=reuse.earlier(old, model, rows))
+                held = replace(held, earlier=reuse.earlier(old, model, rows))
             except InputError as error:
                 raise InputError(f"{prior_from}: {error}") from None
         return with_repeats_doubted(estimation.estimate(model, rows, prior=held), rows)
@@ -375,13 +377,13 @@ def identify_files(
         rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
         numbers = ", ".join(map(str, left_out))
         lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
-    if fitted.prior is not None and (earlier := fitted.prior.earlier) is not None:
+    if old is not None:
         free = [name for name in fitted.names if name not in {*fitted.prior.names, *fitted.model.prior}]
         contradicted = [] if fitted.contradiction is None else [fitted.contradiction._asdict()]
-        keys["prior_from"] = {"file": str(prior_from), "parameters": list(earlier.parameter_names)}
+        keys["prior_from"] = {"file": str(prior_from), "parameters": list(fitted.prior.earlier.parameter_names)}
         keys["prior_from"] |= {"anew": free, "contradicted": contradicted}
         without = f"; without a prior: {', '.join(free)}" if free else ""
-        lines.append(f"Prior: {len(earlier.parameter_names)} parameters from {prior_from}{without}.")
+        lines.append(f"Prior: {len(fitted.prior.earlier.parameter_names)} parameters from {prior_from}{without}.")
     if chosen:
         keys["only"] = chosen
         fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), chosen, rows)

@@ -236,21 +236,16 @@ def say(sentence: str) -> None:
 def check_outputs(context: click.Context) -> None:
     """Raises `InputError`, before any work, for a file to write that cannot be written, or that is also an input or
     another output: one would overwrite the other."""
-    paths = [
-        (parameter.opts[0] if isinstance(parameter, click.Option) else parameter.human_readable_name, kind, path)
-        for parameter in context.command.params
-        if isinstance(kind := parameter.type, FilePath)
-        for value in [context.params[parameter.name or ""]]
-        for path in (value if isinstance(value, tuple) else (value,))
-        if isinstance(path, Path)
-    ]
-    taken = {os.path.realpath(path): name for name, kind, path in paths if not kind.written}
-    for name, kind, path in paths:
-        if kind.written:
-            other = taken.setdefault(os.path.realpath(path), name)
-            if other != name and (context.command.name, name, other) not in UPDATES:
+    kinds = [(kind, each) for each in context.command.params if isinstance(kind := each.type, FilePath)]
+    names = dict[str, str]()  # of options and arguments, by the file
+    for kind, each in sorted(kinds, key=lambda pair: pair[0].written):  # first what is read
+        name = each.opts[0] if isinstance(each, click.Option) else each.human_readable_name
+        given = context.params[each.name or ""]
+        for path in (path for path in (given if isinstance(given, tuple) else (given,)) if isinstance(path, Path)):
+            other = names.setdefault(os.path.realpath(path), name)
+            if kind.written and other != name and (context.command.name, name, other) not in UPDATES:
                 raise InputError(f"{name}: {path} is the file of {other} too, allowed: another name")
-            if kind is not FOLDER:
+            if kind.written and kind is not FOLDER:
                 check_writable(path, context.params["force"], picture=kind.picture)
 
 
@@ -359,14 +354,11 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
         from rich.console import Console
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
-        from rich.table import Column
 
-        # a terminal too narrow for all of it cuts the text, never the times
-        text = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True))
-        elapsed, left = (Column(no_wrap=True, min_width=len("0:00:00")) for _ in range(2))
-        times = TimeElapsedColumn(table_column=elapsed), TimeRemainingColumn(table_column=left)
-        columns = text, BarColumn(bar_width=8), *times
-        with Bar(*columns, console=Console(stderr=True), transient=True, expand=True) as bar:
+        # first the times, so that a narrow terminal cuts the text and not them
+        text = TextColumn("{task.description}", markup=False)
+        columns = TimeElapsedColumn(), TimeRemainingColumn(), BarColumn(bar_width=8), text
+        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(title, total=None, visible=False)
 
             def report(done: float, total: float | None, message: str) -> None:

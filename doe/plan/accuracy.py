@@ -59,17 +59,16 @@ class ExpectedDeviations:
             return None
         per_scale = sigma / parameters.scales
         matrix = per_scale[:, None] * decomposed.covariance * per_scale  # sigma^2 (sum J^T J)^-1, own units
-        offsets, orientation = parameters.joint_offsets.tolist(), np.zeros(problem.joints)
+        offsets, orientation = parameters.joint_offsets, np.zeros(problem.joints)
         sums = np.tri(len(offsets))  # dtheta_j = dq_1 + ... + dq_j
         turned = sums @ matrix[np.ix_(offsets, offsets)] @ sums.T
-        orientation[[(parameters[j].joint or 0) - 1 for j in offsets]] = np.sqrt(np.diag(turned))
+        orientation[[(parameters[j].joint or 0) - 1 for j in offsets.tolist()]] = np.sqrt(np.diag(turned))
         return cls(parameters, np.sqrt(np.diag(matrix)), orientation)
 
     def of_joints(self, places: NDArray[np.int64]) -> Array:
         """(n,) of the parameters at these places, by joint."""
         by_joint = np.zeros(self.orientation.size)
-        for k in places.tolist():
-            by_joint[(self.parameters[k].joint or 0) - 1] = self.values[k]
+        by_joint[[(self.parameters[k].joint or 0) - 1 for k in places.tolist()]] = self.values[places]
         return by_joint
 
     by_link = property(lambda self: self.parameters.by_link)
@@ -124,11 +123,10 @@ def observability(problem: DesignProblem, postures: Array, weights: Array | None
     jacobians, p = plan_jacobians(problem, postures, weights), problem.parameters
     if spectrum(jacobians, np.ones(p)).rank < p:
         return dict.fromkeys(("o1", "o2", "o3", "o4", "o5"), 0.0)
-    values = np.linalg.svd(jacobians.reshape(-1, p), compute_uv=False)
-    largest, smallest = float(values[0]), float(values[-1])
-    o1 = float(np.exp(np.mean(np.log(values))) / np.sqrt(len(postures) + len(problem.kept)))
-    indices = {"o1": o1, "o2": smallest / largest, "o3": smallest, "o4": smallest**2 / largest}
-    return indices | {"o5": float(1.0 / np.sum(1.0 / values))}
+    values, runs = np.linalg.svd(jacobians.reshape(-1, p), compute_uv=False), len(postures) + len(problem.kept)
+    largest, smallest, mean = values[0], values[-1], np.exp(np.mean(np.log(values)))
+    indices = mean / np.sqrt(runs), smallest / largest, smallest, smallest**2 / largest, 1.0 / np.sum(1.0 / values)
+    return {f"o{k}": float(value) for k, value in enumerate(indices, start=1)}
 
 
 def criterion_values(problem: DesignProblem, postures: Array, weights: Array | None = None) -> dict[str, float | None]:
@@ -175,10 +173,40 @@ class TipErrors:
             wide = robust_problem(problem, missing_effects(problem), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
 
+    def of_plan(self, postures: Array) -> dict[str, float]:
+        """Of a plan (m, n) and the postures measured already, by the keys of `tip_error_mm`.
+
+        `model_right` : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its
+        machining; `model_right_worst` at that of the test poses where it is largest; `effects_missing` : effects of
+        typical size are missing in the model, which is fitted in the same way: it takes up of each what the geometry
+        can, the tip lacks the rest, and it takes the noise for that of the instrument, which each posture's own error
+        comes on top of; `effects_missing_prior` : the same arms, fitted with the effects and their prior (`identify
+        --library-prior`); infinite where none are counted
+        """
+        problem, wide, p = self.problem, self.wide, self.problem.parameters
+        sigma, noise = ((model.sigma or 0.0) ** 2 for model in (problem.model, wide.model))
+        information = information_matrix(wide.scaled_jacobians(np.concatenate([postures, problem.kept])))
+        posterior = inverses(information[:p, :p] + np.diag(problem.precisions))
+        whole = inverses(information + np.diag(wide.precisions))  # infinite where not everything is identified
+        errors = dict.fromkeys(("model_right", "effects_missing", "effects_missing_prior", "model_right_worst"), np.inf)
+        if wide.missing and np.isfinite(whole[0, 0]):
+            errors["effects_missing_prior"] = float(np.sqrt(noise * np.sum(whole * self._weight) + wide.beyond))
+        if np.isinf(posterior[0, 0]) or spectrum(plan_jacobians(problem, postures), np.ones(p)).rank < p:
+            return errors
+        right = sigma * np.einsum("kdp,kdp->k", self._points[..., :p] @ posterior, self._points[..., :p])
+        errors |= {"model_right": float(np.sqrt(right.mean())), "model_right_worst": float(np.sqrt(right.max()))}
+        if wide.missing:
+            spread = sigma * posterior + (noise - sigma) * posterior @ information[:p, :p] @ posterior
+            lacking = np.concatenate([posterior @ information[:p, p:], -np.eye(wide.parameters - p)])
+            squares = np.sum(lacking * (self._weight @ lacking), axis=0)  # of the tip's error, per scaled parameter
+            missing = np.sum(spread * self._weight[:p, :p]) + squares @ (noise / wide.precisions[p:]) + wide.beyond
+            errors["effects_missing"] = float(np.sqrt(missing))
+        return errors
+
     @cached_property
     def _points(self) -> Array:
-        """(k, d, P) the same, its squares a mean over the measured points, without orientations that are measured too:
-        they are no distance."""
+        """(k, d, P) the same as `targets`, its squares a mean over the measured points, without orientations that are
+        measured too: they are no distance."""
         k, points, _, p = self.targets.shape
         return np.asarray(self.targets[:, :, :3].reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
 
@@ -186,53 +214,6 @@ class TipErrors:
     def _weight(self) -> Array:
         """(P, P) mean of the squares of that."""
         return information_matrix(self._points) / len(self._points)
-
-    def _information(self, postures: Array) -> tuple[Array, Array]:
-        """(P, P) sum of B^T B of the plan and of what is measured already, without any prior; and (p, p) the posterior
-        of the model as it is, infinite where it is not identified."""
-        information = information_matrix(self.wide.scaled_jacobians(np.concatenate([postures, self.problem.kept])))
-        p = self.problem.parameters
-        return information, inverses(information[:p, :p] + np.diag(self.problem.precisions))
-
-    def with_prior(self, postures: Array) -> float:
-        """Of a plan (m, n) and the postures measured already, fitted with the effects and their prior."""
-        posterior = inverses(self._information(postures)[0] + np.diag(self.wide.precisions))
-        if np.isinf(posterior[0, 0]):
-            return np.inf
-        return float(np.sqrt((self.wide.model.sigma or 0.0) ** 2 * np.sum(posterior * self._weight) + self.wide.beyond))
-
-    def missing(self, postures: Array) -> float:
-        """The same without the effects, which are there: the fit takes up of each what the geometry can, and the tip
-        lacks the rest; it takes the noise for that of the instrument, which each posture's own error comes on top of.
-        """
-        p, wide, (information, posterior) = self.problem.parameters, self.wide, self._information(postures)
-        if np.isinf(posterior[0, 0]):
-            return np.inf
-        sigma, noise = (self.problem.model.sigma or 0.0) ** 2, (wide.model.sigma or 0.0) ** 2
-        spread = sigma * posterior + (noise - sigma) * posterior @ information[:p, :p] @ posterior
-        lacking = np.concatenate([posterior @ information[:p, p:], -np.eye(wide.parameters - p)])
-        squares = np.sum(lacking * (self._weight @ lacking), axis=0)  # of the tip's error, per scaled parameter
-        bias = float(squares @ (noise / wide.precisions[p:]))
-        return float(np.sqrt(np.sum(spread * self._weight[:p, :p]) + bias + wide.beyond))
-
-    def of_plan(self, postures: Array) -> dict[str, float]:
-        """Of a plan (m, n) and the postures measured already, by the keys of `tip_error_mm`.
-
-        `model_right` : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its
-        machining; `model_right_worst` at that of the test poses where it is largest; `effects_missing` : effects of
-        typical size are missing in the model, which is fitted in the same way; `effects_missing_prior` : the same arms,
-        fitted with the effects and their prior (`identify --library-prior`); infinite where none are counted
-        """
-        p = self.problem.parameters
-        errors = dict.fromkeys(("model_right", "effects_missing", "effects_missing_prior", "model_right_worst"), np.inf)
-        if self.wide.parameters > p:
-            errors["effects_missing_prior"] = self.with_prior(postures)
-        if spectrum(plan_jacobians(self.problem, postures), np.ones(p)).rank < p:
-            return errors
-        posterior, targets = self._information(postures)[1], self._points[..., :p]
-        right = float(self.problem.model.sigma or 0.0) ** 2 * np.einsum("kdp,kdp->k", targets @ posterior, targets)
-        errors |= {"model_right": float(np.sqrt(right.mean())), "model_right_worst": float(np.sqrt(right.max()))}
-        return errors | ({"effects_missing": self.missing(postures)} if self.wide.parameters > p else {})
 
 
 @dataclass(frozen=True)
@@ -254,28 +235,26 @@ class ExpectedTip:
 
         problem : that the plan was chosen for, robust or not
         """
-        plans, most = 50, 2000  # random plans that it is compared with, postures that they are drawn from
-        m = len(postures)
-        if m > most:
-            return None
-        errors: TipErrors | None
+        m, plans, most = len(postures), 50, 2000  # random plans that it is compared with, and postures of all of them
         anywhere = replace(problem, choices=None) if problem.sampled else problem
+        errors = None if problem.missing or m > most else TipErrors.of(problem)
         if problem.missing:
             at = problem.criterion
             targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(anywhere))
             errors = TipErrors(problem, problem, targets if targets.ndim == 4 else targets[:, None])
-        else:
-            errors = TipErrors.of(problem)
-        if errors is None or not errors.wide.missing:
+        if m > most or errors is None or not errors.wide.missing:
             return None
-        judge = errors.with_prior if problem.fit else errors.missing
-        generator = np.random.default_rng([seed, m])
+        fitted, generator = (
+            "effects_missing_prior" if problem.fit else "effects_missing",
+            np.random.default_rng([seed, m]),
+        )
         if anywhere.choices is not None:
             pool = listed_candidates(problem, anywhere.choices)
         else:
             pool = random_postures(problem, min(plans * m, most), generator)
-        rows = [generator.choice(len(pool), m, replace=len(pool) < m) for _ in range(plans)]
-        return cls(judge(postures), np.array([judge(pool[chosen]) for chosen in rows]), problem.fit)
+        drawn = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(plans)]
+        plan, *random = (errors.of_plan(each)[fitted] for each in (postures, *drawn))
+        return cls(plan, np.array(random), problem.fit)
 
     better = property(lambda self: float(np.mean(self.random > self.plan)))
     median = property(lambda self: float(np.median(self.random)))

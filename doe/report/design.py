@@ -220,12 +220,11 @@ def plan_steps(
 
     problem : of an arm;  name : of the edited file, without its ending
     """
-    from doe.report.figures import FORBIDDEN, outlines
+    from doe.report.figures import outlines
     from doe.report.scene import scene
 
     def rounded(values: Array, digits: int) -> Any:
-        array = np.asarray(values, dtype=float)
-        return np.array([float(f"{value:.{digits}g}") for value in array.ravel()]).reshape(array.shape).tolist()
+        return np.vectorize(lambda value: float(f"{value:.{digits}g}"), otypes=[float])(values).tolist()
 
     # way-points belong to the move to the run after them, and are kept as long as the run before it stays the same
     ends = [-1, *np.flatnonzero(np.ones(len(plan), dtype=bool) if plan.via is None else ~plan.via)]
@@ -260,7 +259,7 @@ def plan_steps(
         "known": rounded(problem.precisions, 12),
         "points": rounded(model.points(plan.postures), 5),
         "near": near,
-        "outlines": [{"line": rounded(line, 5), "forbidden": color == FORBIDDEN} for line, color in outlines(arm)],
+        "outlines": [{"line": rounded(line, 5), "forbidden": forbidden} for line, forbidden in outlines(arm)],
     }
     return steps if arm.chain.projection is None else steps | {"scene": scene(model, plan.postures, via, tests)}
 

@@ -15,7 +15,7 @@ from doe.problem.model import PRISMATIC
 from doe.report.scene import side, simplified, trackers
 from identification import Arm, Array, design_model
 
-BEFORE, AFTER, LIMIT, FORBIDDEN = "#c44e52", "#2a6f97", "#888888", "#c44e52"
+BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 LINK, CELL, SIGHT = "#a9bccb", "#cdbfa8", "#2f8f5b"  # as in page.css
 DRAWN = 6000  # triangles of all bodies
 PLANE = "xy"
@@ -50,23 +50,16 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
 
 def draw_joints(joints: Axes, arm: Arm, postures: Array) -> None:
     """Every joint's angles within its limits; of sliding joints where they are between them."""
-    types = design_model(arm).joint_types
+    types, colors = design_model(arm).joint_types, run_colors(len(postures))
     for j, kind in enumerate(types):
-        factor = in_files(kind)[1]
+        factor = 1.0 if kind == PRISMATIC else np.degrees(1.0)
         limits = [factor * arm.lower[j], factor * arm.upper[j]]
         joints.plot(limits, [j, j], color=LIMIT, lw=6, alpha=0.35, solid_capstyle="butt")
-        colors = run_colors(len(postures))
         joints.scatter(factor * postures[:, j], np.full(len(postures), j), c=colors, s=26, zorder=3, lw=0)
     joints.set(yticks=range(arm.links), yticklabels=[f"$q_{j + 1}$" for j in range(arm.links)])
-    labels = {"deg": "angle [deg]", "mm": "position [mm]"}
-    joints.set_xlabel(" or ".join(sorted({labels[in_files(kind)[0]] for kind in types})))
+    joints.set_xlabel(" or ".join(sorted({"position [mm]" if kind == PRISMATIC else "angle [deg]" for kind in types})))
     joints.set_title("angles within the joint limits, light to dark in order of measurement", fontsize=9)
     joints.invert_yaxis()
-
-
-def in_files(kind: str) -> tuple[str, float]:
-    """Unit of a joint of this type in files and pictures, and one of the API in it."""
-    return ("mm", 1.0) if kind == PRISMATIC else ("deg", float(np.degrees(1.0)))
 
 
 def run_colors(m: int) -> Array:
@@ -87,10 +80,11 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
 def draw_constraints(axes: Any, arm: Arm) -> None:
     """Workspace boxes, what to keep out of, the tracker and its cone; in space as far as the axes reach."""
     cut = {} if arm.dimension == len(PLANE) else {"axlim_clip": True}
-    for line, color in outlines(arm):
+    for line, forbidden in outlines(arm):
+        color = BEFORE if forbidden else LIMIT
         dense = np.concatenate([np.linspace(start, end, 20) for start, end in pairwise(line)])
         axes.plot(*dense.T, color=color, lw=0.8, ls="--", **cut)
-        if color == FORBIDDEN and not cut:
+        if forbidden and not cut:
             axes.fill(*line.T, color=color, alpha=0.25, lw=0)
     for tracker in (one.tracker for one in arm.constraints if hasattr(one, "tracker")):
         axes.plot(*np.array([tracker]).T, "k^", ms=6, **cut)
@@ -143,7 +137,7 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array) -> None:
         axes.plot(*np.linspace(np.array(tracker), frames[-1, :3, 3], 50).T, color=SIGHT, lw=0.8, axlim_clip=True)
 
 
-def outlines(arm: Arm) -> list[tuple[Array, str]]:
-    """Lines (k, d) and colors of what constrains an arm: boxes, circles, spheres, cylinders, the tracker's cone."""
-    shapes = [(one.outlines(arm.dimension), one.forbidden) for one in arm.constraints]
-    return [(line, FORBIDDEN if forbidden else LIMIT) for lines, forbidden in shapes for line in lines]
+def outlines(arm: Arm) -> list[tuple[Array, bool]]:
+    """Lines (k, d) of what constrains an arm, and whether it keeps out of them: boxes, circles, spheres, cylinders, the
+    tracker's cone."""
+    return [(line, one.forbidden) for one in arm.constraints for line in one.outlines(arm.dimension)]

@@ -186,28 +186,26 @@ def drawing_in_words(rms: float, refit: str = "base", unit: str = "mm") -> str:
 def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool = False) -> Section:
     """The corrected values to enter in the controller, and what they mean to it: which are added to zeros, which belong
     together, and which the measurements do not determine."""
-    listed, lines = [row for row in rows if row.std is not None or row.parameter is None or "." not in row.name], []
-    if len(rows) - len(listed) > MOST_HELD:
-        lines.append(f"And {len(rows) - len(listed)} parameters of effects without intervals; the file has them.")
-        rows = listed
-    if any(row.name.startswith("zero of") for row in rows):
-        lines.append("Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.")
-    if any(row.parameter == "base_offset.x0" for row in rows):
-        typed = "type them into the controller only if the measurements are in the controller's own frame"
-        lines.append(f"Zero of joint 1 and base_offset: where the arm stands; {typed}.")
-    if any(row.name.startswith("joint ") for row in rows):
-        lines += [
-            "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.",
-            "These values belong together: enter all of them.",
-        ]
-        if all(row.prior_std is None for row in rows):  # not all that can be off is estimated
-            lines.append("Numbers not listed stay as drawn, and the intervals are of a fit that holds them there.")
-    if weak := sum(row.weak for row in rows):
-        lines.append(
-            f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "
-            "deviation that they had before, and the prior holds them."
-        )
-    return Section(title, [corrected_table(rows), *lines], folded)
+    listed = [row for row in rows if row.std is not None or row.parameter is None or "." not in row.name]
+    held = len(rows) - len(listed)
+    rows = listed if held > MOST_HELD else rows
+    weak, framed = sum(row.weak for row in rows), any(row.name.startswith("joint ") for row in rows)
+    notes = {
+        f"And {held} parameters of effects without intervals; the file has them.": held > MOST_HELD,
+        "Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.": any(
+            row.name.startswith("zero of") for row in rows
+        ),
+        "Zero of joint 1 and base_offset: where the arm stands; type them into the controller only if the measurements "
+        "are in the controller's own frame.": any(row.parameter == "base_offset.x0" for row in rows),
+        "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.": framed,
+        "These values belong together: enter all of them.": framed,
+        # not all that can be off is estimated
+        "Numbers not listed stay as drawn, and the intervals are of a fit that holds them there.": framed
+        and all(row.prior_std is None for row in rows),
+        f"* {weak} of {len(rows)} are weakly determined: the measurements leave more than half of the standard "
+        "deviation that they had before, and the prior holds them.": weak > 0,
+    }
+    return Section(title, [corrected_table(rows), *(note for note, holds in notes.items() if holds)], folded)
 
 
 def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:

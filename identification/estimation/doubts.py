@@ -62,21 +62,15 @@ def doubts(
 
     parameters, identifiable : (p,);  before, residual : (m, d) [mm], of the arm as it was and as fitted
     """
-    arm = getattr(model, "arm", None)  # other models have none
+    bad, arm = far_off(residual, model), getattr(model, "arm", None)  # other models have none
     if arm is None:
-        far = far_off(residual, model)
-        return tuple(far), bool(far)
-    read, implausible = misread(arm, measurements) if rms_distance(before) > DRAWN * arm.reach else ([], False)
-    bad = [*(read if implausible else []), *far_off(residual, model), *flipped(model, parameters, identifiable)]
-    sentences = [
-        *bad,
-        *([] if implausible else (read and far_zeros(model, parameters)) or read),
-        *another_frame(arm, measurements),
-        *outside_limits(arm, measurements),
-        *copied_rows(measurements),
-        *([] if residual.size <= parameters.size else only_rounding(residual, measurements)),
-    ]
-    return tuple(sentences), bool(bad)
+        return tuple(bad), bool(bad)
+    read, hidden = misread(arm, measurements) if rms_distance(before) > DRAWN * arm.reach else ([], False)
+    bad = [*(read if hidden else []), *bad, *flipped(model, parameters, identifiable)]
+    others = [] if hidden else (read and far_zeros(model, parameters)) or read
+    others += [*another_frame(arm, measurements), *outside_limits(arm, measurements), *copied_rows(measurements)]
+    others += only_rounding(residual, measurements) if residual.size > parameters.size else []
+    return (*bad, *others), bool(bad)
 
 
 def far_off(residual: Array, model: Model) -> list[str]:
@@ -100,14 +94,25 @@ def misread(arm: Arm, measurements: Measurements) -> tuple[list[str], bool]:
 
 def far_zeros(model: Model, parameters: Array) -> list[str]:
     """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation."""
-    values = {p.joint: x for p, x in zip(model.parameters, parameters, strict=True) if p.kind == JOINT_OFFSET}
-    counting, links = model.arm.counting, model.arm.links
-    shares = np.eye(links) if counting is None else counting.matrix
-    added = shares @ [values.get(j, 0.0) for j in range(1, links + 1)]  # as the controller counts
-    offsets = enumerate(zip((added + np.pi) % (2.0 * np.pi) - np.pi, model.arm.joint_types, strict=True), start=1)
-    turned = [(j, x) for j, (x, kind) in offsets if j > 1 and kind == REVOLUTE and abs(x) > FAR_ZERO]
-    far = ", ".join(f"{np.degrees(x):.1f} deg at joint {j}" for j, x in turned)
+    arm, values = model.arm, model.parameters.mapping(parameters)
+    offsets = np.array([values.get(f"{JOINT_OFFSET}:{j}", 0.0) for j in range(1, arm.links + 1)])
+    added = offsets if arm.counting is None else arm.counting.matrix @ offsets  # as the controller counts
+    off = (added + np.pi) % (2.0 * np.pi) - np.pi
+    turned = (np.abs(off) > FAR_ZERO) & [kind == REVOLUTE for kind in arm.joint_types]
+    far = ", ".join(f"{np.degrees(off[j]):.1f} deg at joint {j + 1}" for j in np.flatnonzero(turned) if j)
     return [f"zeros differ from the drawing's: {far}"] if far else []
+
+
+def far_from_drawing(arm: Arm, width: float, of_zeros: float) -> list[str]:
+    """Sizes of the machining that the prior was taken with: so many times those of the arm file, and of zeros of joints
+    so many times more."""
+    rotation, translation = f"{np.degrees(arm.machining.rotation):g} deg", f"{arm.machining.translation:g} mm"
+    ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
+    sizes = f"farther from its drawing than [machining] says ({translation} and {rotation}): taken {width:g} times"
+    zeros = f"farther from the drawing than [machining] says ({rotation}): taken as {width * of_zeros:g} times"
+    as_where = "as large, as where a motor was changed or a drawing counts from elsewhere"
+    sentences = [f"the arm is {sizes} as large{ask if width >= UNUSUAL else ''}"] if width != 1.0 else []
+    return [*sentences, *([f"zeros of joints are {zeros} {as_where}"] if of_zeros != 1.0 else [])]
 
 
 def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
@@ -255,11 +260,6 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
     return float(np.sqrt(max(total, 0.0) / len(postures)))  # below zero by rounding, where data have no noise
 
 
-def working_postures(low: Array, high: Array) -> Array:
-    """(1000, n) random postures between two limits (n,)."""
-    return np.random.default_rng(0).uniform(low, high, (1000, len(low)))
-
-
 def tip_of(fit: Identification, *, measured: bool) -> float | None:
     """`expected_tip` of a fit over the joint limits, whatever they are, or over further postures like those measured
     [mm], with the error of its own that the prior says each posture has; None where something is not identifiable,
@@ -274,20 +274,19 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
     if not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
 
-    def over(where: Array, share: float = 1.0) -> float:
-        tip = expected_tip(fit.model, fit.parameters, fit.covariance, where) / np.sqrt(share)
-        return float(np.hypot(tip, own_error(fit)))
-
-    if not measured:
-        return over(working_postures(arm.lower, arm.upper))
-    among = over(postures[:: max(len(postures) // 1000, 1)], fit.inside)
-    return min(among, over(working_postures(postures.min(axis=0), postures.max(axis=0))))
+    low, high = (postures.min(axis=0), postures.max(axis=0)) if measured else (arm.lower, arm.upper)
+    anywhere = np.random.default_rng(0).uniform(low, high, (1000, len(low)))
+    tip = expected_tip(fit.model, fit.parameters, fit.covariance, anywhere)
+    if measured:
+        some = postures[:: max(len(postures) // 1000, 1)]
+        tip = min(tip, expected_tip(fit.model, fit.parameters, fit.covariance, some) / np.sqrt(fit.inside))
+    return float(np.hypot(tip, own_error(fit)))
 
 
 def own_error(fit: Identification) -> float:
     """Root mean square distance [mm] by which a posture's own error moves the tip, as the prior of a fit says."""
     arm = getattr(fit.model, "arm", None)
-    return 0.0 if fit.prior is None or arm is None else fit.prior.own_error * float(np.sqrt(arm.dimension))
+    return 0.0 if arm is None else fit.prior.own_error * float(np.sqrt(arm.dimension))
 
 
 def hardly_determined(fit: Identification) -> list[str]:

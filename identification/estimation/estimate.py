@@ -17,8 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.estimation.doubts import UNUSUAL, doubts, far_rows
-from identification.estimation.problem import Prior, Problem, check_measurements, contradicted, likeliest, starts
+from identification.estimation.doubts import doubts, far_from_drawing, far_rows
+from identification.estimation.problem import (
+    NO_PRIOR,
+    Prior,
+    Problem,
+    check_measurements,
+    contradicted,
+    likeliest,
+    starts,
+)
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
 from identification.information import RANK_TOLERANCE, Spectrum, spectrum
@@ -37,7 +45,7 @@ def estimate(
     model: Model,
     measurements: Measurements,
     sigma: ArrayLike | Literal["given", "estimated"] | None = None,
-    prior: Prior | None = None,
+    prior: Prior = NO_PRIOR,
 ) -> Identification:
     """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
 
@@ -61,8 +69,8 @@ def estimate(
     Raises `InputError` for data that do not fit the model, `JobError` if that fails.
     """
     check_measurements(model, measurements, prior)
-    if prior is not None or model.prior:
-        return _with_prior(model, measurements, prior or Prior({}), sigma)
+    if prior.names or model.prior:
+        return _with_prior(model, measurements, prior, sigma)
     placed = placed_model(model, measurements)
     problem = Problem.of(placed, measurements, sigma)
     method = "linear" if problem.exact_form else "levenberg_marquardt"
@@ -133,19 +141,8 @@ def _with_prior(
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, rows)
     solution, determined = replace(solution, iterations=steps), decomposed.determined(jacobian)
     fit = _identification(posed, measurements, "levenberg_marquardt", solution, decomposed, determined)
-    machining, (width, of_zeros) = model.arm.machining, widths
-    rotation, far = f"{np.degrees(machining.rotation):g} deg", []
-    if width != 1.0:
-        ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
-        taken = f"taken {width:g} times as large{ask if width >= UNUSUAL else ''}"
-        sizes = f"[machining] says ({machining.translation:g} mm and {rotation})"
-        far.append(f"the arm is farther from its drawing than {sizes}: {taken}")
-    if of_zeros != 1.0:
-        taken = f"taken as {width * of_zeros:g} times as large, as where a motor was changed or a drawing counts from"
-        zeros_far = f"zeros of joints are farther from the drawing than [machining] says ({rotation})"
-        far.append(f"{zeros_far}: {taken} elsewhere")
-    contradiction = None if prior.earlier is None else contradicted(posed, widened, prior.earlier, x)
-    factor = width if model.prior else None
+    contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
+    factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths)
     return replace(
         fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradiction=contradiction
     )
@@ -179,7 +176,7 @@ def _identification(
     determined : how many combinations of parameters the data determine, a prior the rest
     """
     model, x, has_sigma = problem.model, solution.parameters[0], problem.sigma is not None
-    rows, noise = WhiteRows.of(problem, data, x, determined), None if problem.prior is None else problem.noise
+    rows, noise = WhiteRows.of(problem, data, x, determined), problem.noise if problem.prior.names else None
     made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
@@ -252,8 +249,8 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
         raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
     check_measurements(model, replace(plan, positions=np.zeros((m, d))))
     sigma = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
-    prior = Prior(model.prior) if model.prior else None
-    problem = replace(Problem.of(model, plan, sigma if prior is None else "given", prior), positions=measured)
+    posed = Problem.of(model, plan, "given" if model.prior else sigma, Prior(model.prior))
+    problem = replace(posed, positions=measured)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
     if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
@@ -301,27 +298,27 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
     unit = jacobian / lengths
     inverse = np.linalg.inv(unit.T @ unit) / lengths  # for scaled gradients
     parameters, squares, stationary = starts.copy(), np.full(len(starts), np.nan), np.zeros(len(starts), dtype=bool)
-    index, x, last = np.arange(len(starts)), starts, np.full(len(starts), np.inf)
-    data, rounding = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0)), problem.rounding
+    x, last, on = starts.copy(), np.full(len(starts), np.inf), np.arange(len(starts))
+    data = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0))
     for _ in range(12):
-        arguments = problem.postures, table, x[:, None, :], np.moveaxis(data, 0, -1)
+        arguments = problem.postures, table, x[on, None, :], np.moveaxis(data, 0, -1)
         gradients, by_row = problem.model.expressions.residual_gradient(*arguments)
         # components come first in memory, so these sums over rows are products with contiguous memory
-        pull = x @ held
+        pull = x[on] @ held
         gradient = ((np.moveaxis(gradients[..., 0], -1, 0) @ problem.weights).T - pull) / lengths
-        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, x)
+        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, x[on])
         size = np.max(np.abs(gradient), axis=1)
-        inside = np.all((x >= lower) & (x <= upper), axis=1)
-        done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + rounding) & inside
-        squares[index[done]], stationary[index[done]] = cost[done], True
-        contracts = size <= 0.3 * last  # a step that shrinks the gradient by less hands the data set over
-        parameters[index[(contracts | done) & inside]] = x[(contracts | done) & inside]
+        inside = np.all((x[on] >= lower) & (x[on] <= upper), axis=1)
+        done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + problem.rounding[on]) & inside
+        squares[on[done]], stationary[on[done]] = cost[done], True
+        contracts = size <= 0.3 * last[on]  # a step that shrinks the gradient by less hands the data set over
+        kept = on[(contracts | done) & inside]
+        parameters[kept], last[on] = x[kept], size
         going = ~done & contracts
         if not going.any():
             break
-        index, last, rounding = index[going], size[going], rounding[going]
-        data = data if going.all() else np.ascontiguousarray(data[:, going])
-        x = x[going] + gradient[going] @ inverse
+        on, data = on[going], data if going.all() else np.ascontiguousarray(data[:, going])
+        x[on] += gradient[going] @ inverse
     return parameters, squares, stationary
 
 

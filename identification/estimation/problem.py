@@ -11,7 +11,7 @@ linear about its solution; sizes are tried from a few values each.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from types import MappingProxyType
@@ -45,37 +45,40 @@ class Prior(ByValue):
         to a fit it is noise
     """
 
-    deviations: Mapping[str, float]
-    earlier: Calibration | None = None
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    earlier: Calibration = field(default_factory=lambda: Calibration({}, (), np.zeros((0, 0))))
     own_error: float = 0.0
 
     def __post_init__(self) -> None:
-        first = Calibration({}, (), np.zeros((0, 0))) if self.earlier is None else self.earlier
-        variances = dict(zip(first.parameter_names, np.asarray(first.covariance).diagonal().tolist(), strict=True))
-        for what, named in (("variance", variances), ("standard deviation", self.deviations)):
+        variances = np.asarray(self.earlier.covariance).diagonal().tolist()
+        of_earlier = dict(zip(self.earlier.parameter_names, variances, strict=True))
+        for what, named in (("variance", of_earlier), ("standard deviation", self.deviations)):
             for name, value in named.items():
                 if not 0.0 < value < np.inf:
                     raise InputError(f"prior: {name} has {what} {value:g}, allowed: a finite number > 0")
-        independent = {name: deviation for name, deviation in self.deviations.items() if name not in variances}
+        independent = {name: deviation for name, deviation in self.deviations.items() if name not in of_earlier}
         object.__setattr__(self, "deviations", MappingProxyType(independent))
 
     @property
     def names(self) -> frozenset[str]:
         """Of all parameters that have one."""
-        return frozenset(self.deviations) | frozenset(() if self.earlier is None else self.earlier.parameter_names)
+        return frozenset((*self.deviations, *self.earlier.parameter_names))
 
     def released(self, names: Collection[str], machining: Mapping[str, float]) -> Prior:
         """Without what the earlier calibration says of these; that of the machining (name -> deviation) stays."""
-        assert self.earlier is not None
         kept = self.earlier.about(set(self.earlier.parameter_names) - set(names))
         machined = {name: size for name, size in machining.items() if name in names}
-        return Prior({**machined, **self.deviations}, kept if kept.parameter_names else None)
+        return Prior({**machined, **self.deviations}, kept)
+
+    def center(self, parameters: ParameterSet) -> Array:
+        """(p,) means, zero where there is no prior."""
+        return parameters.vector({n: self.earlier.values[n] for n in self.earlier.parameter_names}, default=0.0)
 
     def factor(self, parameters: ParameterSet) -> Array:
         """(p, r) F, with the covariance F F^T; zero in the rows of parameters without a prior."""
         independent = np.diag(parameters.vector(self.deviations, default=0.0))
-        earlier = Calibration({}) if self.earlier is None else self.earlier.about(parameters.names)
-        covariance = np.zeros((0, 0)) if self.earlier is None else np.asarray(earlier.covariance)
+        earlier = self.earlier.about(parameters.names)
+        covariance = np.asarray(earlier.covariance)
         sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
         values, vectors = np.linalg.eigh(covariance / np.outer(sizes, sizes))
         root = np.zeros((len(parameters), len(sizes)))
@@ -95,8 +98,11 @@ class Prior(ByValue):
         return rows
 
 
+NO_PRIOR = Prior()
+
+
 # -- the problem -------------------------------------------------------------------------------------------------------
-def check_measurements(model: Model, measurements: Measurements, prior: Prior | None = None) -> None:
+def check_measurements(model: Model, measurements: Measurements, prior: Prior = NO_PRIOR) -> None:
     """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
 
     prior : of parameters that need no equation, besides those of the model
@@ -127,7 +133,7 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior | 
         ):
             if lacks and need in effect.needs:
                 raise InputError(f"effects: {effect.key} needs {what}")
-    p -= len({*model.prior, *(() if prior is None else prior.names)} & set(model.names))
+    p -= len({*model.prior, *prior.names} & set(model.names))
     if d * m < p:
         counted = f"{d} m = {d * m} < p = {p}"
         file = measurements.provenance.get("file", "measurements")
@@ -155,7 +161,7 @@ class Problem:
     sigma: float | None = None
     reliance: str | None = None
     tolerance: float = RANK_TOLERANCE
-    prior: Prior | None = None
+    prior: Prior = NO_PRIOR
     noise: float = 1.0
 
     @classmethod
@@ -164,7 +170,7 @@ class Problem:
         model: Model,
         measurements: Measurements,
         sigma: ArrayLike | str | None = None,
-        prior: Prior | None = None,
+        prior: Prior = NO_PRIOR,
     ) -> Problem:
         """The problem of one data set;  sigma : as of `estimate`. Which sigma holds: argument, then rows, then
         arm. Of rows that are copied the first counts, the others have no weight. Raises `InputError`."""
@@ -191,7 +197,7 @@ class Problem:
     def exact_form(self) -> PlanarClosedForm | None:
         """The model's closed form if that is the solution; None: there is none, or it is a start only."""
         form = self.model.closed_form
-        return form if form is not None and form.exact and self.prior is None else None
+        return form if form is not None and form.exact and not self.prior.names else None
 
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
@@ -221,15 +227,12 @@ class Problem:
     @cached_property
     def prior_rows(self) -> Array:
         """(r, p) rows of the prior in the Jacobian, see `Prior.rows`."""
-        parameters = self.model.parameters
-        return np.zeros((0, len(parameters))) if self.prior is None else self.prior.rows(parameters, self.noise)
+        return self.prior.rows(self.model.parameters, self.noise)
 
     @cached_property
     def prior_center(self) -> Array:
-        """(p,) means of the prior; zero where there is none."""
-        earlier = None if self.prior is None else self.prior.earlier
-        means = {} if earlier is None else {name: earlier.values[name] for name in earlier.parameter_names}
-        return self.model.parameters.vector(means, default=0.0)
+        """(p,) means of the prior, see `Prior.center`."""
+        return self.prior.center(self.model.parameters)
 
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
@@ -256,7 +259,7 @@ class Problem:
     def linearized(self, parameters: Array) -> tuple[Array, Array]:
         """Weighted (N,) residual and (N, p) Jacobian of the first data set about parameters (p,), without the prior, in
         as few rows as say the same."""
-        bare = self if self.prior is None else replace(self, prior=None)
+        bare = replace(self, prior=NO_PRIOR)
         residuals, jacobians = compressed(*bare.linearize(parameters[None], np.arange(1)))
         return residuals[0], jacobians[0]
 
@@ -315,9 +318,9 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     residual, jacobian : of `Problem.linearized` about x (p,)
     """
     holds, parameters, prior = problem.reliance == "given", problem.model.parameters, problem.prior
-    factor = np.zeros((len(parameters), 0)) if prior is None else prior.factor(parameters)
+    factor = prior.factor(parameters)
     held = factor.any(axis=1)
-    sized = {} if prior is None else problem.model.prior.keys() & prior.deviations.keys()
+    sized = problem.model.prior.keys() & prior.deviations.keys()
     machined = np.array([name in sized for name in parameters.names])
     zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
     target = residual + jacobian @ np.where(held, x - problem.prior_center, 0.0)  # all at the center of the prior
@@ -377,7 +380,7 @@ class Contradiction(NamedTuple):
         return f"{sentence}. The fit is right for neither. {either}"
 
 
-def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array) -> Contradiction | None:
+def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | None:
     """The parameter whose prior, an earlier calibration, the measurements contradict most clearly; None: none.
 
     The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
@@ -395,7 +398,7 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
         freedom = np.inf
     if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
         return None
-    drops = released_drops(replace(problem, noise=noise), earlier, x)
+    drops, earlier = released_drops(replace(problem, noise=noise), x), prior.earlier
     name = max(drops, key=drops.__getitem__)
     less = np.array([drops[name], *(drops[name] - drop for drop in drops.values())])
     p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
@@ -411,14 +414,14 @@ def contradicted(problem: Problem, prior: Prior, earlier: Calibration, x: Array)
     return Contradiction(name, p.file_unit, before, before_std, value, std, instead)
 
 
-def released_drops(problem: Problem, earlier: Calibration, x: Array) -> dict[str, float]:
+def released_drops(problem: Problem, x: Array) -> dict[str, float]:
     """Parameter of the earlier calibration -> by how much the weighted squares of measurements and prior, in units of
     the noise, fall where its own prior is released and the others' stay, linear about x (p,).
 
     Released, a mean of the prior is one more unknown: its column is that of the prior's rows.
     """
     names, (residual, jacobian), rows = problem.model.names, problem.linearized(x), problem.prior_rows
-    places = [k for k, name in enumerate(names) if name in earlier.parameter_names]
+    places = [k for k, name in enumerate(names) if name in problem.prior.earlier.parameter_names]
     whole = np.concatenate([jacobian, rows])
     shifts = np.concatenate([np.zeros((len(jacobian), len(places))), rows[:, places]])
     target = np.concatenate([residual, rows @ (problem.prior_center - x)])

@@ -23,7 +23,7 @@ from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
 from identification.estimation.doubts import hardly_determined, tip_of
-from identification.estimation.problem import Contradiction, Prior
+from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.information import VISIBLE
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
@@ -100,7 +100,7 @@ class Identification(Documented):
     doubts: tuple[str, ...] = ()
     outlier_rows: tuple[int, ...] = ()
     unexplained_rows: tuple[int, ...] = ()
-    prior: Prior | None = None
+    prior: Prior = NO_PRIOR
     machining_factor: float | None = None
     held: frozenset[str] = frozenset()
     contradiction: Contradiction | None = None
@@ -168,8 +168,7 @@ class Identification(Documented):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings to be read before the results."""
-        prior = () if self.prior is None else self.prior.names
-        without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in prior]
+        without_prior = [p for p in getattr(self.model, "parameters", ()) if p.name not in self.prior.names]
         misfit = [self.contradiction.warning(without_prior)] if self.contradiction else []
         misfit += [self.misfit] if self.misfit else []
         doubts = (*self.doubts, *hardly_determined(self))
@@ -231,8 +230,7 @@ class Identification(Documented):
         if self.arm is None:
             return ()
         unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
-        factor = None if self.prior is None else self.prior.factor(self.model.parameters)
-        return corrected_values(self.arm, self.calibration(), unknown, factor)
+        return corrected_values(self.arm, self.calibration(), unknown, self.prior.factor(self.model.parameters))
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""

@@ -71,15 +71,8 @@ class WhiteRows:
         pull = prior.T @ (prior @ (problem.prior_center - parameters))
         return cls(weighted[kept], residual[kept], rank, sequence, postures, repeats, pull)
 
-    @property
-    def freedom(self) -> float:
-        """Equations less combinations estimated."""
-        return self.residual.size - self.rank
-
-    @property
-    def squares(self) -> float:
-        """Sum of squared whitened residuals."""
-        return float(np.sum(self.residual**2))
+    freedom = property(lambda self: self.residual.size - self.rank)  # equations less combinations estimated
+    squares = property(lambda self: float(np.sum(self.residual**2)))  # sum of squared whitened residuals
 
     def correlated(self, root: Array) -> int:
         """Number of successive rows to be taken together: 1 where what they say of the parameters is uncorrelated.
@@ -221,14 +214,9 @@ def _robust(rows: WhiteRows, root: Array, misfit: bool, several: bool, variance:
             candidates.append((width, Uncertainty("sandwich", *made, kind, int(groups.max()) + 1)))
         if length <= 1 or (kind == "stretches" and enough):
             return max(candidates, key=lambda each: each[0])[1] if candidates else None
-        kind, groups, length = "stretches", stretches(rows.sequence, length), length // 2
-
-
-def stretches(sequence: Groups, length: int) -> Groups:
-    """(m,) number of the stretch of time of each row: as many stretches of about `length` successive rows as fit."""
-    groups = np.empty(len(sequence), dtype=np.int64)
-    groups[sequence] = np.arange(len(sequence)) * max(len(sequence) // length, 1) // len(sequence)
-    return groups
+        # as many stretches of time of about so many successive rows as fit
+        m, kind = len(rows.sequence), "stretches"
+        groups, length = (np.arange(m) * max(m // length, 1) // m)[np.argsort(rows.sequence)], length // 2
 
 
 def pure_error(residual: Array, repeats: Groups) -> tuple[float, int]:

@@ -25,8 +25,9 @@ from identification.arrays import Array, readonly
 from identification.bodies import Cell
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
-from identification.files.bodies import Shape, ShapedBodies, pairs_apart, segment
+from identification.files.bodies import ShapedBodies, pairs_apart
 from identification.files.io import PathLike, named_file, read_toml
+from identification.files.meshes import Shape
 from identification.files.schema import (
     CURVE,
     CalibrationTable,
@@ -246,9 +247,8 @@ def _cell(
     cell, shapes, apart = file.cell, list[tuple[str, int, Shape]](), set[frozenset[str]]()
     if file.link_width_mm is not None:
         for j, length in enumerate(file.links_mm, start=1):
-            place, between = segment((0.0, 0.0), (length, 0.0))
-            sizes = {"radius": np.array([0.5 * file.link_width_mm]), "length": between}
-            shapes.append((f"link {j}", j, Shape("capsule", place, sizes)))
+            link = Shape.between("capsule", (0.0, 0.0), (length, 0.0), 0.5 * file.link_width_mm)
+            shapes.append((f"link {j}", j, link))
         apart |= {frozenset((f"link {j}", f"link {j + 1}")) for j in range(1, len(chain))}
     for k, table in enumerate([] if cell is None else cell.bodies, start=1):
         joint, name = table.joint or 0, table.name or f"{table.kind} {k}"
@@ -284,12 +284,11 @@ def _shape(table: Any, key: str, folder: PathLike) -> Shape:
     """What an entry of `[[cell.bodies]]` says;  key : of the name of a mesh's file"""
     if table.kind in ("capsule", "cylinder", "sphere"):
         ends = (table.center_mm,) * 2 if table.kind == "sphere" else (table.start_mm, table.end_mm)
-        place, length = segment(*ends)
-        return Shape(table.kind, place, {"radius": np.array([table.radius_mm]), "length": length})
+        return Shape.between(table.kind, *ends, table.radius_mm)
     if table.kind == "box":  # as thick as long in the plane, in which its middle is
-        return Shape("box", _pose(table), {"size": np.array([*table.size_mm, max(table.size_mm)][:3])})
+        return Shape("box", _pose(table), np.array([*table.size_mm, max(table.size_mm)][:3]))
     file = str(named_file(folder, table.file, key, "the arm file"))
-    return Shape("mesh", _pose(table), {"scale": np.full(3, METER if table.unit == "m" else 1.0)}, file)
+    return Shape("mesh", _pose(table), np.full(3, METER if table.unit == "m" else 1.0), file)
 
 
 # -- effects and calibration -------------------------------------------------------------------------------------------

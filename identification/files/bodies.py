@@ -10,67 +10,22 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from identification.arrays import SHOWN, Array, ByValue
-from identification.bodies import Body, brick, revolved
+from identification.arrays import SHOWN, ByValue
+from identification.bodies import Body
 from identification.errors import InputError
 from identification.files.io import PathLike, decode, read_bytes
-from identification.files.meshes import READERS, read_mesh
+from identification.files.meshes import READERS, Shape
 from identification.files.urdf import parse_urdf, xml_root
-from identification.kinematics.frames import pose, rotation_to_z
 
 PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
-
-
-@dataclass(frozen=True, eq=False)
-class Shape(ByValue):
-    """Of a body that is read from a file.
-
-    kind : box, sphere, cylinder, capsule or mesh
-    place : (4, 4) [mm] pose of its center, of a mesh of its origin, in the frame of the joint; z is the axis of a
-        cylinder or capsule
-    sizes : [mm] `size` (3) of a box, `radius` (1) and `length` (1) between the centers of the two ends, of a mesh
-        `scale` (3), the millimetres of its unit
-    file : of a mesh
-    """
-
-    kind: str
-    place: Array
-    sizes: Mapping[str, Array]
-    file: str = ""
-
-    @property
-    def capsule(self) -> Array:
-        """(7,) of a sphere or capsule; of a cylinder that which has its ends as centers."""
-        half = self.place[:3, 2] * 0.5 * self.sizes.get("length", np.zeros(1))[0]
-        return np.r_[self.place[:3, 3] - half, self.place[:3, 3] + half, self.sizes["radius"]]
-
-    def triangles(self) -> Array:
-        """(t, 3, 3) [mm] of the surface in its own frame, of a cylinder that of a prism around it; of what a capsule
-        is exactly, none. Raises `InputError` for a mesh that cannot be read."""
-        if self.kind == "mesh":
-            return read_mesh(self.file) * self.sizes["scale"]
-        if self.kind == "box":
-            return brick(0.5 * self.sizes["size"])
-        if self.kind == "cylinder":
-            sides, half = 32, 0.5 * self.sizes["length"][0]
-            across = self.sizes["radius"][0] / np.cos(np.pi / sides)
-            return revolved(across * np.array([0.0, 1.0, 1.0, 0.0]), half * np.array([1.0, 1.0, -1.0, -1.0]), sides)
-        return np.empty((0, 3, 3))
-
-
-def segment(start: Sequence[float], end: Sequence[float]) -> tuple[Array, Array]:
-    """(4, 4) pose with its origin in the middle between two points and z along, and (1,) their distance."""
-    a, b = (np.r_[point, 0.0][:3] for point in (start, end))  # in the plane z = 0 of a planar arm
-    length = float(np.linalg.norm(b - a))
-    return pose(0.5 * (a + b), rotation_to_z((b - a) / length) if length else None), np.array([length])
 
 
 def covered(name: str, joint: int, shapes: Sequence[Shape], reach: float, foot: bool = False) -> Body:
@@ -145,11 +100,12 @@ class ShapedBodies(ByValue, Sequence[Body]):
     def _of_urdf(self) -> list[tuple[str, int, Shape]]:
         urdf, shapes, missing, loose = parse_urdf(self.urdf, self.path), [], dict[str, str](), dict[str, None]()
         for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
-            for kind, sizes, name, origin in urdf.collisions(link):
-                if (file := mesh_file(name, self.folders) if kind == "mesh" else Path()) is None:
-                    missing[link] = name
+            for shape in urdf.collisions(link):
+                file = mesh_file(shape.file, self.folders) if shape.kind == "mesh" else ""
+                if file is None:
+                    missing[link] = shape.file
                     continue
-                shapes.append((link, joint, Shape(kind, place @ origin, sizes, str(file))))
+                shapes.append((link, joint, replace(shape, place=place @ shape.place, file=str(file))))
                 loose |= {link: None} if aside else {}
         if missing:
             links = ", ".join(missing) if len(missing) <= SHOWN else f"{len(missing)} links"

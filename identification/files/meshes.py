@@ -1,4 +1,4 @@
-"""Triangles of STL and OBJ files; nothing that they name, materials and textures, is read.
+"""Shapes of bodies, and triangles of STL and OBJ files; nothing that these name, materials and textures, is read.
 
 STL (3D Systems, 1989): binary with a header of 80 bytes, a count, and 50 bytes a triangle, or text with `vertex x y z`
 lines, three a triangle. OBJ (Wavefront): `v x y z` lines and `f a b c ..` lines of vertices counted from 1, or from the
@@ -8,15 +8,18 @@ end, -1 the last.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import PurePath
 
 import numpy as np
 
-from identification.arrays import Array
+from identification.arrays import Array, ByValue
+from identification.bodies import brick, revolved
 from identification.errors import InputError
 from identification.files.io import PathLike, read_bytes
+from identification.kinematics.frames import pose, rotation_to_z
 
 
 def _stl(content: bytes) -> Array:
@@ -64,3 +67,48 @@ def read_mesh(path: PathLike) -> Array:
     if not np.all(np.isfinite(triangles)):
         raise InputError(f"{path}: a mesh with corners that are no finite numbers, {allowed}")
     return triangles
+
+
+@dataclass(frozen=True, eq=False)
+class Shape(ByValue):
+    """Of a body that is read from a file.
+
+    kind : box, sphere, cylinder, capsule or mesh
+    place : (4, 4) [mm] pose of its center, of a mesh of its origin, in the frame of the joint; z is the axis of a
+        cylinder or capsule
+    size : [mm] edges (3) of a box, radius (1) of a sphere, radius and length (2) between the centers of the ends of a
+        cylinder or capsule, of a mesh the millimetres (3) of its unit
+    file : of a mesh
+    """
+
+    kind: str
+    place: Array
+    size: Array
+    file: str = ""
+
+    @classmethod
+    def between(cls, kind: str, start: Sequence[float], end: Sequence[float], radius: float) -> Shape:
+        """A sphere, cylinder or capsule of two ends (3,) or (2,), in the plane z = 0 of a planar arm."""
+        a, b = (np.r_[point, 0.0][:3] for point in (start, end))
+        length = float(np.linalg.norm(b - a))
+        place = pose(0.5 * (a + b), rotation_to_z((b - a) / length) if length else None)
+        return cls(kind, place, np.array([radius, length]))
+
+    @property
+    def capsule(self) -> Array:
+        """(7,) of a sphere or capsule; of a cylinder that which has its ends as centers."""
+        half = self.place[:3, 2] * 0.5 * self.size[1:].sum()
+        return np.r_[self.place[:3, 3] - half, self.place[:3, 3] + half, self.size[0]]
+
+    def triangles(self) -> Array:
+        """(t, 3, 3) [mm] of the surface in its own frame, of a cylinder that of a prism around it; of what a capsule
+        is exactly, none. Raises `InputError` for a mesh that cannot be read."""
+        if self.kind == "mesh":
+            return read_mesh(self.file) * self.size
+        if self.kind == "box":
+            return brick(0.5 * self.size)
+        if self.kind == "cylinder":
+            sides, (radius, length) = 32, self.size
+            across, half = radius / np.cos(np.pi / sides), 0.5 * length
+            return revolved(across * np.array([0.0, 1.0, 1.0, 0.0]), half * np.array([1.0, 1.0, -1.0, -1.0]), sides)
+        return np.empty((0, 3, 3))

@@ -18,6 +18,7 @@ import numpy as np
 from identification.arrays import Array
 from identification.errors import InputError, printable
 from identification.files.io import PathLike, decode, read_bytes
+from identification.files.meshes import Shape
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
@@ -191,25 +192,24 @@ class Urdf:
                 pairs.add(frozenset((link, above)))
         return frozenset(pairs)
 
-    def collisions(self, link: str) -> list[tuple[str, Mapping[str, Array], str, Array]]:
-        """Of the `<collision>` elements of a link: the kind (`box`, `sphere`, `cylinder`, `capsule`, `mesh`), its
-        sizes [mm] by their names (of a mesh its `scale`), the name of its file, its pose (4, 4) [mm] in the link."""
-        solids: list[tuple[str, Mapping[str, Array], str, Array]] = []
+    def collisions(self, link: str) -> list[Shape]:
+        """The `<collision>` elements of a link, in its frame, with the names of files as they are written."""
+        solids = []
         for element in self.links[link].findall("collision"):
             where = f"link {link!r}: collision"
             shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
             if len(shapes) != 1 or shapes[0].tag not in SIZES:
                 state = " and ".join(f"<{shape.tag}>" for shape in shapes) or "nothing"
                 raise InputError(f"{self.path}: {where} of {state}, allowed: one of {', '.join(SIZES)}")
-            shape, sizes = shapes[0], {}
+            shape, sizes = shapes[0], []
             for key, count in SIZES[shape.tag].items():
-                usual = (1.0, 1.0, 1.0) if key == "scale" else None
-                sizes[key] = self._numbers(shape, where, key, usual, count) * METER
-                if not np.all(sizes[key] if key == "scale" else sizes[key] > 0.0):
+                sizes.append(self._numbers(shape, where, key, (1.0, 1.0, 1.0) if key == "scale" else None, count))
+                if not np.all(sizes[-1] if key == "scale" else sizes[-1] > 0.0):
                     raise InputError(f"{self.path}: {where} {key} has {shape.get(key)!r}, allowed: {count} numbers > 0")
             if shape.tag == "mesh" and not shape.get("filename"):
                 raise InputError(f"{self.path}: {where} of a mesh without filename, allowed: the name of a file")
-            solids.append((shape.tag, sizes, shape.get("filename", ""), self.origin(element, where)))
+            size, file = np.concatenate(sizes) * METER, shape.get("filename", "")
+            solids.append(Shape(shape.tag, self.origin(element, where), size, file))
         return solids
 
     # -- attributes ------------------------------------------------------------------------------------------------

@@ -270,8 +270,7 @@ def sufficiency(
 
     floor : what repeats scatter by
     """
-    held = frozenset(fit.prior.names) if fit.prior is not None else frozenset[str]()
-    parameters, spare = len(fit.names), max(fit.dof, 0)
+    held, parameters, spare = fit.prior.names, len(fit.names), max(fit.dof, 0)
     few, judged = spare < parameters - len(held), fit
     source = None if fit.expected_tip is None else "sigma" if fit.uncertainty.kind == "given" else "residuals"
     if few:  # the noise has to be known without the fit
@@ -285,7 +284,7 @@ def sufficiency(
     # parameters without a prior, as where base and reflector are, that stay more uncertain than the frames of the arm
     # by `UNUSUAL` times, though the machining holds these; where nothing is held, such ones are not estimated at all
     weak: list[tuple[str, float, str]] = []
-    if judged.prior is not None and judged.model.arm.chain.redundant:
+    if judged.model.arm.chain.redundant:
         machining = judged.model.arm.machining
         far = {"mm": doubts.UNUSUAL * machining.translation, "rad": doubts.UNUSUAL * machining.rotation}
         stds = zip(judged.model.parameters, judged.std.tolist(), strict=True)

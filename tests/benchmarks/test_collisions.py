@@ -15,6 +15,7 @@ import resource
 import shutil
 import subprocess
 import sys
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -72,33 +73,34 @@ class Judge:
     for nothing."""
 
     def __init__(self, urdf: Path, joints: list[str]) -> None:
-        self.model = pinocchio.buildModelFromUrdf(str(urdf))
-        self.geometry = pinocchio.buildGeomFromUrdf(self.model, str(urdf), pinocchio.COLLISION, [str(data())])
-        self.places = [self.model.idx_qs[self.model.getJointId(name)] for name in joints]
-        self.sizes = [self.model.nqs[self.model.getJointId(name)] for name in joints]
-        parents = [self.geometry.geometryObjects[k].parentJoint for k in range(self.geometry.ngeoms)]
-        for a in range(self.geometry.ngeoms):
-            for b in range(a):
-                one, other = parents[a], parents[b]
-                if one != other and self.model.parents[one] != other and self.model.parents[other] != one:
-                    self.geometry.addCollisionPair(pinocchio.CollisionPair(a, b))
-        self.work, self.found = self.model.createData(), self.geometry.createData()
-        generator = np.random.default_rng(0)
-        low, high = np.maximum(self.model.lowerPositionLimit, -3.1), np.minimum(self.model.upperPositionLimit, 3.1)
-        low, high = np.minimum(low, high), np.maximum(low, high)
-        always = np.ones(len(self.geometry.collisionPairs), dtype=bool)
-        for _ in range(300):
-            always &= self._pairs(np.array([generator.uniform(low[k], high[k]) for k in self.places]))
+        self.model = model = pinocchio.buildModelFromUrdf(str(urdf))
+        self.geometry = pinocchio.buildGeomFromUrdf(model, str(urdf), pinocchio.COLLISION, [str(data())])
+        self.places = [(model.idx_qs[k], model.nqs[k]) for k in map(model.getJointId, joints)]
+        parents = [each.parentJoint for each in self.geometry.geometryObjects]
+        for a, b in combinations(range(len(parents)), 2):
+            one, other = parents[a], parents[b]
+            if one != other and model.parents[one] != other and model.parents[other] != one:
+                self.geometry.addCollisionPair(pinocchio.CollisionPair(b, a))
+        limits = np.sort(
+            [np.maximum(model.lowerPositionLimit, -3.1), np.minimum(model.upperPositionLimit, 3.1)], axis=0
+        )
+        low, high = limits[:, [k for k, _ in self.places]]
+        postures = np.random.default_rng(0).uniform(low, high, (300, len(joints)))
+        self.work, self.results = model.createData(), self.geometry.createData()
+        always = np.all([self._pairs(q) for q in postures], axis=0)
         for k in np.flatnonzero(always)[::-1].tolist():
             self.geometry.removeCollisionPair(self.geometry.collisionPairs[k])
-        self.found = self.geometry.createData()
+        self.results = self.geometry.createData()
 
     def _pairs(self, q: np.ndarray) -> np.ndarray:
         full = pinocchio.neutral(self.model)
-        for place, size, value in zip(self.places, self.sizes, q.tolist(), strict=True):
+        for (place, size), value in zip(self.places, q.tolist(), strict=True):
             full[place : place + size] = [value] if size == 1 else [math.cos(value), math.sin(value)]
-        pinocchio.computeCollisions(self.model, self.work, self.geometry, self.found, full, False)
-        return np.array([result.isCollision() for result in self.found.collisionResults], dtype=bool)
+        pinocchio.computeCollisions(self.model, self.work, self.geometry, self.results, full, False)
+        return np.array([result.isCollision() for result in self.results.collisionResults], dtype=bool)
+
+    def collides(self, q: np.ndarray) -> bool:
+        return bool(self._pairs(q).any())
 
     def view(self, q: np.ndarray, base: str, tip: str) -> tuple[bool, float]:
         """Whether a ray from the tracker to the reflector misses all triangles of all meshes, and its angle [deg] to
@@ -108,7 +110,7 @@ class Judge:
         at, flange = (self.work.oMf[self.model.getFrameId(name)] for name in (base, tip))
         start, end = at.act(np.array(TRACKER) / 1e3), flange.act(np.array(TOOL) / 1e3)
         ray, blocked = end - start, False
-        for each, place in zip(self.geometry.geometryObjects, self.found.oMg, strict=True):
+        for each, place in zip(self.geometry.geometryObjects, self.results.oMg, strict=True):
             corners = triangles(each) @ place.rotation.T + place.translation
             a, b, c = np.moveaxis(corners, 1, 0)
             across = np.cross(ray, c - a)
@@ -121,15 +123,6 @@ class Judge:
             blocked |= bool(np.any(inside & (along > 0.0) & (along < 1.0)))
         cosine = -flange.rotation[:, 2] @ ray / np.linalg.norm(ray)
         return not blocked, math.degrees(math.acos(cosine))
-
-    def collides(self, q: np.ndarray) -> bool:
-        return bool(self._pairs(q).any())
-
-    def names(self, q: np.ndarray) -> list[str]:
-        objects, pairs = self.geometry.geometryObjects, self.geometry.collisionPairs
-        return [
-            f"{objects[pairs[k].first].name}-{objects[pairs[k].second].name}" for k in np.flatnonzero(self._pairs(q))
-        ]
 
 
 def joints_of(urdf: Path, base: str, tip: str) -> list[str]:
@@ -168,25 +161,20 @@ def test_no_posture_and_no_move_collides(
     robot: tuple[str, Judge, str], floor: str, least: float, tmp_path: Path
 ) -> None:
     name, judge, head = robot
-    print(
-        f"\n{name}: {len(judge.geometry.collisionPairs)} pairs of meshes, {'floor, 20 mm' if floor else 'own bodies'}"
-    )
+    pairs = len(judge.geometry.collisionPairs)
+    print(f"\n{name}: {pairs} pairs of meshes, {'floor, 20 mm' if floor else 'own bodies'}")
     wrong = []
     for seed in SEEDS:
-        said, rows, kinds, seconds = plan_of(tmp_path, head + (floor or "\n[cell]\nclearance_mm = 0.0\n"), seed)
+        plan, rows, kinds, seconds = plan_of(tmp_path, head + (floor or "\n[cell]\nclearance_mm = 0.0\n"), seed)
         bare, bare_rows, _, bare_seconds = plan_of(tmp_path, head + "\n[cell]\nbodies_of_urdf = false\n", seed)
-        hits = [judge.names(q) for q in rows[[kind == "measure" for kind in kinds]] if judge.collides(q)]
-        moves = [
-            k
-            for k in range(len(rows) - 1)
-            if any(judge.collides(rows[k] + s * (rows[k + 1] - rows[k])) for s in np.linspace(0.0, 1.0, PLACES))
-        ]
-        before = sum(judge.collides(q) for q in bare_rows)
+        hits = sum(judge.collides(q) for q, kind in zip(rows, kinds, strict=True) if kind == "measure")
+        ways = (np.linspace(start, end, PLACES) for start, end in pairwise(rows))
+        moves, before = sum(any(map(judge.collides, way)) for way in ways), sum(map(judge.collides, bare_rows))
         p = DesignProblem.of(Model(load_arm(tmp_path / "arm.toml"))).parameters
-        efficiency = math.exp((said["log_det"] - bare["log_det"]) / p)
-        longer = said["travel_deg"]["after"] / said["moves"]["shortest_deg"] if said["moves"] else math.inf
+        efficiency = math.exp((plan["log_det"] - bare["log_det"]) / p)
+        longer = plan["travel_deg"]["after"] / plan["moves"]["shortest_deg"] if plan["moves"] else math.inf
         print(
-            f"  seed {seed}: {len(hits)} postures and {len(moves)} moves collide ({before} postures without bodies), "
+            f"  seed {seed}: {hits} postures and {moves} moves collide ({before} postures without bodies), "
             f"efficiency {efficiency:.4f}, {kinds.count('via')} via, travel {longer:.2f} times the shortest, "
             f"{seconds:.1f} s of a processor against {bare_seconds:.1f} s"
         )

@@ -84,7 +84,7 @@ NO_OUTPUT = ["there.csv", "folder", "none/out.csv", "loop", "a" * 300, "arm.toml
 NO_OUTPUT += ["p.gif"]
 NO_INPUT = ["none.csv", "folder", "loop", "arm.toml", "plan.csv", "data.csv", "", "/dev/null", "there.csv"]
 # budgets, so that a case takes little
-ALWAYS = {"seconds", "workers", "compare.repeats", "compare.solvers", "grid", "starts"}
+ALWAYS = {"seconds", "workers", "advise.runs", "compare.repeats", "compare.solvers", "grid", "starts"}
 WEIGHTS = {"demo": 1, "compare": 1, "study": 4, "discriminate": 2, "diagnose": 4, "advise": 3}
 
 

@@ -1,6 +1,9 @@
-"""A six-axis arm as a product of exponentials: an independent simulator without frames of joints or corrections."""
+"""A six-axis arm as a product of exponentials: an independent simulator without frames of joints or corrections; and
+postures at which it touches a surface or a cup: Newton steps on differences, all postures at once."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -8,6 +11,7 @@ from identification import Array
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 
 HALF = np.pi / 2.0
+STEP = 1e-6  # [rad] of central differences
 TABLE = (  # a [mm], alpha [rad], d [mm] of the drawing
     *((0.0, HALF, 300.0), (-420.0, 0.0, 0.0), (-390.0, 0.0, 0.0)),
     *((0.0, HALF, 130.0), (0.0, -HALF, 100.0), (0.0, 0.0, 80.0)),
@@ -71,3 +75,57 @@ class Exponentials:
         for line, angles in zip(self.lines[::-1], postures.T[::-1], strict=True):
             place = rotations(line, angles) @ place
         return np.asarray(self.base @ place)
+
+    def points(self, postures: Array) -> Array:
+        """(m, 3) origins of the measured frame in the frame of the base [mm]."""
+        back = np.linalg.inv(self.base)
+        return np.asarray(self.poses(postures)[:, :3, 3] @ back[:3, :3].T + back[:3, 3])
+
+
+def led(q: Array, left: Callable[[Array], Array], steps: int, longest: float) -> Array:
+    """(m, n) where damped Newton steps from postures lead; left : of postures (m, n), (m, k) that is to vanish [mm]"""
+    for _ in range(steps):
+        slopes = np.stack([(left(q + e) - left(q - e)) / (2.0 * STEP) for e in STEP * np.eye(q.shape[1])], axis=2)
+        across = slopes @ np.swapaxes(slopes, 1, 2) + 1e-6 * np.eye(slopes.shape[1])
+        moves = -np.einsum("mjn,mj->mn", slopes, np.linalg.solve(across, left(q)[..., None])[..., 0])
+        q = q + moves * np.minimum(1.0, longest / np.maximum(np.linalg.norm(moves, axis=1), 1e-12))[:, None]
+    return q
+
+
+def touching(truth: Exponentials, gap: Callable[[Array], Array], count: int, generator: np.random.Generator) -> Array:
+    """(count, 6) postures whose points are on a surface: of random ones those that end within 150 degrees.
+
+    gap : of points (m, 3) in the frame of the base [mm], zero on the surface
+    """
+
+    def left(q: Array) -> Array:
+        return gap(truth.points(q))[:, None]
+
+    q = led(generator.uniform(-2.0, 2.0, (3 * count, 6)), left, 50, 0.3)
+    good = (np.abs(left(q)[:, 0]) < 1e-8) & (np.abs(q).max(axis=1) < 2.6)
+    assert good.sum() >= count
+    return q[good][:count]
+
+
+def sphere(center: Array, radius: float) -> Callable[[Array], Array]:
+    """How far points (m, 3) are outside of a sphere [mm]."""
+    return lambda points: np.linalg.norm(points - center, axis=1) - radius
+
+
+def plane(normal: Array, height: float) -> Callable[[Array], Array]:
+    """How high points (m, 3) are above a plane [mm]."""
+    unit = normal / np.linalg.norm(normal)
+    return lambda points: points @ unit - height
+
+
+def seated(truth: Exponentials, centers: Array, noise: float, generator: np.random.Generator) -> Array:
+    """(m, n) postures that bring the measured point to centers (m, 3) in the frame of the base [mm], but for the noise:
+    of random ones the first that end within 160 degrees."""
+    goals, n = centers + noise * generator.standard_normal(centers.shape), len(truth.lines)
+    postures, todo = np.zeros((len(goals), n)), np.arange(len(goals))
+    while len(todo):
+        goal = goals[todo]
+        q = led(generator.uniform(-2.2, 2.2, (len(todo), n)), lambda q, goal=goal: truth.points(q) - goal, 40, 0.4)  # type: ignore[misc]
+        good = (np.linalg.norm(truth.points(q) - goal, axis=1) < 1e-7) & (np.abs(q).max(axis=1) < 2.8)
+        postures[todo[good]], todo = q[good], todo[~good]
+    return postures

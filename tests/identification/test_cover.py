@@ -10,16 +10,16 @@ from scipy.spatial import ConvexHull
 
 from identification import Array
 from identification.cover import boxes_around, capsules_around, from_capsules, objective
-from identification.files.bodies import Shape
+from identification.files.meshes import Shape
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 
 PLACE = pose((100.0, -50.0, 30.0), from_roll_pitch_yaw(0.3, -1.0, 2.0))
-BOX = Shape("box", np.eye(4), {"size": np.array([120.0, 60.0, 40.0])}).triangles()
-CYLINDER = Shape("cylinder", np.eye(4), {"radius": np.array([50.0]), "length": np.array([400.0])}).triangles()
+BOX = Shape("box", np.eye(4), np.array([120.0, 60.0, 40.0])).triangles()
+CYLINDER = Shape("cylinder", np.eye(4), np.array([50.0, 400.0])).triangles()
 ANGLE = np.concatenate(
     [
-        Shape("box", pose(), {"size": np.array([640.0, 100.0, 100.0])}).triangles(),
-        Shape("box", pose(), {"size": np.array([100.0, 100.0, 300.0])}).triangles() + np.array([-270.0, 0.0, 200.0]),
+        Shape("box", pose(), np.array([640.0, 100.0, 100.0])).triangles(),
+        Shape("box", pose(), np.array([100.0, 100.0, 300.0])).triangles() + np.array([-270.0, 0.0, 200.0]),
     ]
 )
 

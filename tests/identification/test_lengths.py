@@ -21,9 +21,8 @@ from identification.model.minimal import minimal, practical
 from identification.sessions import with_sessions
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
-from tests.identification.exponentials import Exponentials, drawing
+from tests.identification.exponentials import Exponentials, drawing, plane, sphere, touching
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
-from tests.identification.touching import plane, sphere, touching
 
 BAR = Distance()
 CENTER = np.array([700.0, -200.0, 300.0])

@@ -27,7 +27,6 @@ from doe.studies.blind.cells import CELLS, SAME_ARM, TABLE, DataSet, data_set, t
 from identification import (
     Arm,
     Array,
-    Diagnosis,
     InputError,
     design_model,
     diagnose,
@@ -89,8 +88,12 @@ def blind_study(
 
 # -- tasks -------------------------------------------------------------------------------------------------------------
 def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
-    """What is hidden in each set of a batch, and what the diagnosis says of it; the user's seed moves all of the
-    simulator's numbers. Designed postures are those of `armcal design --discriminating`."""
+    """What is hidden in each set of a batch and how well a model does that knows it, or the geometry only; what the
+    diagnosis says of the set, by its public results, and how well the model does that it writes.
+
+    The user's seed moves all of the simulator's numbers. Designed postures are those of `armcal design
+    --discriminating`.
+    """
     first, planned = int(key["seed"]) * 1_000_000 + key["first"], None
     if CELLS[key["cell"]].designed:
         arm, runs = to_be_planned(key["cell"], first)
@@ -99,54 +102,49 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
     for k in range(key["sets"]):
         data, number = data_set(key["cell"], first + k, planned), key["first"] + k
         diagnosis = diagnose(data.arm, data.measurements, data.holdout, seed=number)
-        row = {"set": number, **hidden_and_said(data, diagnosis)}
-        for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and diagnosis.verdict == "ambiguous" else ():
+        true, geometry, written = None, data.arm, diagnosis.extended_arm()
+        if data.exact is not None:
+            geometry = fitted_arm(data.arm, data.measurements, left_out=data.wrong_rows)
+        if data.outside is None and data.holdout is not None:
+            true = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
+        chances, named, verdict = diagnosis.probabilities, diagnosis.named, diagnosis.verdict
+        low, high = zip(*named.limits_95.values(), strict=True)
+        row: Row = {
+            "set": number,
+            "wrong_rows": list(data.wrong_rows),
+            "hidden": sorted(data.effects),
+            "outside": data.outside,
+            "place": data.place,
+            "gap_true_mm": gap(true, data, None if data.holdout is None else data.holdout.positions),
+            "error_true_mm": gap(true, data, data.exact),
+            "error_geometry_mm": gap(geometry, data, data.exact),
+            "error_reachable_mm": data.reachable,
+            "parameters": list(data.values),
+            "values": list(data.values.values()),
+            "verdict": verdict,
+            "named": sorted(named.keys),
+            "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
+            "probability": diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys),
+            "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
+            "where": diagnosis.where,
+            "outlier_rows": list(diagnosis.outlier_rows),
+            "interval_of": list(named.limits_95),  # of base and effects [API units]
+            "low_95": list(low),
+            "high_95": list(high),
+            "gap_named_mm": diagnosis.gap.held_out_after,
+            "gap_promised_mm": diagnosis.gap.predicted,
+            "confirmed": diagnosis.confirmed,
+            "contradictions": contradictions(diagnosis.to_json()),
+            "error_named_mm": gap(written, data, data.exact),
+            "inside_tip": inside_tip(written, data),
+        }
+        for runs in FURTHER_RUNS if key["cell"] == AMBIGUOUS and verdict == "ambiguous" else ():
             best = discriminate(data.arm, diagnosis, runs, seed=number)
             more = data.further(best.plan.postures, best.plan.conditions.get("directions"))
             again = diagnose(data.arm, more, seed=number)
             row |= {f"next_{runs}_verdict": again.verdict, f"next_{runs}_named": sorted(again.named.keys)}
         rows.append(row)
     return rows
-
-
-def hidden_and_said(data: DataSet, diagnosis: Diagnosis) -> Row:
-    """What is hidden in a data set and how well a model does that knows it, or the geometry only; and what a diagnosis
-    says of the set, by its public results, and how well the model does that it writes."""
-    true, geometry, written = None, data.arm, diagnosis.extended_arm()
-    if data.exact is not None:
-        geometry = fitted_arm(data.arm, data.measurements, left_out=data.wrong_rows)
-    if data.outside is None and data.holdout is not None:
-        true = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
-    chances, named, verdict = diagnosis.probabilities, diagnosis.named, diagnosis.verdict
-    low, high = zip(*named.limits_95.values(), strict=True)
-    return {
-        "wrong_rows": list(data.wrong_rows),
-        "hidden": sorted(data.effects),
-        "outside": data.outside,
-        "place": data.place,
-        "gap_true_mm": gap(true, data, None if data.holdout is None else data.holdout.positions),
-        "error_true_mm": gap(true, data, data.exact),
-        "error_geometry_mm": gap(geometry, data, data.exact),
-        "error_reachable_mm": data.reachable,
-        "parameters": list(data.values),
-        "values": list(data.values.values()),
-        "verdict": verdict,
-        "named": sorted(named.keys),
-        "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
-        "probability": diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys),
-        "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
-        "where": diagnosis.where,
-        "outlier_rows": list(diagnosis.outlier_rows),
-        "interval_of": list(named.limits_95),  # of base and effects [API units]
-        "low_95": list(low),
-        "high_95": list(high),
-        "gap_named_mm": diagnosis.gap.held_out_after,
-        "gap_promised_mm": diagnosis.gap.predicted,
-        "confirmed": diagnosis.confirmed,
-        "contradictions": contradictions(diagnosis.to_json()),
-        "error_named_mm": gap(written, data, data.exact),
-        "inside_tip": inside_tip(written, data),
-    }
 
 
 def inside_tip(arm: Arm, data: DataSet) -> float | None:

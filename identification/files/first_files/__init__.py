@@ -105,7 +105,7 @@ def mesh_files(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> tuple[d
         shapes = [shape for link in urdf.links for shape in urdf.collisions(link)]
     except InputError:  # which is said to those who ask for bodies
         return {}, []
-    for name in dict.fromkeys(file for kind, _, file, _ in shapes if kind == "mesh"):
+    for name in dict.fromkeys(shape.file for shape in shapes if shape.kind == "mesh"):
         file, beside = mesh_file(name, [Path(path).parent, *package_dirs]), name_beside(name)
         if file is None or beside is None:
             missing.append(name)

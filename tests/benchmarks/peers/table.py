@@ -15,7 +15,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +24,8 @@ ROOT = Path(__file__).parents[3]
 PYTHONS = [sys.executable, *filter(None, os.environ.get("ARMCAL_PEERS", "").split(os.pathsep))]
 SECONDS = int(os.environ.get("ARMCAL_PEERS_SECONDS", "600"))  # of processor time, after which a process is stopped
 MEMORY = 12 * 2**30  # bytes of address space
-ABSENT, HEADER = "not installed", "| tool | value | | processor time | peak memory |\n|---|---|---|---|---|"
+MISSING = 3  # exit code of a process whose Python has not the modules of the tool
+HEADER = "| tool | value | | processor time | peak memory |\n|---|---|---|---|---|"
 Answer = dict[str, Any]
 
 
@@ -41,31 +41,23 @@ def processor_seconds() -> float:
     return sum(os.times()[:4])
 
 
-@cache
-def interpreter(modules: tuple[str, ...]) -> str | None:
-    """The first of the Pythons that has all of these modules."""
-    code = f"import importlib; [importlib.import_module(name) for name in {modules!r}]"
-    calls = ((python, subprocess.run([python, "-c", code], cwd=ROOT, capture_output=True)) for python in PYTHONS)
-    return next((python for python, done in calls if done.returncode == 0), None)
-
-
 def answer_of(folder: Path, task: str, tool: str, modules: tuple[str, ...], **job: Any) -> Answer | str:
-    """What the tool's process wrote, or a sentence why it did not."""
-    python = interpreter(modules)
-    if python is None:
-        return ABSENT
+    """What the tool's process wrote, by the first of the Pythons that has its modules, or a sentence why it did not."""
     question, written = folder / "job.json", folder / "answer.npz"
-    question.write_text(json.dumps({"task": task, "tool": tool} | job))
+    question.write_text(json.dumps({"task": task, "tool": tool, "modules": modules} | job))
     written.unlink(missing_ok=True)
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    line = [python, "-m", "tests.benchmarks.peers.table", str(question), str(written)]
-    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, env=os.environ | threads)
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f"no answer in {SECONDS} s"
-    if done.returncode:
-        return f"failed: {(done.stderr.strip().splitlines() or ['?'])[-1][:80]}"
-    with np.load(written) as data:
-        return {name: data[name] for name in data}
+    for python in PYTHONS:
+        line = [python, "-m", "tests.benchmarks.peers.table", str(question), str(written)]
+        done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, env=os.environ | threads)
+        if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+            return f"no answer in {SECONDS} s"
+        if done.returncode not in (0, MISSING):
+            return f"failed: {(done.stderr.strip().splitlines() or ['?'])[-1][:80]}"
+        if done.returncode == 0:
+            with np.load(written) as data:
+                return {name: data[name] for name in data}
+    return "not installed"
 
 
 def compared(
@@ -111,9 +103,12 @@ def main(question: Path, written: Path) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     job = json.loads(question.read_text())
+    try:
+        for module in job.pop("modules"):
+            importlib.import_module(module)
+    except ImportError:
+        sys.exit(MISSING)
     tool = table_of(job.pop("task"))[job.pop("tool")]
-    for module in tool.modules:
-        importlib.import_module(module)
     began = processor_seconds()
     answer = tool.run(**job)
     answer.setdefault("seconds", processor_seconds() - began)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -12,7 +11,6 @@ import tomllib
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import version
-from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -209,23 +207,6 @@ def test_a_line_now_and_then(capfd: pytest.CaptureFixture[str]) -> None:
             assert capfd.readouterr().err == f"armcal design: 0 s{said}\n"
     with shown_progress("design", quiet=True) as report:
         assert report == Progress()
-
-
-@pytest.mark.parametrize("width", [60, 120])
-def test_the_times_are_whole_in_a_narrow_terminal(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The longest that diagnose says: the clock, which is all that tells that it goes on, is never cut."""
-    said, clock = "step 2 of 4: scatter 2 of 3, further orders, other shapes 10 of 12, workspace", iter([0.0])
-    terminal = StringIO()
-    monkeypatch.setattr(terminal, "isatty", lambda: True)
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setenv("COLUMNS", str(width))
-    monkeypatch.setattr(time, "monotonic", lambda: next(clock, 3725.5))
-    with shown_progress("diagnose", quiet=False) as report:
-        report(5.0, 10.0, said)
-    plain = re.sub(r"\x1b\[[\d;?]*\w", "", terminal.getvalue())
-    (line,) = {text for text in re.split(r"[\r\n]", plain) if text.startswith("step 2")}
-    assert re.match(re.escape(said[: width - 28]), line)
-    assert re.search(r" \d:\d\d:\d\d (-:--:--|\d:\d\d:\d\d)$", line.rstrip())
 
 
 # -- signals -----------------------------------------------------------------------------------------------------------

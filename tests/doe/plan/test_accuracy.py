@@ -245,8 +245,8 @@ def test_a_plan_beside_random_ones(problem: DesignProblem) -> None:
     found = ExpectedTip.of(problem, POSTURES, seed=2)
     assert found.fit == problem.fit
     judged = TipErrors(problem, WIDE, tip_jacobians(WIDE, workspace(PLAIN))) if problem.fit else TipErrors.of(PLAIN)
-    expected = judged.with_prior(POSTURES) if problem.fit else judged.missing(POSTURES)
-    assert found.plan == pytest.approx(expected, rel=1e-9)
+    fitted = "effects_missing_prior" if problem.fit else "effects_missing"
+    assert found.plan == pytest.approx(judged.of_plan(POSTURES)[fitted], rel=1e-9)
     assert len(found.random) == 50
     assert np.all(found.random > 0.0)
     said = found.to_json()

@@ -14,7 +14,7 @@ from doe.report.page import PlanSteps, page
 from identification import Model, Plan, load_arm
 from identification.document import Action, Document, Section, Sheet
 from tests.doe.cli.conftest import Folder, table
-from tests.doe.report.browser import Watched, browser
+from tests.doe.report.browser import Watched
 
 NASTY = """</script><script>document.title = "broken"</script><img src=x onerror="document.title='broken'">"""
 CALIBRATED = "cal$x_$<i>--!>.toml"  # stands over pictures, where $ could begin a formula
@@ -62,13 +62,6 @@ def test_everything_is_escaped_and_nothing_is_fetched(pages: Folder) -> None:
     bare = page(Document(NASTY, [NASTY], [Section(NASTY, parts)], [Action(NASTY, NASTY)], [NASTY]))
     assert NASTY not in bare
     assert bare.count("<script>") == 1
-
-
-@pytest.fixture(scope="module")
-def opened() -> Iterator[Any]:
-    """A browser for all tests of this file."""
-    with browser() as found:
-        yield found
 
 
 @pytest.mark.parametrize("name", ["page", "six"])

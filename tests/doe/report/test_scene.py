@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from base64 import b64decode
-from collections.abc import Iterator
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -27,7 +26,7 @@ from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_
 from identification.kinematics.frames import pose
 from identification.validate import Validation
 from identification.workspace import LineOfSight
-from tests.doe.report.browser import Watched, browser
+from tests.doe.report.browser import Watched
 
 RANDOM = np.random.default_rng(31)
 TURN = np.pi / 2.0
@@ -145,13 +144,6 @@ def test_readings_that_are_no_positions_have_no_arrows() -> None:
 
 
 # -- in a browser ------------------------------------------------------------------------------------------------------
-@pytest.fixture(scope="module")
-def opened() -> Iterator[Any]:
-    """A browser for all tests of this file."""
-    with browser() as found:
-        yield found
-
-
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A page of an arm with bodies, a floor, a tracker, and measured errors."""

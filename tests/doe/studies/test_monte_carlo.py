@@ -117,19 +117,6 @@ def test_random_plans_are_new_for_each_hundred_replications() -> None:
     np.testing.assert_allclose(found["coverage"].to_numpy(), covered.mean(axis=0))
 
 
-@pytest.mark.parametrize("effects", [[], [WAVE], [{"name": "backlash", "joint": 1}]])
-def test_random_plans_have_the_deviations_and_intervals_that_theory_says(effects: list[dict[str, Any]]) -> None:
-    replications = 2_000
-    truth = PAPER | {"effects": [entry | {"b_deg": 0.05} for entry in effects if entry["name"] == "backlash"]}
-    models = [{"name": "m", "effects": effects}]
-    found = paper(["random"], truth, runs=[16], models=models, replications=replications, seed=2)["cells"]
-    # 14 ratios from one fixed seed; plans of 16 runs differ little, so the deviation of a normal error is near enough
-    ratio = found["std"].to_numpy() / found["expected_std"].to_numpy()
-    assert np.all(np.abs(ratio - 1.0) < 1.5 * 4.5 / np.sqrt(2 * replications))
-    assert np.all(np.abs(found["coverage"].to_numpy() - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / replications))
-    assert (found["mean_error"].abs() < 4.5 * found["std"] / np.sqrt(replications)).all()
-
-
 def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
     boxed, seen = replace(ARM, constraints=(WorkspaceBox((-800.0, 800.0), (0.0, 800.0)),), name="boxed"), []
 
@@ -299,15 +286,11 @@ def test_file_is_read(folder: Path) -> None:
             (GOOD, *change)
             for change in (
                 ('plans = ["dft"', 'plans = ["dftt"', "did you mean 'dft'"),
-                ("replications = 50", "replicatons = 50", "replicatons: unknown key"),
                 ("runs = [5]", "", "runs: is missing"),
                 ('name = "base"', "", "models[1].name: is missing"),
-                ("replications = 50", "replications = 0", "replications: found 0"),
                 ("replications = 50", f"replications = 1{23 * '0'}", "<= 10000000"),
                 ("replications = 50", "sigma_mm = []", "sigma_mm: found 0 values"),
-                ("replications = 50", "sigma_mm = [nan]", "sigma_mm[1]: found nan"),
                 ("runs = [5]", "runs = [1000000000000]", "runs[1]: found 1000000000000"),
-                ("runs = [5]", "runs = [5, 2.5]", "runs[2]: found 2.5"),
                 ("length_errors_mm = [1.0,", "length_errors_mm = [1.0, 2.0,", "length_errors_mm: found 3 values for 2"),
                 ("joint = 2", "joint = 3", "truths: eccentric with arm two: effects: encoder_eccentricity at joint 3"),
                 ("encoder_eccentricity", "encoder_excentricity", "did you mean 'encoder_eccentricity'"),

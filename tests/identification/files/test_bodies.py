@@ -221,7 +221,7 @@ def test_bodies_of_an_arm_in_space(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     not by commands that do not ask."""
     (tmp_path / "part.stl").write_bytes(binary(0.1 * FACES))
     with monkeypatch.context() as patch:
-        patch.setattr("identification.files.bodies.read_mesh", pytest.fail)
+        patch.setattr("identification.files.meshes.read_mesh", pytest.fail)
         arm = arm_of(tmp_path, text=ARM + CELL)
         again = pickle.loads(pickle.dumps(arm))
     assert (again, hash(again)) == (arm, hash(arm))

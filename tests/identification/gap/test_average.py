@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,18 +24,16 @@ SETS = (("encoder_eccentricity:2",), ("gear_ratio:2", "curve:1"), ("encoder_ecce
 SHARES = (0.6, 0.25, 0.15)
 
 
-def found() -> Posterior:
+def three_sets() -> Posterior:
     """Three sets of blocks, two of which have one that an arm file cannot have or that is a curve; white noise."""
-    rng, spec = np.random.default_rng(3), EffectSpec("encoder_eccentricity", 2)
-    model, q = Model(ARM.with_effects(spec)), rng.uniform(-2.0, 2.0, (50, 2))
-    values = {f"encoder_eccentricity:2.{name}": 8e-4 for name in "ab"}
-    exact = model.position(q, model.parameters.vector(values))
+    rng = np.random.default_rng(3)
+    model, q = Model(ARM.with_effects(EffectSpec("encoder_eccentricity", 2))), rng.uniform(-2.0, 2.0, (50, 2))
+    exact = model.position(q, np.r_[np.zeros(4), 8e-4, 8e-4])
     rows = Rows.of(Measurements(q, exact + 0.05 * rng.normal(size=(50, 2))))
     walked = posterior_of(hypotheses(ARM, frozenset(), rows), rows, rng)
-    problem, numbers = walked.whole, walked.whole.numbers
-    explanations, draws = [], Counter[Key]()
+    problem, explanations, draws = walked.whole, [], Counter[Key]()
     for labels, share in zip(SETS, SHARES, strict=True):
-        blocks = sorted(numbers[label] for label in labels)
+        blocks = sorted(problem.numbers[label] for label in labels)
         key = tuple((b, 2 + k) for k, b in enumerate(blocks))
         explanations.append(Explanation(tuple(problem.blocks[b] for b in blocks), key, 0, share))
         draws[key] = round(100 * share)
@@ -65,7 +62,7 @@ def test_the_expected_square_error_is_that_of_draws() -> None:
     A mean over 50 postures of mean squares of n draws of nearly normal errors is off by less than five times
     sqrt(2 / n), 5 %.
     """
-    given = found()
+    given = three_sets()
     rng, problem, rows = np.random.default_rng(1), given.whole, given.at.rows
     left, jacobian, own = given.library.as_base(given.at)
     base, target = rows.whiten(jacobian[:, :, own]), rows.whiten(left)
@@ -88,7 +85,7 @@ def test_the_expected_square_error_is_that_of_draws() -> None:
 def test_beyond_the_angles_of_a_curve_the_geometry_holds_that_was_fitted_alone() -> None:
     """Whatever depends on the curve's angle alone is off with it: an eccentricity and a curve that are together small
     at the angles measured, whatever each of them is, would add up elsewhere."""
-    given = found()
+    given = three_sets()
     one = given.explanations[2]
     assert [block.label for block in one.blocks] == list(SETS[2])
     alone = replace(given, explanations=(replace(one, probability=1.0),), draws=(Counter([one.key]),))
@@ -118,41 +115,24 @@ def test_rounding_in_what_hardly_varies_is_not_amplified() -> None:
 
 # -- names of curves ---------------------------------------------------------------------------------------------------
 ANGLES = np.linspace(-np.pi, np.pi, 361)
-STD = np.full(361, 1e-5)
-
-
-def radians(wave: dict[str, Any]) -> tuple[float, float]:
-    """Amplitude and phase."""
-    return float(np.radians(wave["amplitude_deg"])), float(np.radians(wave["phase_deg"]))
-
-
-def test_waves_with_amplitude_and_phase() -> None:
-    error = 3e-4 * np.cos(17.0 * ANGLES - 0.7) + 1e-4 * np.cos(3.0 * ANGLES + 2.0) + 5e-4
-    text, (first, second) = shape_and_waves(ANGLES, error, STD)
-    assert (first["order"], second["order"]) == (17.0, 3.0)
-    assert radians(first) == pytest.approx((3e-4, 0.7))
-    assert radians(second) == pytest.approx((1e-4, -2.0))
-    assert first["share"] == pytest.approx(0.9, abs=0.01)
-    assert text.startswith("waves: 17 (16.5 to 17.5) per turn, 0.017 deg; 3 (")
-
-
-def test_a_narrow_range_says_which_orders_fit() -> None:
-    q = np.radians(np.linspace(0.0, 60.0, 121))
-    _, (wave,) = shape_and_waves(q, 1e-4 * np.sin(21.0 * q), STD[:121])
-    assert wave["order"] == 21.0
-    assert wave["orders"] == pytest.approx((18.0, 24.0))
-
-
 BUMP = 1e-4 * np.exp(-0.5 * (ANGLES / 0.1) ** 2)
 
 
-@pytest.mark.parametrize(
-    ("error", "shape"), [(np.zeros(361), "smooth curve over -180 to 180 deg"), (BUMP, "in part waves: ")]
-)
-def test_shapes_with_a_name_and_without(error: np.ndarray, shape: str) -> None:
-    text, waves = shape_and_waves(ANGLES, error, STD)
-    assert text.startswith(shape)
-    assert bool(waves) == bool(error.any())
+def test_waves_with_amplitude_and_phase() -> None:
+    error, std = 3e-4 * np.cos(17.0 * ANGLES - 0.7) + 1e-4 * np.cos(3.0 * ANGLES + 2.0) + 5e-4, np.full(361, 1e-5)
+    text, waves = shape_and_waves(ANGLES, error, std)
+    for wave, expected in zip(waves, ((17.0, 3e-4, 0.7), (3.0, 1e-4, -2.0)), strict=True):
+        assert (wave["order"], *np.radians([wave["amplitude_deg"], wave["phase_deg"]])) == pytest.approx(expected)
+    assert waves[0]["share"] == pytest.approx(0.9, abs=0.01)
+    assert text.startswith("waves: 17 (16.5 to 17.5) per turn, 0.017 deg; 3 (")
+    # a narrow range says which orders fit
+    q = np.radians(np.linspace(0.0, 60.0, 121))
+    _, (wave,) = shape_and_waves(q, 1e-4 * np.sin(21.0 * q), std[:121])
+    assert (wave["order"], *wave["orders"]) == pytest.approx((21.0, 18.0, 24.0))
+    for error, shape in ((np.zeros(361), "smooth curve over -180 to 180 deg"), (BUMP, "in part waves: ")):
+        text, waves = shape_and_waves(ANGLES, error, std)
+        assert text.startswith(shape)
+        assert bool(waves) == bool(error.any())
 
 
 # -- tables of curves --------------------------------------------------------------------------------------------------

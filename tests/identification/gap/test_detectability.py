@@ -21,47 +21,35 @@ POSTURES = np.random.default_rng(1).uniform(-np.pi, np.pi, (30, 3))
 
 @pytest.mark.parametrize(("size", "freedom", "level"), [(1, 20, 0.01), (2, 50, 0.001), (4, 12, 0.05), (1, 2, 1e-5)])
 def test_detectable_size_has_ninety_per_cent_power(size: int, freedom: int, level: float) -> None:
-    needed = detectable_lambda(size, freedom, level)
-    limit = stats.f.isf(level, size, freedom)
+    """One-sided, too; and below rounding, where with two parameters the tail of F is (1 + 2 f / dof)^(-dof / 2)."""
+    needed, limit = detectable_lambda(size, freedom, level), stats.f.isf(level, size, freedom)
     assert stats.ncf.sf(limit, size, freedom, needed**2) == pytest.approx(0.9, abs=1e-6)
-
-
-def test_one_sided_size_and_levels_below_rounding() -> None:
-    """With two parameters the tail of F is (1 + 2 f / dof)^(-dof / 2), in closed form."""
-    needed = detectable_lambda(1, 25, 0.002, one_sided=True)
-    assert stats.nct.sf(stats.t.isf(0.002, 25), 25, needed) == pytest.approx(0.9, abs=1e-6)
+    needed = detectable_lambda(1, freedom, level, one_sided=True)
+    assert stats.nct.sf(stats.t.isf(level, freedom), freedom, needed) == pytest.approx(0.9, abs=1e-6)
     needed, limit = detectable_lambda(2, 20_000, 1e-20), 10_000 * (1e-20 ** (-1.0 / 10_000) - 1.0)
     assert stats.ncf.sf(limit, 2, 20_000, needed**2) == pytest.approx(0.9, abs=1e-6)
 
 
-def test_share_and_size_of_one_effect_from_its_own_model() -> None:
-    result = detectability(ARM, POSTURES)
-    model = Model(ARM.with_effects(EffectSpec("gear_ratio", 2)))
+def test_share_size_and_likeness() -> None:
+    """Of one effect from its own model; likeness is one for the effect itself and for a part of a family."""
+    result, model = detectability(ARM, POSTURES), Model(ARM.with_effects(EffectSpec("gear_ratio", 2)))
     columns = model.jacobian(POSTURES).reshape(60, -1)
     added = columns[:, -1]
     left = added - columns[:, :-1] @ np.linalg.lstsq(columns[:, :-1], added, rcond=None)[0]
-    k = result.names.index("gear_ratio:2")
+    k, size = result.names.index("gear_ratio:2"), result.detectable["gear_ratio:2"]
     assert result.norm_fractions[k] == pytest.approx(np.linalg.norm(left) / np.linalg.norm(added), rel=1e-8)
-    size = result.detectable["gear_ratio:2"]
     assert size.unit == "1"
     # the size is a length lambda between 3.5 and 6 standard deviations: 90 % power at 0.05 / (about 30 effects)
     assert 3.5 < size.value * np.linalg.norm(left) / 0.1 < 6.0
     assert size.tip_mm == pytest.approx(size.value * np.sqrt(np.mean(np.sum(added.reshape(30, 2) ** 2, axis=1))))
-
-
-def test_likeness_is_one_for_the_effect_itself_and_for_a_part_of_a_family() -> None:
-    result = detectability(ARM, POSTURES)
     np.testing.assert_allclose(np.diag(result.likeness), 1.0)
     part, whole = result.names.index("joint_compliance:2"), result.names.index("joint_compliance")
     assert result.likeness[part, whole] == pytest.approx(1.0)
     assert result.likeness[whole, part] < 0.9
     assert ("joint_compliance:2", "joint_compliance") in [(a, b) for a, b, _ in result.pairs()]
-
-
-def test_refuses_fewer_than_four_residual_degrees_of_freedom() -> None:
+    assert detectability(ARM, POSTURES[:5]).freedom == 4
     with pytest.raises(InputError, match="4 rows leave 2 residual degrees of freedom for tests, allowed: at least 4"):
         detectability(ARM, POSTURES[:4])
-    assert detectability(ARM, POSTURES[:5]).freedom == 4
 
 
 def test_no_size_listed_moves_the_tip_out_of_linear_theory() -> None:

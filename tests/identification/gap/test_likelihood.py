@@ -90,6 +90,7 @@ def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None
         own = np.argsort(state.places)
         np.testing.assert_allclose(state.mean[own], once.mean, atol=1e-9)
         np.testing.assert_allclose(state.covariance[np.ix_(own, own)], once.covariance, atol=1e-9)
+        np.testing.assert_allclose(state.left[0], once.left[0], atol=1e-9)
         for own, made in zip(state.left[1], once.left[1], strict=True):
             np.testing.assert_allclose(own, made, atol=1e-9)
 

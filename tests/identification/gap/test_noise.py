@@ -17,17 +17,14 @@ ARM = Arm([300.0, 200.0, 150.0])
 
 
 def test_repeats_tell_ripple_from_noise() -> None:
-    rng = np.random.default_rng(5)
+    """A ripple that is too fast to be seen is the same at each repeat."""
+    rng, model = np.random.default_rng(5), Model(ARM)
     q = np.repeat(rng.uniform(-np.pi, np.pi, (12, 3)), 4, axis=0)
-    model = Model(ARM)
-    shared = np.repeat(0.4 * rng.normal(size=(12, 2)), 4, axis=0)  # a ripple too fast to see: the same at each repeat
-    for ripple, expected in ((0.0, 0), (1.0, 1)):
-        positions = model.position(q) + 0.05 * rng.normal(size=(48, 2)) + ripple * shared
-        measurements = Measurements(q, positions)
-        rows = Rows.of(measurements)
-        found = fit(model, rows)
-        left = found.residuals(measurements)
-        assert len(repeat_finding(left, found.rank, measurements, np.ones(48, dtype=bool))) == expected
+    shared = np.repeat(0.4 * rng.normal(size=(12, 2)), 4, axis=0)
+    for ripple in (0.0, 1.0):
+        data = Measurements(q, model.position(q) + 0.05 * rng.normal(size=(48, 2)) + ripple * shared)
+        fitted = fit(model, Rows.of(data))
+        assert len(repeat_finding(fitted.residuals(data), fitted.rank, data, np.ones(48, dtype=bool))) == ripple
 
 
 def repeated(times: int, blocks: bool = False, seed: int = 1) -> tuple[Measurements, np.ndarray]:
@@ -120,21 +117,18 @@ def test_an_identification_compares_its_residuals_with_repeats(sigma: float | No
     assert "if the model is right; but repeats say that it is not" in str(fit_facts(found)["expected error"])
 
 
-RNG = np.random.default_rng(4)
-DATA = Measurements(RNG.uniform(-3.0, 3.0, (50, 3)), np.zeros((50, 2)))
-LEFT = 0.14 * RNG.normal(size=(50, 2))
-KEPT = np.arange(50) > 3
-
-
 def test_chi_square_of_what_is_left_by_sigma_of_the_rows_then_of_the_arm() -> None:
-    found, by_row = misfit(LEFT, 6, DATA, 0.1, KEPT), replace(DATA, sigma=np.linspace(0.1, 0.2, 50))
-    assert found is not None
-    chi2 = np.sum((LEFT[4:] / 0.1) ** 2)
-    assert (found.chi2, found.dof) == (pytest.approx(chi2), 86)
-    assert found.p_value == pytest.approx(stats.chi2(86).sf(chi2))
-    assert found.significant
-    assert not misfit(LEFT, 6, DATA, 0.14, KEPT).significant  # type: ignore[union-attr]
-    found = misfit(LEFT, 6, by_row, 5.0, KEPT)
-    assert found is not None
-    assert found.chi2 == pytest.approx(np.sum((LEFT / np.linspace(0.1, 0.2, 50)[:, None])[4:] ** 2))
-    assert misfit(LEFT, 6, DATA, None, KEPT) is None
+    rng, kept, each = np.random.default_rng(4), np.arange(50) > 3, np.linspace(0.1, 0.2, 50)
+    data, left = Measurements(rng.uniform(-3.0, 3.0, (50, 3)), np.zeros((50, 2))), 0.14 * rng.normal(size=(50, 2))
+    by_row = replace(data, sigma=each)
+    for rows, sigma, scatter, significant in (
+        (data, 0.1, 0.1, True),
+        (data, 0.14, 0.14, False),
+        (by_row, 5.0, each, None),
+    ):
+        result, chi2 = misfit(left, 6, rows, sigma, kept), np.sum(((left.T / scatter).T)[4:] ** 2)
+        assert result is not None
+        assert (result.chi2, result.dof) == (pytest.approx(chi2), 86)
+        assert result.p_value == pytest.approx(stats.chi2(86).sf(chi2))
+        assert significant is None or result.significant is significant
+    assert misfit(left, 6, data, None, kept) is None

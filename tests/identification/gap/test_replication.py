@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 import pytest
 from scipy.linalg import null_space
@@ -20,9 +18,9 @@ LENGTHS, SIGMA, K = np.array([300.0, 200.0]), 0.1, 5
 BASES = [(0.0, 0.0), (0.7, 100.0 - 50.0j), (-2.0, 30.0j)]
 
 
-def session(number: int, size: complex, m: int = 60, seed: int | None = None) -> Measurements:
+def session(number: int, size: complex, m: int = 60) -> Measurements:
     """A wave of 5 per turn in joint 2, a cos + b sin with a + ib = `size` [rad]."""
-    generator = np.random.default_rng(number if seed is None else [number, seed])
+    generator = np.random.default_rng(number)
     q = generator.uniform(-np.pi, np.pi, (m, 2))
     bent = q + np.array([0.001, -0.002])
     bent[:, 1] += size.real * np.cos(K * q[:, 1]) + size.imag * np.sin(K * q[:, 1])
@@ -38,10 +36,6 @@ def replication(*parts: Measurements) -> tuple[Replication, Measurements]:
     fitted = fit(Model(arm.with_effects(*arm.effects, spec)), Rows.of(data))
     (one,) = replications(fitted, data.session_names, (f"transmission_ripple:2[k={K}]",))
     return one, data
-
-
-def found(*sizes: complex) -> tuple[Replication, Measurements]:
-    return replication(*(session(k, size) for k, size in enumerate(sizes)))
 
 
 SIZE = 0.001 - 0.0005j  # some 0.2 mm at the tip of a link of 200 mm
@@ -60,7 +54,7 @@ SIZE = 0.001 - 0.0005j  # some 0.2 mm at the tip of a link of 200 mm
 def test_what_returns_and_what_does_not(
     sizes: tuple[complex, ...], answer: bool, each: tuple[bool | None, ...]
 ) -> None:
-    one, _ = found(*sizes)
+    one, _ = replication(*(session(k, size) for k, size in enumerate(sizes)))
     assert one.replicates is answer
     assert tuple(s.replicates for s in one.sessions) == each
     for there, size in zip(one.sessions, sizes, strict=True):
@@ -68,16 +62,6 @@ def test_what_returns_and_what_does_not(
         assert np.all(np.abs(errors) < 5.0)
     told = {"shape": None, "misfit": None, "replication": [one.to_json()]}
     assert findings(told) == [f"{'Replicates' if answer else 'Does not replicate'} across sessions: {one.effect}."]
-
-
-@pytest.mark.parametrize(("second", "right", "wrong"), [(SIZE, True, False), (0.0j, False, True)])
-def test_five_rows_of_a_session_say_it_or_leave_it_open(second: complex, right: bool, wrong: bool) -> None:
-    """The effect is 12 standard deviations in 60 rows, 3.5 in five, of whose ten coordinates the base takes three."""
-    sets = (replication(session(0, SIZE, 60, k), session(1, second, 5, k))[0] for k in range(40))
-    answers = Counter(one.replicates for one in sets)
-    assert answers[wrong] <= 4  # what is said has a probability of 0.9
-    assert answers[right] >= 10
-    assert answers[None] >= 10
 
 
 def log_likelihood(y: np.ndarray, blocks: list[np.ndarray], sizes: tuple[float, ...]) -> float:
@@ -89,7 +73,7 @@ def log_likelihood(y: np.ndarray, blocks: list[np.ndarray], sizes: tuple[float, 
 
 def test_the_probability_is_that_of_dense_algebra() -> None:
     """In coordinates off the base; an effect of unit size has the inverse of its information as covariance."""
-    one, data = replication(session(0, SIZE, 14), session(1, 0.6 * SIZE, 9))
+    one, data = replication(session(0, SIZE, 14), session(1, 0.4 * SIZE, 9))
     q, second = data.postures, (data.session == "day 2")[:, None]
     links = LENGTHS * np.exp(1j * np.cumsum(q, axis=1)) * np.exp(1j * np.where(second, BASES[1][0], 0.0))
     lever, ones = 1j * links[:, 1:], np.ones((len(q), 1))
@@ -110,5 +94,6 @@ def test_the_probability_is_that_of_dense_algebra() -> None:
         [log_likelihood(y, [first], (s,)) for s in SIZES],
     ]
     expected = softmax([logsumexp(table) - np.log(len(table)) for table in tables])[0]
-    assert 0.05 < expected < 0.95
+    assert 0.1 < expected < 0.9
+    assert one.sessions[0].replicates is None  # nine rows leave it open
     assert one.sessions[0].probability == pytest.approx(expected, rel=0.01)  # linearized at the drawing

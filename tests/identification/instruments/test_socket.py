@@ -18,8 +18,7 @@ from identification.instruments import Socket
 from identification.model import Model, minimal
 from identification.model.placed import of_positions
 from identification.sessions import with_sessions
-from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing
-from tests.identification.touching import seated
+from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing, seated
 
 NOISE = 0.05  # [mm] of each coordinate of a seating
 CUPS = {

@@ -240,31 +240,28 @@ def test_the_written_model_is_compared_with_others() -> None:
     assert error == pytest.approx(0.5 * (4.7 - 0.15))
 
 
-def test_errors_of_shares_and_outcomes_of_bars() -> None:
-    names = ["backlash:1", "backlash:1", "backlash:1", "gear_ratio:1"]
-    study, _ = figures_of(
-        *({"hidden": ["backlash:1"], "verdict": "named", "named": [name], "candidates": [name]} for name in names)
-    )
-    found = {row["measure"]: row for row in study["cells"].iter_rows(named=True)}
-    assert found["exact"]["value"] == 0.75
-    assert found["exact"]["standard_error"] == pytest.approx(np.sqrt(0.75 * 0.25 / 4))
-    assert found["alarm"]["standard_error"] == pytest.approx(np.sqrt(0.25 / 4 / 4))  # not zero, although all alike
+@pytest.mark.parametrize(("right", "outcome"), [(4, "met"), (3, "within its error"), (1, "missed")])
+def test_errors_of_shares_and_outcomes_of_bars(right: int, outcome: str) -> None:
+    names = ["backlash:1"] * right + ["gear_ratio:1"] * (4 - right)
+    rows = ({"hidden": ["backlash:1"], "verdict": "named", "named": [name], "candidates": [name]} for name in names)
+    study, _ = figures_of(*rows)
+    figures = {row["measure"]: row for row in study["cells"].iter_rows(named=True)}
+    share = right / 4
+    assert figures["exact"]["value"] == share
+    assert figures["exact"]["standard_error"] == pytest.approx(np.sqrt(max(share * (1.0 - share), 0.25 / 4) / 4))
+    assert figures["alarm"]["standard_error"] == pytest.approx(np.sqrt(0.25 / 4 / 4))  # not zero, although all alike
     bars = {row["measure"]: (row["asked"], row["outcome"]) for row in study["bars"].iter_rows(named=True)}
-    assert bars["exact"] == (">= 0.857", "within its error")
-    for right, outcome in ((4, "met"), (1, "missed")):
-        names = ["backlash:1"] * right + ["gear_ratio:1"] * (4 - right)
-        study, _ = figures_of(
-            *({"hidden": ["backlash:1"], "verdict": "named", "named": [name], "candidates": [name]} for name in names)
-        )
-        bars = {row["measure"]: row["outcome"] for row in study["bars"].iter_rows(named=True)}
-        assert bars["exact"] == outcome
+    assert bars["exact"] == (">= 0.857", outcome)
+
+
+@pytest.mark.parametrize(("mean", "outcome"), [(1.59, "met"), (1.75, "within its error"), (1.85, "missed")])
+def test_a_bar_of_a_mean(mean: float, outcome: str) -> None:
+    """Of two sets, error 0.1."""
     cell = "many small effects, m=50"
     assert "error / true <= 1.6" in TABLE["bars"][cell]
-    for mean, outcome in ((1.59, "met"), (1.75, "within its error"), (1.85, "missed")):  # of two, error 0.1
-        sizes = ({"cell": cell, "error_named_mm": mean + off, "error_true_mm": 1.0} for off in (-0.1, 0.1))
-        study, _ = figures_of(*sizes)
-        bars = {row["measure"]: row["outcome"] for row in study["bars"].iter_rows(named=True)}
-        assert bars["error / true"] == outcome
+    sizes = ({"cell": cell, "error_named_mm": mean + off, "error_true_mm": 1.0} for off in (-0.1, 0.1))
+    (bar,) = figures_of(*sizes)[0]["bars"].filter(measure="error / true")["outcome"]
+    assert bar == outcome
 
 
 def test_an_arm_with_the_true_values_has_no_error_and_its_intervals_hold() -> None:
