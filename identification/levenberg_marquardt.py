@@ -196,7 +196,11 @@ def damped_steps(
     # 1e-14 of the largest keeps the inverse alive where it is singular and not used
     ridge = 1e-14 * np.maximum(normal[:, diagonal, diagonal].max(axis=1, initial=0.0), 1.0)
     normal[:, diagonal, diagonal] += ridge[:, None] if wide else ridge[:, None] + held
-    inverse = np.linalg.inv(normal)
+    try:
+        inverse = np.linalg.inv(normal)
+    except np.linalg.LinAlgError:  # rounding makes a pivot of one of them exactly zero
+        normal[:, diagonal, diagonal] += 100.0 * ridge[:, None]
+        inverse = np.linalg.inv(normal)
     # in the 1-norm, which is never less than the ratio of the eigenvalues
     condition = np.linalg.norm(normal, 1, axis=(1, 2)) * np.linalg.norm(inverse, 1, axis=(1, 2))
     if (damped := damping > 0.0).any():

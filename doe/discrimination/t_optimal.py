@@ -40,7 +40,7 @@ class NextPostures:
     def __str__(self) -> str:
         cut = ", their search was cut" if self.status is Status.time_limit else ""
         chance = f"at most {100.0 * self.chance:.0f} %"
-        return f"{len(self.plan)} postures{cut}; probability of resolving the ambiguity: {chance}"
+        return f"{len(self.plan)} postures{cut}; probability that the right candidate alone is left: {chance}"
 
     @property
     def columns(self) -> dict[str, Array]:

@@ -100,6 +100,7 @@ class Clearance:
         # [mm] of pairs that never come farther apart, and touch by their covers, drawings are compared at the postures
         # where covers overlap most: covers stick out
         drawings = {body.name: body for body in cell.bodies}
+        self.unseen = [", ".join(each) for each in [getattr(cell.bodies, "unseen", ())] if each]  # without meshes
         drawn_both = np.array([{*pair} <= {*drawings} for pair in pairs], dtype=bool)
         never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & drawn_both
         for k in np.flatnonzero(never):
@@ -172,6 +173,7 @@ class Clearance:
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),
             ("Not looked at, since they never touch as they are drawn", clear),
+            ("Not looked at, since their meshes are not found", self.unseen),
         ):
             rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
             lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []

@@ -256,7 +256,7 @@ def plan_steps(
         "postures": rounded(plan.displayed, 6),
         "jacobians": rounded(problem.scaled_jacobians(plan.postures).reshape(len(plan), -1), 12),
         "parameters": problem.parameters,
-        "known": rounded(problem.precisions, 12),
+        "precisions": rounded(problem.precisions, 12),
         "points": rounded(model.points(plan.postures), 5),
         "near": near,
         "outlines": [{"line": rounded(line, 5), "forbidden": forbidden} for line, forbidden in outlines(arm)],

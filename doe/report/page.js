@@ -10,24 +10,20 @@ const KEYS_IN_SPACE = " Click a point in the picture to select its run; drag to 
 const [PLAY, PAUSE] = ["▶ Play", "❚❚ Pause"];
 const SPEED = { revolute: Math.PI / 2, prismatic: 300 }; // a second, of the moves that are played
 
-function element(name, parent, text = "", attributes = {}) {
-  const found = document.createElement(name);
-  found.textContent = text;
-  for (const [key, value] of Object.entries(attributes)) found.setAttribute(key, value);
-  parent.append(found);
-  return found;
+function element(name, parent, text = "", attributes = {}, made = document.createElement(name)) {
+  made.textContent = text;
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  parent.append(made);
+  return made;
 }
 
 function shape(name, parent, attributes) {
-  const found = document.createElementNS("http://www.w3.org/2000/svg", name);
-  for (const [key, value] of Object.entries(attributes)) found.setAttribute(key, value);
-  parent.append(found);
-  return found;
+  return element(name, parent, "", attributes, document.createElementNS("http://www.w3.org/2000/svg", name));
 }
 
-// p x p, its lower half: sum of B^T B over runs plus what is known beforehand
+// p x p, its lower half: sum of B^T B over runs plus the precisions of the prior
 function information(plan, runs) {
-  const total = plan.known.map((value, i) => {
+  const total = plan.precisions.map((value, i) => {
     const row = new Float64Array(plan.parameters);
     row[i] = value;
     return row;
@@ -133,8 +129,8 @@ class Steps {
     element("legend", box, "Measured errors");
     const chosen = element("select", box, "", { "aria-label": "Measurements" });
     every.forEach(({ name, rows, at }, k) => element("option", chosen, `${name}, ${rows} rows${rows > at.length ? `, of which ${at.length}` : ""}`, { value: k }));
-    const kinds = element("div", box), said = element("p", box, "", { "aria-live": "polite" });
-    const show = () => { said.textContent = `Arrows: ${this.cell.errors(every[chosen.value], wanted)} times as long as the errors.`; };
+    const kinds = element("div", box), scale = element("p", box, "", { "aria-live": "polite" });
+    const show = () => { scale.textContent = `Arrows: ${this.cell.errors(every[chosen.value], wanted)} times as long as the errors.`; };
     const choose = () => {
       kinds.replaceChildren();
       for (const { kind, name, rms } of every[chosen.value].models) {
@@ -206,9 +202,9 @@ class Steps {
   }
 
   button(parent, text, action) {
-    const found = element("button", parent, text, { type: "button" });
-    found.addEventListener("click", action);
-    return found;
+    const made = element("button", parent, text, { type: "button" });
+    made.addEventListener("click", action);
+    return made;
   }
 
   // keys of the table: they reach it only from its current row
@@ -272,9 +268,9 @@ class Steps {
     if (near) facts["runs with bodies too near"] = near;
     const moves = kept.filter((run, place) => place && !this.follows(place)).length;
     if (this.plan.scene && moves) facts["moves that are new, not looked at"] = moves;
-    const said = JSON.stringify(facts);
-    if (said === this.said) return; // or it would be read aloud again
-    this.said = said;
+    const text = JSON.stringify(facts);
+    if (text === this.summarized) return; // or it would be read aloud again
+    this.summarized = text;
     this.figures.replaceChildren();
     for (const [name, value] of Object.entries(facts)) {
       element("dt", this.figures, name);

@@ -13,14 +13,14 @@ function vector(three) { return new THREE.Vector3(...three); }
 
 // of the base, of each joint after it moved, and of the measured point, at joint positions q [rad, mm]
 function jointFrames(chain, q) {
-  const found = [new THREE.Matrix4()];
+  const frames = [new THREE.Matrix4()];
   chain.forEach((step, j) => {
-    const frame = found[j].clone().multiply(matrix(step.pose)), motion = new THREE.Matrix4();
+    const frame = frames[j].clone().multiply(matrix(step.pose)), motion = new THREE.Matrix4();
     if (step.type === "revolute") motion.makeRotationAxis(vector(step.axis), q[j]);
     else if (step.type) motion.makeTranslation(vector(step.axis).multiplyScalar(q[j]));
-    found.push(frame.multiply(motion));
+    frames.push(frame.multiply(motion));
   });
-  return found;
+  return frames;
 }
 
 function originOf(frame) { return new THREE.Vector3().setFromMatrixPosition(frame); }

@@ -149,18 +149,15 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
     """The correction that is the largest beside what machining can do: a link whose length changes sign or by the order
     of the length; in space a frame, where a joint with the wrong sign is likelier."""
     sizes = {ROTATION_ERROR: np.radians(30.0), TRANSLATION_ERROR: 0.1 * model.reach}
-    excess = np.zeros(len(parameters))
-    for k, (p, value) in enumerate(zip(model.parameters, parameters, strict=True)):
-        size = sizes.get(p.kind, np.inf)
-        if p.kind == LENGTH_ERROR and p.joint is not None and identifiable[k]:
-            size = 0.5 * float(model.arm.lengths[p.joint - 1])
-        excess[k] = abs(value) / size
+    lengths = np.array([model.arm.lengths[(p.joint or 1) - 1] for p in model.parameters])
+    of_links = np.array([p.kind == LENGTH_ERROR for p in model.parameters])
+    others = [sizes.get(p.kind, np.inf) for p in model.parameters]
+    excess = np.abs(parameters) / np.where(of_links & identifiable, 0.5 * lengths, others)
     worst = int(np.argmax(excess))
-    p, value = model.parameters[worst], float(parameters[worst])
+    p, value, length = model.parameters[worst], float(parameters[worst]), lengths[worst]
     if excess[worst] <= 1.0:
         return []
-    if p.kind == LENGTH_ERROR:
-        length = float(model.arm.lengths[(p.joint or 0) - 1])
+    if of_links[worst]:
         comparison = f"link {p.joint} of {length:g} mm comes out {length + value:.4g} mm long"
         return [f"implausible: {comparison}; another arm, frame or unit?"]
     correction = f"{p.name} comes out as {value * p.to_file:.4g} {p.file_unit}"
@@ -172,16 +169,14 @@ def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
 
     Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing.
     """
-    spare = measurements.positions.size - 2 * (arm.links + 1)
+    spare, m = measurements.positions.size - 2 * (arm.links + 1), len(measurements)
     if not arm.chain.positions_in_plane or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
         return []
-    left = []
-    for offset in (False, True):  # sum of squares [mm^2] that the closed form leaves, with or without a base offset
-        form = PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True)
-        solve = form.solver(measurements.postures, np.ones(len(measurements)), RANK_TOLERANCE)
-        left.append(float(solve(measurements.positions[None])[1][0]))
-    before, after = (np.sqrt(squares / len(measurements)) for squares in left)
-    if before <= rounding(measurements) or not worth_freeing(left[0], left[1], 2, spare, FALL**2):
+    forms = (PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True) for offset in (False, True))
+    solvers = (form.solver(measurements.postures, np.ones(m), RANK_TOLERANCE) for form in forms)
+    held, free = (float(solve(measurements.positions[None])[1][0]) for solve in solvers)  # sums of squares [mm^2] left
+    before, after = np.sqrt(held / m), np.sqrt(free / m)
+    if before <= rounding(measurements) or not worth_freeing(held, free, 2, spare, FALL**2):
         return []
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']

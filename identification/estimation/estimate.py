@@ -33,7 +33,7 @@ from identification.information import RANK_TOLERANCE, Spectrum, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
-from identification.levenberg_marquardt import GRADIENT_TOLERANCE, Index, Solution, outcomes
+from identification.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.measurements import Measurements
 from identification.model import Model
 from identification.model.placed import placed_model
@@ -119,8 +119,8 @@ def _with_prior(
 
     # zeros that another reading of the rows has are where the search starts
     x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
-    before, steps = np.inf, np.zeros(1, dtype=int)
-    for _ in range(10):  # the model is nearly linear, so that the second round changes little
+    before, steps, is_given = np.inf, np.zeros(1, dtype=int), problem.reliance == "given"
+    for turn in range(10):  # the model is nearly linear: of the first round two steps are enough to see the noise
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
         wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
@@ -132,10 +132,10 @@ def _with_prior(
             (residual, jacobian), left = about(x[0]), rows @ (center - x[0])
             return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
 
-        solution = posed.minimized(x[None], linearize)
+        solution = posed.minimized(x[None], linearize, ITERATIONS if turn or is_given else 2)
         x, steps, change, before = solution.parameters[0], steps + solution.iterations, abs(noise - before), noise
-        ends = solution.status[0] is not Status.iteration_limit
-        if problem.reliance == "given" or not ends or change <= 1e-4 * noise:  # far below its own uncertainty
+        goes_on = solution.status[0] is Status.iteration_limit
+        if is_given or (turn and (goes_on or change <= 1e-4 * noise)):  # far below its own uncertainty
             break
     jacobian = about(x)[1]
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, rows)

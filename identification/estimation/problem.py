@@ -27,7 +27,15 @@ from identification.errors import InputError
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
-from identification.levenberg_marquardt import Index, LeastSquares, Linearize, Solution, compressed, levenberg_marquardt
+from identification.levenberg_marquardt import (
+    ITERATIONS,
+    Index,
+    LeastSquares,
+    Linearize,
+    Solution,
+    compressed,
+    levenberg_marquardt,
+)
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
@@ -268,12 +276,13 @@ class Problem:
         jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
         return jacobian.reshape(-1, jacobian.shape[-1])
 
-    def minimized(self, starts: Array, linearize: Linearize | None = None) -> Solution:
+    def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
         """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
         rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
         parameters, scales = self.model.parameters, self.model.scales
         bounds = parameters.lower, parameters.upper
-        return levenberg_marquardt(LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance), starts)
+        form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
+        return levenberg_marquardt(form, starts)
 
 
 # -- noise and sizes ---------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import tomlkit
@@ -23,6 +23,7 @@ from pydantic import BaseModel
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
 from identification.bodies import Cell
+from identification.effects import Effect, build_all, library
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
 from identification.files.bodies import ShapedBodies, pairs_apart
@@ -52,11 +53,8 @@ from identification.kinematics.parameters import (
 )
 from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
-if TYPE_CHECKING:
-    from identification.effects import Effect
-
 Plain = dict[str, Any]
-Effects = list[tuple[EffectSpec, "Effect"]]
+Effects = list[tuple[EffectSpec, Effect]]
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
 HEADER = re.compile(r"\[\[?\s*([\w-]+)[\w.\"' -]*\]\]?\s*(#.*)?")  # of a table
 CLASSES = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
@@ -257,22 +255,15 @@ def _cell(
         if other := [at for body, at, _ in shapes if body == name and at != joint]:
             raise InputError(f"cell.bodies[{k}].joint: found {joint} for another part of {name!r}, allowed: {other[0]}")
         shapes.append((name, joint, _shape(table, f"cell.bodies[{k}].file", folder)))
-    drawn = urdf is not None and urdf.robot.find("link/collision") is not None
-    if cell is not None and cell.bodies_of_urdf is False:
-        drawn = False
-    if cell is None and not drawn and not shapes:
+    drawn, path = urdf, Path("" if urdf is None else urdf.path)
+    if urdf is None or urdf.robot.find("link/collision") is None or (cell is not None and cell.bodies_of_urdf is False):
+        drawn = None
+    if cell is None and drawn is None and not shapes:
         return None
-    folders = (folder if urdf is None else Path(urdf.path).parent, folder, *package_dirs)
-    bodies = ShapedBodies(
-        tuple(shapes),
-        urdf.text if drawn and urdf is not None else "",
-        "" if urdf is None else urdf.path,
-        (str(file.base_link), str(file.tip_link)),
-        tuple(dict.fromkeys(map(str, folders))),
-        chain.reach,
-    )
-    if drawn and urdf is not None:
-        apart |= urdf.neighbours()
+    folders = tuple(dict.fromkeys(map(str, (folder if urdf is None else path.parent, folder, *package_dirs))))
+    ends, text = (str(file.base_link), str(file.tip_link)), "" if drawn is None else drawn.text
+    bodies = ShapedBodies(tuple(shapes), text, str(path), ends, folders, chain.reach)
+    apart |= set() if drawn is None else drawn.neighbours()
     if cell is None:
         return Cell(bodies, apart=frozenset(apart))
     if cell.srdf is not None:
@@ -292,13 +283,9 @@ def _shape(table: Any, key: str, folder: PathLike) -> Shape:
 
 
 # -- effects and calibration -------------------------------------------------------------------------------------------
-def _built(specs: Iterable[EffectSpec], chain: KinematicChain) -> Effects:
+def _built(specs: Sequence[EffectSpec], chain: KinematicChain) -> Effects:
     """Specs with their effects on an arm. Raises `InputError` for effects that it cannot have."""
-    if not (listed := list(specs)):
-        return []
-    from identification.effects import build_all  # imports CasADi: only arms with effects pay for it
-
-    return list(zip(listed, build_all(listed, chain), strict=True))
+    return list(zip(specs, build_all(specs, chain), strict=True))
 
 
 def _named(
@@ -323,36 +310,30 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
 
     heavy : the arm has gravity
     """
-    if not tables:
-        return []
-    from identification.effects import build, library
-
     specs = []
     for k, table in enumerate(tables, start=1):
-        place, curve, given = f"effects[{k}]", None, dict(table.__pydantic_extra__)
+        curve, settings = None, getattr(library().get(table.name), "settings", {})
         if table.name == CURVE:
             try:
                 curve = ErrorCurve(table.from_deg, table.to_deg, table.values_deg)  # type: ignore[arg-type]
             except InputError as error:
-                raise InputError(f"{place}.{error}") from None
-        settings = getattr(library().get(table.name), "settings", {})
-        values = {key: given.pop(key) for key in list(given) if key in settings}
-        effect = build(EffectSpec(table.name, table.joint, MappingProxyType(values), curve), chain)
-        parameters = {p.toml_key: p for p in effect.parameters}
-        for key, value in given.items():
-            if (parameter := parameters.get(key)) is None:
-                hint = nearest(key, ["name", "joint", *parameters, *settings])
-                raise InputError(f"{place}.{key}: unknown key of {table.name}, {hint}")
-            low, high = parameter.lower * parameter.to_file, parameter.upper * parameter.to_file
-            if not low <= value <= high:
-                allowed = f">= {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
-                raise InputError(f"{place}.{key}: found {value:g}, allowed: a number {allowed}")
-            values[parameter.short] = value / parameter.to_file
-        specs.append(EffectSpec(table.name, table.joint, MappingProxyType(values), curve))
+                raise InputError(f"effects[{k}].{error}") from None
+        chosen = {key: value for key, value in table.__pydantic_extra__.items() if key in settings}
+        specs.append(EffectSpec(table.name, table.joint, MappingProxyType(chosen), curve))
     effects, instrument = _built(specs, chain), chain.instrument
     state = f"an [instrument] of kind {instrument.kind}" if instrument.kind else "no [instrument] table"
     for k, ((spec, effect), table) in enumerate(zip(effects, tables, strict=True), start=1):
-        lacking = effect.needs - instrument.offers
+        lacking, values = effect.needs - instrument.offers, dict(spec.values)
+        parameters = {p.toml_key: p for p in effect.parameters}
+        for key, value in ((key, value) for key, value in table.__pydantic_extra__.items() if key not in spec.values):
+            if (parameter := parameters.get(key)) is None:
+                hint = nearest(key, ["name", "joint", *parameters, *spec.values])
+                raise InputError(f"effects[{k}].{key}: unknown key of {table.name}, {hint}")
+            low, high = parameter.lower * parameter.to_file, parameter.upper * parameter.to_file
+            if not low <= value <= high:
+                allowed = f">= {low:g}" if math.isinf(high) else f"{low:g} to {high:g}"
+                raise InputError(f"effects[{k}].{key}: found {value:g}, allowed: a number {allowed}")
+            values[parameter.short] = value / parameter.to_file
         for wrong, sentence in (
             (effect.of_positions and instrument.kind, f"is of measured positions, found {state}, allowed: without it"),
             ("distance" in lacking, f"needs measured distances, found {state}, allowed: kind distance"),
@@ -360,11 +341,12 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
         ):
             if wrong:
                 raise InputError(f"effects: {spec.key} {sentence}")
-        if spec.curve is not None and table.geometry:  # that was fitted with it
+        curve = spec.curve
+        if curve is not None and table.geometry:  # that was fitted with it
             geometry = _fitted_with(table.geometry, chain)
             fitted = _named(geometry, effects, table.geometry, f"effects[{k}].geometry")
-            own = {p.name: table.geometry[p.file_name] / p.to_file for p in fitted}
-            effects[k - 1] = replace(spec, curve=replace(spec.curve, geometry=own)), effect
+            curve = replace(curve, geometry={p.name: table.geometry[p.file_name] / p.to_file for p in fitted})
+        effects[k - 1] = replace(spec, values=MappingProxyType(values), curve=curve), effect
     return effects
 
 
@@ -422,7 +404,7 @@ def with_effects(text: str, specs: Iterable[EffectSpec], folder: PathLike = ".")
     """
     text, _, arm, before = _parsed(text, folder)
     labels = {effect.label for _, effect in before}
-    wanted = _built(specs, arm.chain)
+    wanted = _built(tuple(specs), arm.chain)
     entries = []
     for spec, effect in wanted:
         if effect.label in labels:
@@ -453,12 +435,10 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
     folder : where the files are that the text names
     """
     text, tables, arm, effects = _parsed(text, folder)
-    base = arm.chain.base if calibration.base is None else calibration.base
-    chain = replace(arm.chain, base=base, tools=calibration.tools or arm.chain.tools)
-    chain = standing_in(chain, calibration.values, back=True)  # as it was fitted
+    chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
     values = calibration.values if chain.frame_kinds else calibration.effects
     named, order = (
-        _named(chain.parameters(), effects, names, "calibration", in_file=False)
+        _named(chain.every_parameter, effects, names, "calibration", in_file=False)
         for names in (values, calibration.parameter_names)
     )
     in_file = {p.file_name: _in_file(values[p.name], p.to_file) for p in named}

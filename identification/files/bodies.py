@@ -83,7 +83,7 @@ class ShapedBodies(ByValue, Sequence[Body]):
 
     @cached_property
     def _bodies(self) -> tuple[Body, ...]:
-        drawn = self._of_urdf() if self.urdf else []
+        drawn, _ = self._of_urdf
         for name in {name for name, _, _ in drawn} & {name for name, _, _ in self.given}:
             raise InputError(f"cell.bodies: the name {name!r} is that of a link of {self.path}, allowed: another name")
         parts = dict[tuple[str, int], list[Shape]]()
@@ -97,7 +97,15 @@ class ShapedBodies(ByValue, Sequence[Body]):
     def __getitem__(self, index: Any) -> Any:
         return self._bodies[index]
 
-    def _of_urdf(self) -> list[tuple[str, int, Shape]]:
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Links whose meshes are not found."""
+        return self._of_urdf[1]
+
+    @cached_property
+    def _of_urdf(self) -> tuple[list[tuple[str, int, Shape]], tuple[str, ...]]:
+        if not self.urdf:
+            return [], ()
         urdf, shapes, missing, loose = parse_urdf(self.urdf, self.path), [], dict[str, str](), dict[str, None]()
         for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
             for shape in urdf.collisions(link):
@@ -116,7 +124,7 @@ class ShapedBodies(ByValue, Sequence[Body]):
         if loose:
             drawn = "drawn where joints that are not the arm's stand at zero"
             warnings.warn(f"{self.path}: {', '.join(loose)}: {drawn}", UserWarning, stacklevel=2)
-        return shapes
+        return shapes, tuple(missing)
 
 
 def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:

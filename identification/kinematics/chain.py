@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from itertools import accumulate, pairwise
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -153,16 +154,14 @@ class KinematicChain(ByValue):
     def parallel_joints(self) -> list[tuple[int, tuple[int, ...]]]:
         """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of
         each whether it turns as the first does (1) or the other way (-1)."""
-        runs, before, turned = list[tuple[int, list[int]]](), None, np.eye(3)
-        for j, joint in enumerate(self.joints):
-            turned = turned @ joint.origin[:3, :3]
-            axis = turned @ joint.axis if joint.type == REVOLUTE else None
-            along = 0.0 if axis is None or before is None else float(axis @ before)
-            if abs(along) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
+        turns = accumulate((joint.origin[:3, :3] for joint in self.joints), np.matmul)
+        axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, self.joints, strict=True)]
+        runs = [(0, [1])]
+        for j, (before, axis) in enumerate(pairwise(axes), start=1):
+            if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
                 runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
             else:
                 runs.append((j, [1]))
-            before = axis
         return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
     @cached_property
@@ -178,10 +177,8 @@ class KinematicChain(ByValue):
     @cached_property
     def reach(self) -> float:
         """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
-        reach = float(np.linalg.norm(self.link_poses[0][:3, 3])) + sum(self.lengths.tolist())
-        for joint in self.joints:
-            reach += max(abs(joint.lower), abs(joint.upper)) if joint.type == PRISMATIC else 0.0
-        return float(reach)
+        slides = (max(abs(joint.lower), abs(joint.upper)) for joint in self.joints if joint.type == PRISMATIC)
+        return float(np.linalg.norm(self.link_poses[0][:3, 3])) + sum(self.lengths.tolist()) + float(sum(slides))
 
     @cached_property
     def levers(self) -> Array:

@@ -122,19 +122,14 @@ class CorrectedGeometry:
 
 
 class Link(NamedTuple):
-    """From the axis of a joint to the next: theta, alpha, beta [rad], d, a [mm]; beta None: axes are not parallel."""
+    """Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta) from the axis of a joint to the next [rad, mm]; beta None: axes are not
+    parallel."""
 
     theta: float
     d: float
     a: float
     alpha: float
     beta: float | None = None
-
-    @property
-    def matrix(self) -> Array:
-        """(4, 4) Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)."""
-        tilt = rotation_about(X, self.alpha) @ rotation_about(Y, self.beta or 0.0)
-        return pose(rotation=rotation_about(Z, self.theta)) @ pose((self.a, 0.0, self.d), tilt)
 
 
 def drawn_links(rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[Link, ...]:
@@ -180,7 +175,8 @@ def corrected_links(chain: KinematicChain, drawn: Sequence[Link]) -> tuple[tuple
         if not links:  # where the first frame stands on its axis is free: theta and d as drawn
             frame = frame @ pose((0.0, 0.0, between.d - link.d), rotation_about(Z, between.theta - link.theta))
             between, first = between._replace(theta=link.theta, d=link.d), frame
-        frame = frame @ between.matrix
+        tilt = rotation_about(X, between.alpha) @ rotation_about(Y, between.beta or 0.0)
+        frame = frame @ pose(rotation=rotation_about(Z, between.theta)) @ pose((between.a, 0.0, between.d), tilt)
         links.append(between)
     return tuple(links), first, np.linalg.inv(frame) @ tip
 

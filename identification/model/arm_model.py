@@ -176,10 +176,8 @@ class Model:
     @cached_property
     def _tied(self) -> dict[str, float]:
         """Parameter name -> the part of its value that was fitted with error curves."""
-        fitted: dict[str, float] = {}
-        for name, value in (item for _, curve in self._curves for item in curve.geometry.items()):
-            fitted[name] = fitted.get(name, 0.0) + value
-        return fitted
+        names = [name for _, curve in self._curves for name in curve.geometry]
+        return {name: sum(curve.geometry.get(name, 0.0) for _, curve in self._curves) for name in names}
 
     @cached_property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

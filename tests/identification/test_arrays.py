@@ -1,4 +1,4 @@
-"""Arms, plans and measurements as values: equality, hash, copies, pickles, and limits in the wrong unit."""
+"""Arms, plans and measurements as values: equality, hash, copies, pickles, frames; limits in the wrong unit."""
 
 from __future__ import annotations
 
@@ -92,3 +92,17 @@ def test_eigenvalues_of_pairs_are_those_of_lapack() -> None:
     np.testing.assert_allclose(values, np.linalg.eigvalsh(matrices), rtol=0, atol=1e-14 * np.abs(matrices).max())
     np.testing.assert_allclose(vectors * values[:, None, :] @ vectors.transpose(0, 2, 1), matrices, atol=1e-14)
     np.testing.assert_allclose(vectors.transpose(0, 2, 1) @ vectors - np.eye(2), 0.0, atol=1e-14)
+
+
+def test_a_plan_and_an_arm_in_a_notebook() -> None:
+    found = Plan(np.radians([[10.0, 20.0], [30.0, 40.0]]), np.array([0.5, 0.5]))
+    assert found.to_frame().rows() == [
+        (1, *map(pytest.approx, (10.0, 20.0, 0.5))),
+        (2, *map(pytest.approx, (30.0, 40.0, 0.5))),
+    ]
+    assert "q2_deg" in found._repr_html_()
+    shown = Arm([260.0, 180.0], name="a<b", sigma=0.1, effects=(EffectSpec("backlash", 2),))._repr_html_()
+    assert "a&lt;b" in shown
+    assert "backlash:2" in shown
+    assert shown.count("<tr>") == 3
+    assert "-180 deg" in shown

@@ -264,7 +264,7 @@ def test_a_tall_problem_is_its_triangle(rows: int) -> None:
 
 
 def test_a_normal_matrix_with_a_pivot_that_is_exactly_zero() -> None:
-    """Two equal columns, so long that no ridge shows: the shortest of the steps that end at the residuals."""
+    """Two equal columns: the shortest of the steps that end at the residuals, whatever the ridge."""
     columns, free = np.full((1, 2, 2), 100.0), np.zeros((1, 2), dtype=bool)
     steps, gradient, _ = damped_steps(columns, np.ones((1, 2)), free, np.zeros(1), 1e-9)
     np.testing.assert_allclose(steps, [[0.005, 0.005]])

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from doe.problem.constraints import constraints_of
 from identification import InputError, Model, load_arm, load_measurements
 from identification.arm import LENGTH_RANGE
 from identification.files.arm import arm_from_tables
@@ -185,10 +186,13 @@ def test_meshes_of_bodies_are_copied(folder: Folder) -> None:
     assert said["files"][-2:] == ["cell/robot/meshes/a.stl", "cell/meshes/b.stl"]
     lost = "1 meshes are not found as .stl or .obj, the first of them package://other/c.dae"
     assert [line for line in said["next"] if line.startswith(lost)]
-    cell = load_arm(folder.path / "cell/arm.toml").cell
+    arm = load_arm(folder.path / "cell/arm.toml")
+    cell = arm.cell
     assert cell is not None
     with pytest.warns(UserWarning, match=r"meshes of left are not found"):
         assert [body.name for body in cell.bodies] == ["arm", "hand"]
+    [clearance] = constraints_of(Model(arm))
+    assert clearance.in_words(np.zeros((1, 1)))[-1] == "Not looked at, since their meshes are not found: left."
     folder.said("init --urdf cell/r.urdf --tip-link tcp --out cell --force")
     again = folder.said("init --urdf package/urdf/r.urdf --package-dir given --tip-link tcp --out new")
     assert (folder.path / "new/other/c.stl").read_bytes() == binary(0.1 * FACES)

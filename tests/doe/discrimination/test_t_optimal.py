@@ -86,7 +86,7 @@ def test_chosen_postures_beat_random_ones() -> None:
         chances.append(rivals.right * rivals.weights @ chance.min(axis=1))
     assert best.chance >= max(chances)
     assert best.chance <= sum(c.probability for c in found.candidates)  # perhaps none of them is right
-    assert 0.0 <= best.chance <= 1.0
+    assert str(best).endswith(f"alone is left: at most {100.0 * best.chance:.0f} %")  # named from half on
 
 
 def test_a_choice_that_is_cut_takes_its_postures_again() -> None:

@@ -84,7 +84,7 @@ def test_the_log_det_of_a_plan_follows_from_what_the_page_has(arm: Arm, joints: 
     assert steps is not None
     p = steps["parameters"]
     rows = np.array(steps["jacobians"]).reshape(-1, p)
-    log_det = np.linalg.slogdet((rows.T @ rows + np.diag(steps["known"])) / runs)[1]
+    log_det = np.linalg.slogdet((rows.T @ rows + np.diag(steps["precisions"])) / runs)[1]
     assert log_det == pytest.approx(score(DesignProblem.of(Model(arm)), plan).log_det, abs=1e-8)
     np.testing.assert_allclose(np.array(steps["rows"], dtype=float), np.degrees(plan.postures), atol=1e-11)
     np.testing.assert_allclose(steps["points"], Model(arm).points(plan.postures), rtol=1e-4, atol=1e-2)

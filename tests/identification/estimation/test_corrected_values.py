@@ -22,7 +22,7 @@ from identification.estimation.result import CorrectedValue, corrected_values, d
 from identification.files.arm import load_arm, with_calibration
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
-from tests.identification.kinematics.test_corrected_dh import UR10, elementary
+from tests.identification.kinematics.test_corrected_dh import UR10, row_of_table
 
 HALF = np.pi / 2.0
 CHAIN = chain_of([DHRow(0.0, HALF, 127.3), DHRow(-612.0, 0.0, 0.0), DHRow(0.0, -HALF, 90.0, offset=np.pi)])
@@ -172,17 +172,10 @@ def test_table_base_and_tool_say_what_the_fit_does() -> None:
     for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
         at = places["base"]
         for j, (row, q) in enumerate(zip(UR10, posture, strict=True), start=1):
-            drawn = {
-                "theta": np.degrees(row.offset),
-                "d": row.d,
-                "a": row.a,
-                "alpha": np.degrees(row.alpha),
-                "beta": 0.0,
-            }
+            drawn = {"theta": np.degrees(row.offset), "d": row.d, "a": row.a, "alpha": np.degrees(row.alpha), "beta": 0}
             number = {name: rows.get(f"row {j} {name}", value) for name, value in drawn.items()}
-            at = at @ elementary("z", q + np.radians(number["theta"])) @ elementary("Z", number["d"])
-            at = at @ elementary("X", number["a"]) @ elementary("x", np.radians(number["alpha"]))
-            at = at @ elementary("y", np.radians(number["beta"]))
+            theta, alpha, beta = np.radians([number[name] for name in ("theta", "alpha", "beta")])
+            at = at @ row_of_table(q + theta, number["d"], number["a"], alpha, beta)
         there = (at @ np.append(places["tool 1"], 1.0))[:3]
         np.testing.assert_allclose(there, found.model.position(posture[None], found.parameters)[0], rtol=0, atol=1e-6)
 

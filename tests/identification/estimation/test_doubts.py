@@ -9,6 +9,7 @@ import numpy as np
 from identification import Arm, DHRow, EffectSpec, Measurements, Model, Status, chain_of, estimate
 from identification.estimation.doubts import FAR, another_frame, outside_limits
 from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan
+from tests.identification.kinematics.test_spatial import printed
 
 
 def moved(measurements: Measurements, shift: tuple[float, float], turn: float = 0.0) -> Measurements:
@@ -81,7 +82,8 @@ def test_postures_outside_the_joint_limits_are_counted() -> None:
 # -- columns that look swapped, which a spatial fit hides in errors of the geometry ------------------------------------
 QUARTER = np.pi / 2.0
 ELBOW = ((0.0, QUARTER, 300.0), (-500.0, 0.0, 0.0), (-400.0, 0.0, 0.0), (0.0, QUARTER, 150.0), (0.0, -QUARTER, 100.0))
-CHAIN = chain_of([DHRow(*row) for row in (*ELBOW, (0.0, 0.0, 80.0))])
+TABLE = [DHRow(*row) for row in (*ELBOW, (0.0, 0.0, 80.0))]
+CHAIN = chain_of(TABLE)
 POINT = np.array([40.0, 30.0, 60.0])
 
 
@@ -91,12 +93,7 @@ def six_axes(m: int = 40, spread: float = 0.5) -> Measurements:
     q = generator.uniform(-spread, spread, (m, 6)) + np.array([0.4, -1.0, 1.2, -0.7, 0.9, 0.3])
     points = np.empty((m, 3))
     for row, angles in enumerate(q + np.radians([0.0, 0.1, -0.1, 0.05, 0.1, -0.1])):
-        pose = np.eye(4)
-        for (a, alpha, d), t in zip((*ELBOW, (0.0, 0.0, 80.0)), angles, strict=True):
-            ct, st, ca, sa = np.cos(t), np.sin(t), np.cos(alpha), np.sin(alpha)
-            top = [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0.0, sa, ca, d]]
-            pose = pose @ np.array([*top, [0.0, 0.0, 0.0, 1.0]])
-        points[row] = (pose @ [*POINT, 1.0])[:3]
+        points[row] = (np.linalg.multi_dot([*map(printed, TABLE, angles)]) @ [*POINT, 1.0])[:3]
     return Measurements(q, points + np.array([900.0, -300.0, 200.0]) + generator.normal(0.0, 0.05, (m, 3)))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from identification import Arm, Measurements, Model, estimate
 from identification.estimation.doubts import left_out_rms
-from identification.estimation.problem import Prior
+from identification.estimation.problem import NO_PRIOR, Prior
 
 ARM = Arm([260.0, 180.0], sigma=0.1)
 MODEL = Model(ARM)
@@ -22,21 +22,21 @@ def data(m: int, seed: int, noise: float = 0.1) -> Measurements:
     return Measurements(q, MODEL.position(q, truth) + noise * generator.standard_normal((m, 2)))
 
 
-def refitted(rows: Measurements, groups: list[list[int]], prior: Prior | None = None) -> float:
+def refitted(rows: Measurements, groups: list[list[int]], prior: Prior = NO_PRIOR) -> float:
     """Each group predicted by a fit to the others."""
     squares = []
     for group in groups:
         others = rows.rows(np.setdiff1d(np.arange(len(rows)), group))
-        fit = estimate(MODEL, others) if prior is None else estimate(MODEL, others, prior=prior, sigma="given")
+        fit = estimate(MODEL, others, prior=prior, sigma="given")
         there = MODEL.position(rows.postures[group], fit.parameters)
         squares += np.sum((rows.positions[group] - there) ** 2, axis=1).tolist()
     return float(np.sqrt(np.mean(squares)))
 
 
 ROWS = {
-    "each posture": (data(8, 1), None, 2e-3),
+    "each posture": (data(8, 1), NO_PRIOR, 2e-3),
     "with a prior": (data(4, 4), Prior({"length_error:1": 0.3, "joint_offset:2": 1e-3}), 5e-3),
-    "own weights": (replace(data(9, 5), sigma=np.where(np.arange(9) < 4, 0.05, 0.4)), None, 5e-3),
+    "own weights": (replace(data(9, 5), sigma=np.where(np.arange(9) < 4, 0.05, 0.4)), NO_PRIOR, 5e-3),
 }
 
 
@@ -45,7 +45,7 @@ def test_each_posture_as_a_fit_without_it_predicts_it(name: str) -> None:
     """In the plane the model is linear in l_j cos and l_j sin of its angles: for small errors to second order in them,
     1e-2 rad here, of a change of the fit of 0.1 mm."""
     rows, prior, near = ROWS[name]
-    fit = estimate(MODEL, rows) if prior is None else estimate(MODEL, rows, prior=prior, sigma="given")
+    fit = estimate(MODEL, rows, prior=prior, sigma="given")
     found = left_out_rms(fit, rows)
     assert found == pytest.approx(refitted(rows, [[k] for k in range(len(rows))], prior), rel=near)
     assert found > fit.rms_after

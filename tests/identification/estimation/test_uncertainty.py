@@ -264,24 +264,23 @@ def problem(seed: int = 0, d: int = 2, p: int = 3) -> tuple[np.ndarray, np.ndarr
     return jacobian, residual.reshape(-1, d), np.linalg.cholesky(np.linalg.inv(flat.T @ flat))
 
 
-def dense(jacobian: np.ndarray, residual: np.ndarray, groups: np.ndarray = GROUPS) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance and degrees of freedom from the definition, with (N, N) matrices."""
-    m, d, p = jacobian.shape
-    j, e, member = jacobian.reshape(-1, p), residual.reshape(-1), np.repeat(GROUPS, d)
-    bread = np.linalg.inv(j.T @ j)
-    rest = np.eye(m * d) - j @ bread @ j.T
-    added, products = [], []
+def added(jacobian: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """(p, N + r, G) what errors of the N data and r rows of a prior add to the estimates through the residuals of each
+    group, from the definition, with matrices of all rows."""
+    d, flat = jacobian.shape[1], np.concatenate([jacobian.reshape(-1, jacobian.shape[2]), prior])
+    bread = np.linalg.inv(flat.T @ flat)
+    rest, parts = np.eye(len(flat)) - flat @ bread @ flat.T, []
     for g in range(GROUPS.max() + 1):
-        own = member == g
-        root = np.linalg.inv(np.real(sqrtm(rest[np.ix_(own, own)])))
-        added.append(bread @ j[own].T @ root @ e[own])
-        products.append(rest[:, own] @ root @ j[own] @ bread)  # (N, p): column k is P_g of parameter k
-    freedom = []
-    for k in range(p):
-        rows = np.stack([one[:, k] for one in products])
-        values = np.linalg.eigvalsh(rows @ rows.T)
-        freedom.append(values.sum() ** 2 / np.sum(values**2))
-    return np.stack(added).T @ np.stack(added), np.array(freedom)
+        own = np.flatnonzero(np.repeat(GROUPS, d) == g)
+        half = np.linalg.inv(np.real(sqrtm(rest[np.ix_(own, own)])))
+        parts.append((rest[:, own] @ half @ flat[own] @ bread).T)
+    return np.stack(parts, axis=2)
+
+
+def freedom_of(of_parameter: np.ndarray, fixed: float = 0.0) -> float:
+    """Satterthwaite's, of the quadratic form of (N + r, G) and a part that is no estimate."""
+    values = np.linalg.eigvalsh(of_parameter.T @ of_parameter)
+    return float((values.sum() + fixed) ** 2 / np.sum(values**2))
 
 
 def test_what_two_of_many_groups_share_moves_no_interval_by_a_thousandth() -> None:
@@ -304,25 +303,19 @@ def test_equals_the_definition(d: int) -> None:
     jacobian, residual, root = problem(d, d)
     found = sandwich(jacobian, residual, root, GROUPS)
     assert found is not None
-    covariance, freedom = dense(jacobian, residual)
-    np.testing.assert_allclose(found[0], covariance, rtol=1e-9)
-    np.testing.assert_allclose(found[1], freedom, rtol=1e-9)
-
-
-def with_prior(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(m, d, p) Jacobian, (2, p) rows of a prior of two combinations, and root of the posterior covariance."""
-    jacobian, _, _ = problem(seed)
-    rows = np.random.default_rng(seed + 1).standard_normal((2, 3)) * 3.0
-    flat = jacobian.reshape(-1, 3)
-    return jacobian, rows, np.linalg.cholesky(np.linalg.inv(flat.T @ flat + rows.T @ rows))
+    parts = added(jacobian, np.zeros((0, 3)))
+    scores = np.einsum("png,n->pg", parts, residual.ravel())
+    np.testing.assert_allclose(found[0], scores @ scores.T, rtol=1e-9)
+    np.testing.assert_allclose(found[1], [freedom_of(part) for part in parts], rtol=1e-9)
 
 
 def test_with_a_prior_it_is_the_covariance_of_the_errors_if_the_model_is_complete() -> None:
     """The mean over white noise and over values drawn from the prior, exactly, is the posterior covariance, of whatever
     size the noise is; and the degrees of freedom are those of the matrix of the quadratic form."""
-    jacobian, rows, root = with_prior(8)
+    jacobian, rows = problem(8)[0], np.random.default_rng(9).standard_normal((2, 3)) * 3.0
     flat, (m, d, p) = np.concatenate([jacobian.reshape(-1, 3), rows]), jacobian.shape
     bread = np.linalg.inv(flat.T @ flat)
+    root = np.linalg.cholesky(bread)
     rest, total = np.eye(len(flat)) - flat @ bread @ flat.T, np.zeros((p, p))
     fixed = bread @ rows.T @ rows @ bread  # what the prior's own errors add
     for column in rest.T:  # residuals of the data after a fit to one error of one, of the data or of the prior
@@ -330,14 +323,8 @@ def test_with_a_prior_it_is_the_covariance_of_the_errors_if_the_model_is_complet
         assert found is not None
         total += found[0] - 0.04 * fixed
     np.testing.assert_allclose(total + 0.04 * fixed, 0.04 * bread, rtol=1e-9)
-    added = np.zeros((p, len(flat), GROUPS.max() + 1))
-    for g in range(GROUPS.max() + 1):
-        own = np.flatnonzero(np.repeat(GROUPS, d) == g)
-        half = np.linalg.inv(np.real(sqrtm(rest[np.ix_(own, own)])))
-        added[:, :, g] = (rest[:, own] @ half @ flat[own] @ bread).T
-    for k in range(p):
-        values = np.linalg.eigvalsh(added[k].T @ added[k])
-        assert found[1][k] == pytest.approx((values.sum() + fixed[k, k]) ** 2 / np.sum(values**2), rel=1e-9)
+    for k, part in enumerate(added(jacobian, rows)):
+        assert found[1][k] == pytest.approx(freedom_of(part, fixed[k, k]), rel=1e-9)
 
 
 def test_a_group_that_alone_determines_a_parameter_gives_none() -> None:

@@ -41,6 +41,11 @@ def elementary(axis: str, value: float) -> np.ndarray:
     return found
 
 
+def row_of_table(theta: float, d: float, a: float, alpha: float, beta: float = 0.0) -> np.ndarray:
+    """Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)."""
+    return np.linalg.multi_dot([*map(elementary, "zZXxy", (theta, d, a, alpha, beta))])
+
+
 def tip(chain: object, q: np.ndarray) -> np.ndarray:
     """Origins and turns about z, one after the other."""
     at = np.eye(4)
@@ -60,9 +65,7 @@ def test_the_table_puts_the_tip_where_the_chain_does(rows: list[DHRow], conventi
     for q in generator.uniform(-3.0, 3.0, (5, 6)):
         at = first @ elementary("z", q[0])
         for link, angle in zip(links, q[1:], strict=True):
-            for axis, value in (("z", link.theta), ("Z", link.d), ("X", link.a), ("x", link.alpha)):
-                at = at @ elementary(axis, value)
-            at = at @ elementary("y", link.beta or 0.0) @ elementary("z", angle)
+            at = at @ row_of_table(*link[:4], link.beta or 0.0) @ elementary("z", angle)
         np.testing.assert_allclose(at @ last, tip(real, q), rtol=0, atol=1e-9)
     # errors of machining size move no number by more than a few of them: nothing explodes
     for link, nominal in zip(links, drawn, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import casadi as ca
@@ -68,12 +69,17 @@ def test_by_the_parameters(arm: Arm) -> None:
     if arm.chain.angle_scale is not None:
         conditions = replace(WARM, orientation=turned(GENERATOR.uniform(-1.0, 1.0, (ROWS, 3))))
     values = np.maximum(1e-2 * GENERATOR.standard_normal(len(model.names)) / model.scales, model.parameters.lower)
-    jacobian = model.jacobian(POSTURES, values, conditions)
-    assert jacobian.shape == (ROWS, model.dimension, len(model.names))
-    for k, step in enumerate(np.diag(STEP / model.scales)):
-        ends = (model.position(POSTURES, values + sign * step, conditions) for sign in (1.0, -1.0))
-        difference = np.subtract(*ends) / (2.0 * step[k])
-        np.testing.assert_allclose(jacobian[..., k] / model.scales[k], difference / model.scales[k], **AGREE)
+    assert model.jacobian(POSTURES, values, conditions).shape == (ROWS, model.dimension, len(model.names))
+    agree(model, values, conditions, range(len(values)))
+
+
+def agree(model: Model, values: np.ndarray, conditions: Conditions, chosen: Iterable[int]) -> None:
+    """Derivatives by these parameters, of which each is to move something, are differences of positions."""
+    scaled, steps = model.jacobian(POSTURES, values, conditions) / model.scales, np.diag(STEP / model.scales)
+    for k in chosen:
+        ends = (model.position(POSTURES, values + sign * steps[k], conditions) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(scaled[..., k], np.subtract(*ends) / (2.0 * STEP), **AGREE)
+        assert np.any(scaled[..., k])
 
 
 @pytest.mark.parametrize("arm", arms(), ids=["points", "poses", "curves"])
@@ -114,12 +120,7 @@ def test_every_effect_by_its_parameters(name: str) -> None:
         rows = Measurements(POSTURES, np.zeros((ROWS, model.dimension)), session=["a", "b"] * 4 + ["b"])
         conditions = replace(rows.conditions, temperature=WARM.temperature)
         values = np.maximum(1e-2 * generator.standard_normal(len(model.names)) / model.scales, model.parameters.lower)
-        scaled, steps = model.jacobian(POSTURES, values, conditions) / model.scales, np.diag(STEP / model.scales)
-        of_effect = [k for k, p in enumerate(model.parameters) if p.name.startswith(name)]
-        assert np.all(np.any(scaled[..., of_effect], axis=(0, 1)))
-        for k in of_effect:
-            ends = (model.position(POSTURES, values + sign * steps[k], conditions) for sign in (1.0, -1.0))
-            np.testing.assert_allclose(scaled[..., k], np.subtract(*ends) / (2.0 * STEP), **AGREE)
+        agree(model, values, conditions, [k for k, p in enumerate(model.parameters) if p.name.startswith(name)])
 
 
 LENGTHS = np.array([400.0, 300.0, 150.0])

@@ -83,14 +83,12 @@ def test_what_is_left_after_registration() -> None:
         tip_jacobian(model, POSTURES[:3])
 
 
-HALF = np.pi / 2.0
-UR10 = [(0.0, HALF, 127.3), (-612.0, 0.0, 0.0), (-572.3, 0.0, 0.0), (0.0, HALF, 163.9), (0.0, -HALF, 115.7)]
-SIX = chain_of([DHRow(*row) for row in [*UR10, (0.0, 0.0, 92.2)]])
+SIX = replace(DRAWN, tools={"1": np.zeros(3)})
 OFF_AXIS, ON_AXIS = {"1": np.array([60.0, 20.0, 30.0])}, {"1": np.array([0.0, 0.0, 30.0])}
 THREE = {
     name: np.array(place) for name, place in zip("abc", ([60.0, 20, 30], [-40.0, 50, 30], [0.0, -70, 90]), strict=True)
 }
-SLIDING = replace(DHRow(0.0, HALF, 0.0), type=PRISMATIC, limits=(100.0, 600.0))
+SLIDING = replace(DHRow(0.0, QUARTER, 0.0), type=PRISMATIC, limits=(100.0, 600.0))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +98,7 @@ SLIDING = replace(DHRow(0.0, HALF, 0.0), type=PRISMATIC, limits=(100.0, 600.0))
         (replace(SIX, tools=ON_AXIS), 25),  # the last joint's offset and one more turn the point about itself
         (replace(SIX, tools=THREE), 33),
         (replace(SIX, tools=OFF_AXIS, angle_scale=300.0), 30),  # 4 for each axis, 6 of the frame
-        (chain_of([DHRow(0.0, HALF, 300.0), SLIDING, DHRow(80.0, 0.3, 50.0), DHRow(0.0, 0.0, 90.0)]), None),
+        (chain_of([DHRow(0.0, QUARTER, 300.0), SLIDING, DHRow(80.0, 0.3, 50.0), DHRow(0.0, 0.0, 90.0)]), None),
     ],
     ids=["reflector", "on the last axis", "three reflectors", "a pose", "a sliding joint"],
 )
