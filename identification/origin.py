@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +62,21 @@ def diagnosed(arm: Arm) -> bool:
         return False
     effects = {p.name for effect in Model(arm).effects if effect.name != "base_offset" for p in effect.parameters}
     return identified(arm).get("source") == DIAGNOSED or not effects.isdisjoint(arm.calibration.values)
+
+
+def without_prior_effects(arm: Arm) -> Arm:
+    """The arm without the effects that a fit with the library's prior added to it: those of which its calibration has
+    values and no covariance, as it has of others; the same arm where there are none."""
+    calibration = arm.calibration
+    if calibration is None or not calibration.parameter_names or identified(arm).get("source") == DIAGNOSED:
+        return arm
+    held = calibration.effects.keys() - set(calibration.parameter_names)
+    names = [{p.name for p in effect.parameters} for effect in Model(arm).effects]
+    kept = [spec for spec, own in zip(arm.effects, names, strict=True) if not own or not own <= held]
+    if len(kept) == len(arm.effects):
+        return arm
+    values = {name: value for name, value in calibration.values.items() if name not in held}
+    return replace(arm, effects=tuple(kept), calibration=replace(calibration, values=values))
 
 
 def data_hashes(provenance: Mapping[str, Any]) -> list[str]:

@@ -319,12 +319,12 @@ def identify_files(
     from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
     from identification.model import Model
-    from identification.origin import diagnosed, identified
+    from identification.origin import diagnosed, identified, without_prior_effects
     from identification.sessions import SESSIONS, with_sessions, without_sessions
     from identification.simulate import following_errors, with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
-    # the arm, its rows, and how they are to be fitted
+    # the arm and its rows
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
     if urdf is not None and loaded.chain.planar:
         raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
@@ -337,29 +337,31 @@ def identify_files(
     if reference is not None and (old or chosen or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
         measurements = replace(measurements, reference=float(reference))
-    if asked := measurements.fit:  # by the plan
+
+    # with the library's prior, as the options, the plan or an earlier fit say
+    meant, how = f"{data} says # fit: {measurements.fit}", "with the prior of the library, as the plan is meant"
+    asked, bare = measurements.fit, loaded if chosen else without_prior_effects(loaded)
+    if not asked and bare is not loaded:
+        asked, meant, how = "library-prior", f"{arm} is of such a fit", "with the prior of the library again"
+    if asked:
         refused = "--no-library-prior" if prior is False else "--only" if chosen and not prior else None
         keys["fit"] = {"asked": asked, "followed": refused is None, "against": refused}
-        meant = f"{data} says # fit: {asked}"
         if refused is None:
             prior, listed = True, asked.partition("--missing ")[2]
             missing = missing or (words(listed) if listed else None)
-            how = "Fitted with the prior of the library, as the plan is meant"
-            lines.append(f"{how}: {meant} (--no-library-prior fits without).")
+            lines.append(f"Fitted {how}: {meant} (--no-library-prior fits without).")
         else:
-            how = f"Not fitted with the prior of the library, because of {refused}"
-            lines.append(f"{how}, although {meant}: what the plan promises is of a fit with it.")
+            why = f"because of {refused}, although {meant}: what the plan promises is of a fit with it"
+            lines.append(f"Not fitted with the prior of the library, {why}.")
     if missing is not None and not prior:
         raise InputError("--missing: found without --library-prior, allowed: with --library-prior")
 
     def library(rows: Measurements) -> LibraryPrior | None:
-        return library_prior(with_sessions(loaded, rows), rows, missing) if prior else None
+        return library_prior(with_sessions(bare, rows), rows, missing) if prior else None
 
     def fit(rows: Measurements) -> Identification:
-        of_library = library(rows)
-        wide, held = (
-            (with_sessions(loaded, rows), Prior()) if of_library is None else (of_library.arm, of_library.prior)
-        )
+        effects = library(rows)
+        wide, held = (with_sessions(bare, rows), Prior()) if effects is None else (effects.arm, effects.prior)
         model = reuse.only(wide, [*chosen, *held.deviations], rows) if chosen else Model(wide)
         if old is not None:
             try:
@@ -368,15 +370,16 @@ def identify_files(
                 raise InputError(f"{prior_from}: {error}") from None
         return with_repeats_doubted(estimation.estimate(model, rows, prior=held), rows)
 
-    # the fit, and what is doubtful about it
+    # the fit
     progress(0, None, f"fitting {len(measurements)} rows")
-    fitted, rows = (None if without_outliers else fit(measurements)), measurements
-    if fitted is None:
+    if without_outliers:
         fitted, left_out = estimation.without_outliers(fit, measurements)
         keys["left_out"] = list(left_out)
         rows = measurements.rows([k for k in range(len(measurements)) if k + 1 not in left_out])
         numbers = ", ".join(map(str, left_out))
         lines.append(f"Left out as outliers: {f'rows {numbers}' if numbers else 'no row'}.")
+    else:
+        fitted, rows = fit(measurements), measurements
     if old is not None:
         free = [name for name in fitted.names if name not in {*fitted.prior.names, *fitted.model.prior}]
         contradicted = [] if fitted.contradiction is None else [fitted.contradiction._asdict()]
@@ -386,52 +389,51 @@ def identify_files(
         lines.append(f"Prior: {len(fitted.prior.earlier.parameter_names)} parameters from {prior_from}{without}.")
     if chosen:
         keys["only"] = chosen
-        fitted = reuse.with_base_doubt(fitted, with_sessions(loaded, rows), chosen, rows)
-        fitted = reuse.with_held(fitted, loaded.calibration, rows)
+        fitted = reuse.with_base_doubt(fitted, with_sessions(bare, rows), chosen, rows)
+        fitted = reuse.with_held(fitted, bare.calibration, rows)
         exact = "taken as exact: what they are off by is in no interval and no expected error"
-        how = "and what they are off by there is in intervals and expected error" if fitted.held else exact
-        lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {how}.")
+        off = "and what they are off by there is in intervals and expected error" if fitted.held else exact
+        lines.append(f"Estimated: {', '.join(chosen)}; the others stay as in the arm file, {off}.")
+
+    # beside the drawing, and beside the geometry alone
     doubts, hidden = [*fitted.warnings], frozenset[str]()  # parameters of the library's effects
     if (effects := library(rows)) is not None:
         keys["prior"], hidden = effects.to_json(), frozenset(effects.prior.deviations)
         lines.append(effects.sentence)
-        geometry = Model(with_sessions(loaded, rows))
-        alone_too = not chosen and old is None
-        judged = prior_judged(lambda: estimation.estimate(geometry, rows), fitted, rows) if alone_too else None
-        if judged is not None:
-            keys["offered"] = judged
-            doubts += [] if judged["better"] else [hardly_better(judged)]
+        if not chosen and old is None:
+            alone = Model(with_sessions(bare, rows))
+            keys["offered"] = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)
+            doubts += [hardly_better(keys["offered"])] if keys["offered"] and not keys["offered"]["better"] else []
     result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
     with suppress(InputError):  # too few rows
-        result["rms_drawing_mm"] = rms_distance(drawing_residuals(loaded, rows))
+        result["rms_drawing_mm"] = rms_distance(drawing_residuals(bare, rows))
     if fitted.geometry is not None and not fitted.not_identifiable:
         table, places = dh_lines(fitted.calibrated_arm(), fitted.corrected_values, arm)
         result |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    result |= unit_key(fitted.arm) | keys
+    result |= unit_key(fitted.arm) | {key: value for key, value in keys.items() if value is not None}
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
 
     # the files, all or none
-    refusal, asked_for = "", [path for path in (out, urdf) if path is not None]
+    asked_for, files, refusal = [path for path in (out, urdf) if path is not None], Files(), ""
     if fitted.not_identifiable:
         refusal = "not every parameter is estimable from the data"
     elif fitted.status is Status.implausible and not force:
         refusal = "the fit is implausible; --force writes it all the same"
-    files = Files()
-    if out is not None and not refusal:
+    if fitted.not_identifiable or (refusal and asked_for):
+        lines += [f"{path} was not written: {refusal}" for path in asked_for]
+        return Answer(result, identification_document(fitted, result, hidden).plus(*lines), fitted, 1, doubts)
+    if out is not None:
         calibration = without_sessions(fitted.calibration().about(set(fitted.names) - hidden))
-        for before in (loaded.calibration if fitted.held else None, None if old is None else old.calibration):
-            calibration = reuse.with_data_of(calibration, before, loaded.joint_types)
+        for before in (bare.calibration if fitted.held else None, None if old is None else old.calibration):
+            calibration = reuse.with_data_of(calibration, before, bare.joint_types)
         specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
         files |= arm_files(arm, specs, calibration, out, "calibrated arm")
-    if urdf is not None and fitted.geometry is not None and not refusal:
+    if urdf is not None and fitted.geometry is not None:
         files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry.real)
-    lines += [f"{path} was not written: {refusal}" for path in asked_for] if refusal else []
-    if urdf in files and (labels := ", ".join(effect.label for effect in fitted.model.effects)):
-        lines.append(f"a URDF file has no effects: {labels} left out")
+        labels = ", ".join(effect.label for effect in fitted.model.effects)
+        lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
     document = identification_document(fitted, result, hidden).plus(*lines)
-    if failed := bool(fitted.not_identifiable or (refusal and asked_for)):
-        return Answer(result, document, fitted, int(failed), doubts)
-    actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(loaded))
+    actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
     return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
 
 

@@ -157,7 +157,9 @@ def is_described(data: Data) -> bool:
 def place_in_words(data: Data) -> str:
     """`at joint 3`, `in time`."""
     where = str(data["where"] or "an unknown place").replace(":", " ")
-    return {"time": "in time", "workspace": "in the workspace"}.get(where, f"at {where}")
+    return {"time": "in time", "temperature": "with the temperature", "workspace": "in the workspace"}.get(
+        where, f"at {where}"
+    )
 
 
 def tests_of(data: Data) -> list[Data]:
@@ -189,7 +191,7 @@ def diagnosis_actions(
     if not is_offered(data):
         use = Action("Use the calibration of the geometry, unless other rows show that it is worse:", alone)
         return [use, correct("calibrated.toml"), confirm]
-    actions = [] if data["confirmed"] else [confirm]
+    actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
         part = "the error curves, within the angles measured," if is_described(data) else "the named part"
         meanwhile = f"; {part} may be used in the meantime" if named else ""
@@ -240,8 +242,7 @@ def diagnosis_document(
         headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
         sections.append(Section("Across sessions", [ACROSS_SESSIONS, Sheet(headings, sessions)]))
     sections.append(Section("The gap, before and after", [*gap_parts(data, nominal), picture("gap_figure")]))
-    unknown = [p.name for p in named.parameters if np.isnan(p.std)]
-    values = corrected_values(diagnosis.extended_arm(named), named.calibration, unknown=unknown)
+    values = corrected_values(diagnosis.extended_arm(), diagnosis.predicting.calibration)
     doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"
     sections.append(corrected_section(title, values, folded=doubted))

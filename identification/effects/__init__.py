@@ -14,7 +14,7 @@ from itertools import repeat
 from types import MappingProxyType
 
 from identification.arm import EffectSpec
-from identification.effects import formulas  # it fills the library
+from identification.effects import formulas, unlisted  # they fill the library
 from identification.effects.base import _LIBRARY, Effect, Scope, Setting, register
 from identification.effects.chain import Chain, widths
 from identification.errors import InputError, close_names, nearest, suggestion

@@ -99,7 +99,7 @@ class Number(NamedTuple):
 
     short: str
     unit: str
-    typical: float
+    typical: float | None
     scale: float | Callable[[Any], float] = 1.0
     lower: float = -inf
     upper: float = inf
@@ -160,6 +160,7 @@ class Effect:
     scatter: ClassVar[bool] = False  # it acts on the noise (`disturb`): the model of the mean ignores it
     once: ClassVar[bool] = False  # of the session of the identification; in later ones its final state applies
     of_positions: ClassVar[bool] = False  # of the frame in which positions are measured: not of other instruments
+    unlisted: ClassVar[bool] = False  # of any form, at a place: `diagnose` writes it, and never names it
     tabulated: ClassVar[bool] = False  # a table of values (`EffectSpec.curve`) without parameters
     dimensions: ClassVar[tuple[int, ...]] = (2, 3)  # of the arms that can have it: 2 in the plane, 3 in space
     disturb: ClassVar[Callable[..., Array]]

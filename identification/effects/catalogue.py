@@ -44,7 +44,7 @@ def entry(name: str) -> dict[str, Any]:
     if chain.dimension not in cls.dimensions:
         chain = KinematicChain(chain.joints, chain.end)
     each = "each joint" if cls.first_joint <= 1 else f"each joint from {cls.first_joint}"
-    kinds = {"table": cls.tabulated, "scatter": cls.scatter, "alias": cls.alias is not None}
+    kinds = {"table": cls.tabulated or cls.unlisted, "scatter": cls.scatter, "alias": cls.alias is not None}
     kinds |= {"sessions": "session" in cls.needs, "on request": cls.nuisance, "commands": cls.of_commands}
     wanted = (*sorted(cls.needs), *(["commands"] if cls.of_commands else []))
     return {

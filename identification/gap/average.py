@@ -57,10 +57,9 @@ def geometry(base: Fit) -> PredictingModel:
 
 def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
-    held, library = posterior.writable or posterior, posterior.library
-    whole, arm, g = held.whole, library.arm, len(held.whole.base)
+    whole, library, arm, g = posterior.whole, posterior.library, posterior.library.arm, len(posterior.whole.base)
     chances = defaultdict[str, float](float)
-    for one in held.explanations:
+    for one in posterior.explanations:
         for block in one.blocks:
             chances[block.label] += one.probability
 
@@ -70,7 +69,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     places = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
     geometry_of, used = defaultdict[str, Array](lambda: np.zeros(g)), 0.0
     means, covariances, noises = list[Array](), list[Array](), list[float]()
-    for problem, draws, share in zip(held.problems, held.draws, held.shares.tolist(), strict=True):
+    for problem, draws, share in zip(posterior.problems, posterior.draws, posterior.shares.tolist(), strict=True):
         # each set without the blocks that are left out, of which the others take on what they can
         writable = {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in places}
         counts = Counter[Key]()
@@ -92,9 +91,9 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         means[-1][:g] += problem.base
         covariances[-1][:g, :g] += of_noise * problem.normal
         noises.append(of_noise)
-    mean, variance = held.shares @ np.array(means), float(held.shares @ noises)
+    mean, variance = posterior.shares @ np.array(means), float(posterior.shares @ noises)
     apart = np.array(means) - mean
-    covariance = np.tensordot(held.shares, covariances, 1) + (apart.T * held.shares) @ apart
+    covariance = np.tensordot(posterior.shares, covariances, 1) + (apart.T * posterior.shares) @ apart
     freedom = max(rows - round(used) - g, 1)
 
     # an error curve takes up all else that depends on its joint's angle alone: within the angles measured they may
@@ -106,7 +105,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         waves = {f"curve:{joint + 1}": partial(curve_waves, start=start, stop=stop)}
         of_curves.append(((joint, start, stop), waves | functions))
     absorbed = [label for _, functions in of_curves for label in functions]
-    members = [b for b in kept if b.spec is not None and b.label not in absorbed]
+    members = [b for b in kept if b.spec is not None and b.listed and b.label not in absorbed]
     specs = tuple(b.spec for b in members if b.spec is not None)
     plain = Model(arm.with_effects(*arm.effects, *specs))
     renamed = library.renamed(plain)
@@ -128,7 +127,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
         # the table goes through their sum at the angles measured, and as a random walk does where there are none: there
         # they, too, may add up that cancel elsewhere
-        commanded = held.at.rows.postures[:, joint]
+        commanded = posterior.at.rows.postures[:, joint]
         q = around(commanded, start, stop)
         for steps in (WAVES * 2**k for k in range(5)):  # eight a period of the fastest waves, as a rule
             angles = np.linspace(start, stop, 2 * steps + 1)
@@ -145,30 +144,34 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         # beside all else that goes with it: what they exchange makes no difference to any point
         std = np.sqrt(np.maximum(np.sum((values_at @ beside) * values_at, axis=1), 0.0))
         curves.append(Curve(joint + 1, table, std))
-    entries = (*specs, *(curve.spec for curve in curves))
+    # errors of any form keep their values, as curves do: no fit without their prior should change them
+    fixed = [(b.label, b.spec, b.effect) for b in kept if b.spec and b.effect and b.effect.unlisted]
+    tables = list[EffectSpec]()
+    for label, spec, effect in fixed:
+        held = dict(zip((p.short for p in effect.parameters), mean[places[label]].tolist(), strict=True))
+        tables.append(replace(spec, values={**spec.values, **held}))
+    entries = (*specs, *tables, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
 
     # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
-    # measured as much more as the curves are uncertain, and what a file cannot have is there
+    # measured as much more as the curves are uncertain, and what is left out of it is there
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
-    normal = held.problems[held.best.noise].normal
+    normal = posterior.problems[posterior.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
-    jacobian = At(model, values, held.at.rows).linearized[1]
-    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[name] for name in absorbed)])
-    tables = [whole.columns[whole.numbers[name]] for name in absorbed]
-    every, tall = [*index, *known], np.concatenate([jacobian, *tables], axis=2).reshape(held.at.left.size, -1)
+    jacobian = At(model, values, posterior.at.rows).linearized[1]
+    given = [*absorbed, *(label for label, _, _ in fixed)]
+    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[name] for name in given)])
+    functions_of = [whole.columns[whole.numbers[name]] for name in given]
+    every, tall = (
+        [*index, *known],
+        np.concatenate([jacobian, *functions_of], axis=2).reshape(posterior.at.left.size, -1),
+    )
     gram = tall.T @ tall / len(jacobian)  # of a covariance C the mean square distance is the sum of gram * C
     inside, beside = gram[: len(index), : len(index)], beside_known(covariance, index, known)
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
-    if held is not posterior:
-        of_all = 0.0
-        for problem, draws, share in zip(posterior.problems, posterior.draws, posterior.shares.tolist(), strict=True):
-            noise = sum(count * problem.products.state(key).variance for key, count in draws.items())
-            of_all += share * noise / draws.total()
-        more += jacobian.shape[1] * max(variance - of_all, 0.0)
     sigma = float(np.sqrt(variance))
-    written = PredictingModel(model, values, held.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
+    written = PredictingModel(model, values, posterior.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
     return written.allowing(more)
 
 

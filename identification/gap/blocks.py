@@ -21,15 +21,15 @@ import casadi as ca
 import numpy as np
 
 from identification.arm import Arm, EffectSpec
-from identification.arrays import Array, slices
+from identification.arrays import Array
 from identification.conditions import BY_ORDER, FOLLOWING, condition_columns
 from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.chain import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.error_curve import spline_table
 from identification.gap.fit import At, Rows
-from identification.gap.likelihood import SIZES, Products, orthonormal
-from identification.information import RANK_TOLERANCE, VISIBLE, column_space
+from identification.gap.likelihood import SIZES, Products
+from identification.information import RANK_TOLERANCE, VISIBLE, column_space, significant
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 from identification.model import Model
 from identification.vectorized import Evaluate, vectorize
@@ -55,7 +55,7 @@ class Block:
     place : `joint:j`, `time`, `temperature`, `workspace`, `row:i` (from 0), or the effect's name
     weight : prior weight: 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
         and one for all joints together), divided by the number of scanned settings, times the effect's own `prior`
-    effect, spec : of the library, None: outside;  through : kind of effects that alone it shows through
+    effect, spec : None where an arm file has no such effect;  through : kind of effects that alone it shows through
     span : of an error curve the joint (from 0) and its first and last angle [rad]
     """
 
@@ -74,7 +74,9 @@ class Block:
         weight : of an effect that acts at all joints, less at one of them;  kinds : what the arm's effects need
         """
         effect = build(spec, arm.chain)
-        place = PLACES.get(spec.name, spec.name) if spec.joint is None else f"joint:{spec.joint}"
+        place = PLACES.get(spec.name, spec.name.partition("_")[0] if effect.unlisted else spec.name)
+        place = place if spec.joint is None else f"joint:{spec.joint}"
+        weight *= OUTSIDE if effect.unlisted else 1.0
         through = "" if effect.through in kinds else effect.through
         return cls(effect.label, place, weight / np.sqrt(arm.links if spec.joint else 1), effect, spec, through)
 
@@ -82,6 +84,16 @@ class Block:
     def key(self) -> str:
         """`name` or `name:joint` of an effect, without the scanned setting; else its place."""
         return self.place if self.spec is None else self.spec.key
+
+    @property
+    def listed(self) -> bool:
+        """Whether it is an effect of the library that can be named."""
+        return self.effect is not None and not self.effect.unlisted
+
+    @property
+    def outside(self) -> bool:
+        """Whether it is something outside the library, at a place."""
+        return not self.listed and self.row is None
 
     @property
     def row(self) -> int | None:
@@ -108,12 +120,14 @@ class Block:
 class Library:
     """All effects that an arm may lack, and the reasons why others are not among them.
 
+    unlisted : errors of any form that an arm file can have
     skipped : effect key -> reason
     aliases : effect name -> base parameters it cannot be distinguished from by any measurement of the tip
     """
 
     arm: Arm
     members: tuple[Block, ...]
+    unlisted: tuple[Block, ...]
     skipped: Mapping[str, str]
     aliases: Mapping[str, str]
 
@@ -183,12 +197,12 @@ class Library:
         jacobian, added = at.linearized[1], np.setdiff1d(np.arange(len(at.values)), base)
         return at.left + jacobian[:, :, added] @ at.values[added], jacobian, base
 
-    def columns(self, at: At) -> list[Array]:
-        """For each member the (m, d, size) derivative of the position with respect to its parameters, at their neutral
-        values."""
+    def columns(self, at: At, blocks: Sequence[Block]) -> list[Array]:
+        """Of blocks that are effects the (m, d, size) derivatives of the position with respect to their parameters, at
+        their neutral values."""
         q, conditions = at.rows.postures, at.rows.conditions
         levers, state = at.model.place_levers(q, at.values, conditions)
-        effects = [block.effect for block in self.members if block.effect is not None]
+        effects = [block.effect for block in blocks if block.effect is not None]
         remembers = any("past" in e.needs for e in effects)
         table = conditions.table(condition_columns(self.arm.links, ("past",) * remembers), q, self.arm.payload)
         groups = defaultdict[type[Effect] | None, list[tuple[Key, tuple[float, ...], int]]](list)
@@ -257,33 +271,33 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     known, base = of_dimension(arm.dimension), Model(arm)
     kinds, own = frozenset(base.needs), {effect.label for effect in build_all(arm.effects, arm.chain)}
     unseen = frozenset[int]() if rows is None else untested_joints(At(base, base.values, rows))
-    members: list[Block] = []
-    skipped: dict[str, str] = {}
+    members, unlisted, skipped = list[Block](), list[Block](), dict[str, str]()
     for name, cls in known.items():
         if cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
             continue  # does not act on the mean, is no fault of the arm, or cannot be told from the base parameters
         if "distance" in cls.needs - available or (cls.of_positions and not arm.chain.instrument.reads_positions):
             continue  # of another instrument: nothing that these data lack
+        reasons = dict[str, str]() if cls.unlisted else skipped
         if missing := sorted(cls.needs - available):
-            skipped[name] = f"needs {', '.join(missing)}"
+            reasons[name] = f"needs {', '.join(missing)}"
             continue
         joints: list[int | None] = [*range(cls.first_joint, arm.links + 1)]
         whole: list[int | None] = [] if cls.per_joint == "required" else [None]
         for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
-            if joint in unseen and hasattr(cls, "joint_angles"):
-                skipped[spec.key] = "the joint slides, or hardly moves the measured point"
+            if joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles")):
+                reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
             scans = [setting.scan(scope) for setting in cls.settings.values()]
             specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
             each = [Block.of(arm, one, cls.prior / max(len(specs), 1), kinds) for one in specs]
             further = [block for block in each if block.label not in own]
-            members += further
+            (unlisted if cls.unlisted else members).extend(further)
             if not further:
-                skipped[spec.key] = "already in the arm's model"
+                reasons[spec.key] = "already in the arm's model"
     aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
-    return Library(arm, tuple(members), skipped, aliases)
+    return Library(arm, tuple(members), tuple(unlisted), skipped, aliases)
 
 
 def untested_joints(at: At) -> frozenset[int]:
@@ -347,85 +361,15 @@ def curve_waves(angles: Array, start: float, stop: float) -> Array:
     return np.asarray(splines @ (cosines / np.sin(0.5 * np.pi * k / count)))
 
 
-def outside_blocks(at: At) -> Iterator[tuple[Block, Array]]:
-    """Blocks outside the library, each with its (m, d, p) columns."""
-    arm, chain, model, conditions = at.model.arm, at.model.arm.chain, at.model, at.rows.conditions
-    q, (x, jacobian), unseen, gravity = at.rows.postures, at.linearized, untested_joints(at), arm.gravity is not None
-    (m, n), d = q.shape, x.shape[1]
-    low, span = q.min(axis=0), np.maximum(np.ptp(q, axis=0), 1e-9)
-    turning = [j for j in range(n) if span[j] > 1e-9]
-
-    def block(label: str, weight: float, columns: Array, functions: Array) -> tuple[Block, Array]:
-        """One that has columns (m, d, k) times functions (m, w), each with each."""
-        kind, _, joints = label.partition(":")
-        place = f"joint:{joints.partition(',')[0]}" if joints else kind.partition("[")[0]
-        each = columns[..., None] * functions[:, None, None, :]
-        return Block(label, place, OUTSIDE * weight), each.reshape(m, d, -1)
-
-    # at a joint: functions (m, w) that are added to its angle; in space, an axis that tilts and shifts
-    curved = {spec.joint for spec in arm.effects if spec.curve is not None}
-    few = [(a, b) for a, b in product(range(SLOW), range(1, SLOW + 1)) if a + b <= SLOW]
-    places = slices(widths(chain))
-    levers = model.place_levers(q, at.values, conditions)[0]
-    for j in (j for j in turning if j + 1 not in unseen):
-        lever, angle, weight, turns = at.levers[:, :, j, None], q[:, j], n**-0.5, chain.joints[j].type == REVOLUTE
-        if j + 1 not in curved:
-            ends = measured_range(angle, turns)
-            curve, waves = block(f"curve:{j + 1}", weight, lever, curve_waves(angle, *ends))
-            yield replace(curve, span=(j, *ends)), waves
-        for other in (k for k in turning if k != j):
-            one, two = ((q[:, k] - low[k]) * (np.pi / span[k]) for k in (j, other))
-            both = [np.cos(a * one) * np.cos(b * two) / (a * a + b * b) for a, b in few]
-            share = 0.3 * weight / max(n - 1, 1)
-            yield block(f"shared:{j + 1},{other + 1}", share, lever, np.column_stack(both))
-        if conditions.directions is not None:  # of the angle and the last move, with another sign by its direction
-            move = np.zeros(m) if conditions.past is None else np.abs(angle - np.asarray(conditions.past)[:, j, -1])
-            past = np.column_stack([np.ones(m), np.cos(angle), np.sin(angle), np.exp(-move)])
-            past = past * np.asarray(conditions.directions)[:, j, None]
-            yield block(f"history:{j + 1}", 0.3 * weight, lever, past)
-        if gravity:
-            t = at.torques[:, j]
-            loads = np.column_stack([t, np.abs(t), t * np.abs(t), np.sign(t)])
-            yield block(f"load:{j + 1}", 0.3 * weight, lever, loads)
-        if chain.frame_kinds and turns:  # tilts and shifts move the point alike
-            plane = np.linalg.svd(np.atleast_2d(chain.joints[j].axis))[2][1:].T  # across the axis
-            acting = (levers[:, :, places[kind]] for kind in ("joint_turns", "joint_shifts"))
-            parts = [of_joints[:, :, 3 * j : 3 * j + 3] @ plane for of_joints in acting]
-            parts = [part / max(float(np.sqrt(np.mean(np.square(part)))), 1e-300) for part in parts]
-            around_it = np.column_stack([f(k * angle) for k in range(1, SLOW + 1) for f in (np.cos, np.sin)])
-            yield block(f"wobble:{j + 1}", 0.3 * weight, np.concatenate(parts, axis=2), around_it)
-
-    # in time and with the temperature: shifts, turns in the plane, and changes of the geometry in its scale
-    ways = np.broadcast_to(np.eye(d), (m, d, d))
-    turn = [np.stack([-x[:, 1], x[:, 0]], axis=1)[:, :, None] / model.reach] if d == 2 else []
-    moved, fast = np.concatenate([ways, *turn], axis=2), np.arange(1, TIMES + 1)
-    of_effects = {p.name for effect in model.effects for p in effect.parameters}
-    geometry = (jacobian * model.scales)[:, :, [name not in of_effects for name in model.names]]
-    if conditions.time is not None and np.ptp(conditions.time) > 0.0:
-        waves = np.cos(np.pi * (np.asarray(conditions.time) + 0.5)[:, None] * fast) / fast  # the slow ones larger
-        yield block("time", 1.0, moved, waves)
-        yield block("time[parameters]", 0.3, geometry, waves[:, :SLOW])
-        if gravity:
-            yield block("time[load]", 0.3, at.levers * at.torques[:, None, :], waves[:, :SLOW])
-    if conditions.temperature is not None and np.ptp(conditions.temperature) > 0.0:
-        warm = (np.asarray(conditions.temperature) / np.std(conditions.temperature))[:, None]
-        yield block("temperature", 1.0, moved, warm)
-        yield block("temperature[parameters]", 0.3, geometry, warm)
-
-    # over the workspace, where readings say where in it the point is: smooth in all coordinates together, squares,
-    # waves along each axis, and of the distance from the base
-    if d > 1 and not chain.instrument.contact:
-        scaled = np.pi * (x - x.min(axis=0)) / np.maximum(np.ptp(x, axis=0), 1e-9)
-        unit, radius = x / model.reach, np.linalg.norm(x, axis=1)[:, None] / model.reach
-        orders = [np.array(k) for k in product(range(SLOW + 1), repeat=d) if 1 <= sum(k) <= SLOW]
-        smooth = [np.prod(np.cos(k * scaled), axis=1) / (1.0 + k @ k) for k in orders]
-        squares = [unit[:, a] * unit[:, b] for a in range(d) for b in range(a, d)]
-        yield block("workspace", 0.25, moved, np.column_stack(smooth))
-        yield block("workspace[squares]", 0.25, ways, np.column_stack(squares))
-        along = np.cos(scaled[:, :, None] * fast) / np.sqrt(fast)
-        yield block("workspace[axes]", 0.25, ways, along.reshape(m, -1))
-        outward = (unit / np.maximum(radius, 1e-9))[:, :, None]
-        yield block("workspace[radius]", 0.25, outward, np.cos(np.pi * radius * fast) / np.sqrt(fast))
+def error_curves(at: At) -> Iterator[tuple[Block, Array]]:
+    """The error curve of each joint that has none and moves, with its (m, d, K) columns."""
+    joints, unseen = at.model.arm.chain.joints, untested_joints(at)
+    curved = {spec.joint for spec in at.model.arm.effects if spec.curve is not None}
+    for j, angles in enumerate(at.rows.postures.T):
+        if j + 1 not in unseen | curved and np.ptp(angles) > 1e-9:
+            ends = measured_range(angles, joints[j].type == REVOLUTE)
+            waves = at.levers[:, :, j, None] * curve_waves(angles, *ends)[:, None, :]
+            yield Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *ends)), waves
 
 
 # -- all of them, in the space of their columns ------------------------------------------------------------------------
@@ -466,14 +410,15 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     wrong : rows that may be outlying;  outside : whether blocks outside the library are among them
     """
     model, rows, (y, jacobian, base) = at.model, at.rows, library.as_base(at)
-    blocks, columns = [*library.members], library.columns(at)
+    blocks = [*library.members, *(library.unlisted if outside else ())]
+    columns = library.columns(at, blocks)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
     place = {block.label: k for k, block in enumerate(blocks)}
     for effect in model.effects:
         if effect.label in place:
             names = [p.name for p in effect.parameters if p.name in model.names]
             columns[place[effect.label]] = jacobian[:, :, [model.names.index(name) for name in names]]
-    for block, its in outside_blocks(at) if outside else ():
+    for block, its in error_curves(at) if outside else ():
         blocks.append(block)
         columns.append(its)
     for k in wrong:
@@ -481,44 +426,57 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
     target = rows.whiten(y)
     u, back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
-    left, shown = target - u @ (u.T @ target), []
-    for k, block in enumerate(blocks):
-        white = np.ascontiguousarray(rows.whiten(columns[k]).T)
-        inside = white @ u
-        rest = white - inside @ u.T
-        root = _root(rest @ rest.T, float(np.vdot(white, white)), len(rows), block)
-        if root.shape[1]:
-            shown.append((k, root, root.T @ rest, root.T @ inside))
-    blocks, columns = [blocks[k] for k, *_ in shown], [columns[k] for k, *_ in shown]
-    roots = [root for _, root, _, _ in shown]
-    table = np.concatenate([np.zeros((0, len(u))), *(rest for *_, rest, _ in shown)])  # (P, N): whitened, off the base
-    inside = np.concatenate([np.zeros((0, u.shape[1])), *(across for *_, across in shown)]).T
+    left = target - u @ (u.T @ target)
+    sizes, roots = np.array([column.shape[2] for column in columns]), [np.zeros((0, 0))] * len(blocks)
+    tables, taken = [np.zeros((0, len(u)))] * len(blocks), [np.zeros((0, u.shape[1]))] * len(blocks)
+    for width in np.unique(sizes):
+        alike = np.flatnonzero(sizes == width)
+        for some in map(
+            np.ndarray.tolist, np.array_split(alike, max(len(alike) * width // 256, 1))
+        ):  # of more than can be held at once
+            white = np.ascontiguousarray(rows.whiten(np.concatenate([columns[k] for k in some], axis=2)).T)
+            inside = white @ u
+            rest = (white - inside @ u.T).reshape(len(some), width, -1)
+            before = np.einsum("pn,pn->p", white, white).reshape(len(some), width).sum(axis=1)
+            turns = _roots(rest @ rest.transpose(0, 2, 1), before, len(rows), [blocks[k] for k in some])
+            seen, back_turned = np.any(turns != 0.0, axis=1), turns.transpose(0, 2, 1)
+            rest, inside = back_turned @ rest, back_turned @ inside.reshape(len(some), width, -1)
+            for i, k in enumerate(some):
+                roots[k], tables[k], taken[k] = turns[i][:, seen[i]], rest[i][seen[i]], inside[i][seen[i]]
+    shown = [k for k, root in enumerate(roots) if root.size]
+    blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [roots[k] for k in shown]
+    table, across = np.concatenate(tables), np.concatenate(taken).T  # (P, N) whitened, off the base; (r, P)
     gram, right = table @ table.T, table @ left
     ends = np.cumsum([0, *(root.shape[1] for root in roots)])
     signs = np.array([b.size == 1 and b.bounded for b in blocks], dtype=bool)
     products = Products(gram, right, float(left @ left), len(target) - u.shape[1], ends, signs)
     values = at.values[base] + back @ (u.T @ target)
-    return Linearized(tuple(blocks), products, tuple(roots), -back @ inside, values, back @ back.T, tuple(columns))
+    return Linearized(tuple(blocks), products, tuple(roots), -back @ across, values, back @ back.T, tuple(columns))
 
 
-def _root(gram: Array, before: float, rows: int, block: Block) -> Array:
-    """The (p, w) matrix that makes columns of unit size of a block's own p; w = 0 where it cannot be seen.
+def _roots(grams: Array, before: Array, rows: int, blocks: Sequence[Block]) -> Array:
+    """(K, p, p) matrices that make columns of unit size of the own p of K blocks; zero columns for what cannot be seen.
 
-    gram : (p, p) products of its columns, projected off the base model;  before : their squares before projection, at
-        so many rows;  a torque about an axis that the load cannot turn is rounding, and no reason for a column
+    grams : (K, p, p) products of their columns, projected off the base model;  before : (K,) their squares before
+        projection, at so many rows
 
     An effect's prior covariance is the inverse of its information, a family's one common value with a relative scatter
     of 0.3, as the joints are of one make; what is outside the library has its own columns scaled alone.
     """
-    rounding = RANK_TOLERANCE * max((p.scale for p in block.effect.parameters), default=0.0) if block.effect else 0.0
-    if not np.trace(gram) > VISIBLE * before or before <= rounding**2 * rows:
-        return np.zeros((len(gram), 0))
-    if block.effect is None:
-        values, vectors = np.linalg.eigh(gram / np.trace(gram))
-        return np.asarray(vectors[:, values * SIZES[-1] ** 2 > FAINT] / np.sqrt(np.trace(gram)))
-    if block.family:
-        alike = 1.0 + 0.3**2 * np.eye(len(gram))
-        return np.asarray(np.linalg.cholesky(alike / np.sum(gram * alike)))
-    root = orthonormal(gram)
-    root = root / np.sqrt(max(root.shape[1], 1))
-    return np.abs(root) if len(gram) == 1 else root
+    traces = np.trace(grams, axis1=1, axis2=2)
+    # a torque about an axis that the load cannot turn is rounding, and no reason for a column
+    scales = [max((p.scale for p in b.effect.parameters), default=0.0) if b.effect else 0.0 for b in blocks]
+    visible = (traces > VISIBLE * before) & (before > (RANK_TOLERANCE * np.array(scales)) ** 2 * rows)
+    inside = np.array([b.listed for b in blocks])
+    lengths = np.sqrt(np.maximum(np.diagonal(grams, axis1=1, axis2=2), 1e-300))
+    lengths = np.where(inside[:, None], lengths, np.sqrt(np.maximum(traces, 1e-300))[:, None])
+    values, vectors = np.linalg.eigh(grams / (lengths[:, :, None] * lengths[:, None, :]))
+    seen = np.where(inside[:, None], significant(values, VISIBLE), values * SIZES[-1] ** 2 > FAINT)
+    seen &= visible[:, None]
+    counts = np.maximum(np.sum(seen, axis=1, keepdims=True), 1)
+    factors = np.where(inside[:, None], np.sqrt(np.maximum(values, 1e-300) * counts), 1.0)
+    roots = np.where(seen[:, None, :], vectors / factors[:, None, :] / lengths[:, :, None], 0.0)
+    for k in (k for k in np.flatnonzero(visible).tolist() if blocks[k].family):
+        alike = 1.0 + 0.3**2 * np.eye(grams.shape[1])
+        roots[k] = np.linalg.cholesky(alike / np.sum(grams[k] * alike))
+    return np.abs(roots) if grams.shape[1] == 1 else roots

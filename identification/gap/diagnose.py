@@ -31,14 +31,6 @@ from identification.model.minimal import practical
 from identification.running import Progress, Status, single_thread
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 
-KINDS = {
-    "time": "smooth in time",
-    "workspace": "smooth over the workspace",
-    "wobble": "tilt or shift across the axis",
-    "shared": "depends on other joints too",
-    "history": "depends on the direction of approach",
-}
-
 
 @single_thread()
 def diagnose(
@@ -126,7 +118,9 @@ def diagnose(
 
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
-    if worse_than_geometry(tests):
+    before = base.residuals(measurements)
+    # tests are linear; an average that is beyond what physics allows may be worse than that where it is clipped
+    if alone := worse_than_geometry(tests) or rms_distance(after[kept]) > rms_distance(before[kept]):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
@@ -135,12 +129,12 @@ def diagnose(
     figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
 
     # what these rows show
-    before, floor = base.residuals(measurements), noise_floor(after, measurements, kept, library.arm.sigma)
+    floor = noise_floor(after, measurements, kept, library.arm.sigma)
     sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})
-    kinds = (KINDS.get(b.label.partition(":")[0].partition("[")[0]) for b in shown.outside if b.place == place)
-    shape = next(filter(None, kinds), None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
+    forms = (b.effect.summary for b in shown.outside if b.effect is not None and b.place == place)
+    shape = next(forms, None) or {f"joint:{c.joint}": c.described[0] for c in curves}.get(place or "")
     # properties of the noise that are likelier than not
     of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
     scatter = [Finding(noise.name, 1.0 - p, noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
@@ -184,7 +178,7 @@ def diagnose(
         replication=replications(fitted, measurements.session_names, named.effects),
         curves=curves,
     )
-    result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted)))
+    result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted, alone)))
     progress(1.0, 1.0, result.sentence)
     if arm is given:
         return result
@@ -231,8 +225,11 @@ def worse_than_geometry(tests: Sequence[Confirmation]) -> bool:
     return tests[0].shrinks is False and tests[0].after > tests[0].before
 
 
-def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit) -> Iterator[str]:
-    """Sentences to read before the verdict is trusted;  best : fit of the likeliest set"""
+def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit, alone: bool) -> Iterator[str]:
+    """Sentences to read before the verdict is trusted.
+
+    best : fit of the likeliest set;  alone : whether the geometry alone predicts better
+    """
     for effect in result.effects:
         waves = [(like, share) for key, like, share in result.aliases if key == effect and "[" in like]
         if waves:
@@ -246,8 +243,8 @@ def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, b
         ranges = [f"joint {c.joint} {a:.0f} to {b:.0f} deg" for c, (a, b) in zip(result.curves, spans, strict=True)]
         beyond = "where a joint is beyond them, the model is without curves, with the geometry that was fitted alone"
         yield f"the error curves hold for the angles measured ({', '.join(ranges)}); {beyond}"
-    if worse_than_geometry(result.cross_validation):
-        yield "other rows are predicted better by the geometry alone: that is what --out writes"
+    if alone:
+        yield "the geometry alone predicts better: that is what --out writes"
     yield from untested(posterior.library.skipped)
     if len(measurements) > MOST_ROWS:
         searched = f"{MOST_ROWS} of the {len(measurements)} rows, taken at random"

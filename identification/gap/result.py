@@ -333,12 +333,14 @@ class Diagnosis(Documented):
 
     @property
     def confirmed(self) -> bool | None:
-        """Whether the hold-out confirms the verdict; None if it has too few rows.
+        """Whether the hold-out confirms the verdict; None if it has too few rows, or if what is left of the data is
+        more than the given sigma explains: then more is missing than was found.
 
         Without a hold-out False if cross-validation refutes the verdict, else None: all rows were used for the choice.
         """
         if self.confirmation is not None:
-            return self.confirmation.confirmed
+            more = self.misfit is not None and self.misfit.significant
+            return None if more and self.confirmation.confirmed else self.confirmation.confirmed
         return False if any(test.confirmed is False for test in self.cross_validation) else None
 
     def extended_arm(self, candidate: Candidate | None = None) -> Arm:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import lgamma
 
@@ -67,7 +67,9 @@ class Search:
         # (B,) that show only through one of others, beside which alone they may be
         self.needy = np.array([b.through != "" for b in blocks], dtype=bool)
         kinds = {b.through for b in blocks if b.through}
-        self.givers = ~self.needy & [b.effect is not None and not kinds.isdisjoint(b.effect.needs) for b in blocks]
+        self.givers = ~self.needy & [
+            b.effect is not None and b.listed and not kinds.isdisjoint(b.effect.needs) for b in blocks
+        ]
 
     def log_prior(self, blocks: Sequence[int]) -> float:
         """Log prior odds of a set against nothing missing; -inf where it may not be."""
@@ -238,7 +240,7 @@ class Explanation:
     @property
     def effects(self) -> tuple[Block, ...]:
         """Its effects of the library."""
-        return tuple(b for b in self.blocks if b.effect is not None)
+        return tuple(b for b in self.blocks if b.listed)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -248,7 +250,7 @@ class Explanation:
     @property
     def outside(self) -> tuple[Block, ...]:
         """Its blocks outside the library."""
-        return tuple(b for b in self.blocks if b.effect is None and b.row is None)
+        return tuple(b for b in self.blocks if b.outside)
 
 
 @dataclass(frozen=True)
@@ -256,7 +258,6 @@ class Posterior:
     """explanations : likeliest first, with sum 1
     noises, problems, draws : searched, with the blocks that are not negligible, and sets drawn by the walk there
     whole : problem of the likeliest noise, with all blocks;  at : fit where it is linearized, with all rows
-    writable : the posterior if nothing is missing but what an arm file can have; None where that is the same
     """
 
     explanations: tuple[Explanation, ...]
@@ -266,7 +267,6 @@ class Posterior:
     whole: Linearized
     library: Library
     at: At
-    writable: Posterior | None = None
 
     @property
     def best(self) -> Explanation:
@@ -306,7 +306,7 @@ def posterior_of(
         # from sizes in the middle: those of the last linearization would hold the climb where it was
         top = top if names else search.climb(problem.products.state([(b, 2) for b in top.blocks]))
         chosen = {problem.blocks[b].label: size for b, size in top.key}
-        effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].effect is not None]
+        effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].listed]
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
         # with the outlying rows of the set alone, which noise of another kind may need, too
         y, jacobian, base = library.as_base(here)
@@ -345,19 +345,7 @@ def posterior_of(
         under = problem if k == number else linearized(library, at.on(every[k].rows), wrong)
         near, sets, draws = _walked(under, _same_set(under, chosen), generator)
         walked.append((every[k], near, [(key, odds + float(each[0][k])) for key, odds in sets], draws))
-    mixture = _mixture(walked, problem, library, end)
-
-    def held(block: Block) -> bool:
-        """Whether an arm file can have it, or its row be left out."""
-        return bool(block.effect or block.span or block.row is not None)
-
-    if sum(one.probability for one in mixture.explanations if not all(map(held, one.blocks))) < LEVEL:
-        return mixture
-    tell("what an arm file can have")
-    problem = problem.of([k for k, block in enumerate(problem.blocks) if held(block)])
-    top = Search(problem.products, problem.blocks).climb(_same_set(problem, chosen))
-    alone = (every[number], *_walked(problem, top, generator))
-    return replace(mixture, writable=_mixture([alone], problem, library, end))
+    return _mixture(walked, problem, library, end)
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:

@@ -29,6 +29,7 @@ FILE_UNITS: Mapping[str, tuple[str, float, str]] = MappingProxyType(
         "kg": ("kg", 1.0, "_kg"),
         "1/K": ("1/K", 1.0, "_per_K"),
         "mm/session": ("mm/session", 1.0, "_mm"),
+        "mm/K": ("mm/K", 1.0, "_mm_per_K"),
         "rad/session": ("deg/session", 180.0 / np.pi, "_deg"),
     }
 )

@@ -43,18 +43,26 @@ def test_a_calibration_goes_round_in_python(folder: Path) -> None:
         identify_files(folder / "arm.toml", folder / "data.csv", out=out)
 
 
-def test_an_arm_that_has_the_librarys_effects_is_estimated_anew_without_its_prior(folder: Path) -> None:
-    """Rows of a plan for that prior, and the file that a fit with it wrote: nothing of the library is left to add."""
+def test_what_a_fit_with_the_librarys_prior_wrote_is_fitted_with_it_again(folder: Path) -> None:
+    """Its effects are those of the prior, and are added anew; with `only` they stay as they are."""
     table = (folder / "data.csv").read_text()
     (folder / "planned.csv").write_text(f"# fit: library-prior --missing gear_ratio\n{table}")
     out = Written(folder / "calibrated.toml")
-    assert identify_files(folder / "arm.toml", folder / "planned.csv", out=out).data["fit"]["followed"]
+    first = identify_files(folder / "arm.toml", folder / "planned.csv", out=out).data
+    assert first["fit"]["followed"]
     answer = identify_files(out, folder / "planned.csv", only=(["joint_offsets"],))
     assert answer.exit_code == 0
     assert not answer.data["fit"]["followed"]
     assert [row["name"] for row in answer.data["parameters"]] == ["joint_offset:1", "joint_offset:2"]
-    with pytest.raises(InputError, match="none of the library's is left"):
-        identify_files(out, folder / "planned.csv")
+    again = identify_files(out, folder / "planned.csv").data
+    assert again["prior"] == first["prior"]
+    np.testing.assert_allclose(
+        [row["value"] for row in again["parameters"]], [row["value"] for row in first["parameters"]], atol=1e-9
+    )
+    whole = identify_files(out, folder / "data.csv").data
+    assert whole["fit"] == {"asked": "library-prior", "followed": True, "against": None}
+    assert whole["prior"]["parameters"] > first["prior"]["parameters"]
+    assert "prior" not in identify_files(out, folder / "data.csv", prior=False).data
 
 
 def test_each_file_is_a_session_and_none_is_given_twice(folder: Path) -> None:

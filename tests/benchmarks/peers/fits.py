@@ -76,7 +76,7 @@ def armcal(q: np.ndarray, x: np.ndarray) -> Answer:
     pairs = list(zip(frames[1:], chain.joints, strict=False))
     axes = [np.array(ca.evalf(frame.axes)) @ joint.axis for frame, joint in pairs]
     points = [np.array(ca.evalf(frame.origin)).ravel() for frame, _ in pairs]
-    tip = np.array(ca.evalf(chain.measured(frames[-1], values)[0].origin)).ravel()
+    tip = np.array(ca.evalf(chain.measured(frames[-1], values).origin)).ravel()
     return {"axes": np.array(axes), "points": np.array(points), "tip": tip}
 
 

@@ -33,7 +33,10 @@ def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int =
     candidates = [{"effects": [name], "probability": 0.4} for name in effects[:sets]]
     found = {"verdict": verdict, "effects": list(effects), "candidates": candidates, "where": "joint:3", "gap": GAP}
     found |= {"shape": None, "curves": []}
-    return found | {"confirmed": confirmed, "confirmation": None if confirmed is None else TEST}
+    return found | {
+        "confirmed": confirmed,
+        "confirmation": None if confirmed is None else {**TEST, "confirmed": confirmed},
+    }
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_links_are_where_pinocchio_puts_them(tmp_path: Path) -> None:
         link, number = each.name.rsplit("_", 1)
         if each.parentJoint <= 1:
             joint, place, _ = places[link]
-            found = place @ urdf.collisions(link)[int(number)][3]
+            found = place @ urdf.collisions(link)[int(number)].place
             expected = (base.inverse() * each.placement if joint == 0 else each.placement).homogeneous
             expected[:3, 3] *= 1000.0
             assert joint == each.parentJoint

@@ -73,7 +73,7 @@ def chain() -> KinematicChain:
 def position_and_jacobian(chain: KinematicChain, q: Array, values: Array) -> tuple[Array, Array]:
     symbols, p = ca.SX.sym("q", len(chain)), ca.SX.sym("p", len(chain.every_parameter))
     named = {name: p[k] for k, name in enumerate(chain.every_parameter.names)}
-    tip = chain.measured(chain.frames(symbols, named)[-1], named)[0].origin
+    tip = chain.measured(chain.frames(symbols, named)[-1], named).origin
     found = vectorize(ca.Function("tip", [symbols, p], [tip, ca.jacobian(tip, p)]))(q, values)
     return found[0][..., 0], found[1]
 

@@ -1,0 +1,253 @@
+"""Errors of any form, of which the place is known: what `diagnose` adds where no effect of the library explains it.
+
+Each is a sum of given functions; `diagnose` says where it is and estimates the values, but never names it. Functions
+that are fast or of two angles are smaller, as errors of that kind are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from itertools import combinations_with_replacement, product
+from math import prod
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from identification.effects.base import LEVER, Effect, Number, Scope, Setting, add_effect
+from identification.effects.chain import Chain, widths
+from identification.effects.formulas import SPACE
+from identification.kinematics.frames import rotation_to_z
+from identification.kinematics.parameters import PRISMATIC
+
+SLOW = 3  # convention: order of the fastest function of several variables, or with several values
+FAST = 12  # convention: half periods of the fastest function of time, or of one coordinate over twice the reach
+of_any_form = partial(add_effect, unlisted=True)
+of_joint = partial(of_any_form, per_joint="required", prior=0.3)
+
+
+def numbers(count: int, unit: str, *scale: Any) -> list[Number]:
+    """`v1`, `v2` .. of so many functions, which have no typical size."""
+    return [Number(f"v{k}", unit, None, *scale) for k in range(1, count + 1)]
+
+
+def turning_waves(angle: ca.SX, orders: Iterable[int]) -> ca.SX:
+    """Cosine and sine of each order, periods per turn."""
+    return ca.vertcat(*(wave(k * angle) for k in orders for wave in (ca.cos, ca.sin)))
+
+
+def half_waves(x: ca.SX, count: int) -> ca.SX:
+    """(count,) waves of 1, 2 .. half periods between 0 and 1, where they are even."""
+    return ca.cos(np.pi * ca.DM(range(1, count + 1)) * x)
+
+
+# -- of a joint --------------------------------------------------------------------------------------------------------
+def _other_joints(scope: Scope) -> list[float]:
+    """Joints that turn, but for its own."""
+    joints = enumerate(scope.arm.chain.joints, start=1)
+    return [float(j) for j, joint in joints if j != scope.joint and joint.type != PRISMATIC]
+
+
+def _with_other(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """Of the other joint's angle, and of both angles."""
+    angle, other = chain.q[self.joint_index], chain.q[int(self.chosen["other"]) - 1]
+    once, twice = turning_waves(other, [1]), turning_waves(other, [2]) / 4.0
+    return ca.dot(ca.vertcat(once, twice, ca.vec(ca.mtimes(turning_waves(angle, [1]), once.T)) / 2.0), values)
+
+
+def _by_approach(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """Of the angle and the last move, with another sign by its direction."""
+    j = self.joint_index
+    move = ca.fabs(chain.q[j] - chain.previous[j])
+    return chain.directions[j] * ca.dot(ca.vertcat(1.0, turning_waves(chain.q[j], [1]), ca.exp(-move)), values)
+
+
+def _load_unit(self: Effect, chain: Chain) -> float:
+    """Torque [N m] of all masses at half the reach."""
+    gravity = chain.required_gravity
+    weight = (sum(gravity.link_masses) + gravity.payload) * float(np.linalg.norm(gravity.acceleration))
+    return max(0.5e-3 * weight * self.reach, 1e-9)
+
+
+def _by_load(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """Of the torque, as a spring, play and friction have it."""
+    t = chain.torques[self.joint_index] / _load_unit(self, chain)
+    return ca.dot(ca.vertcat(t, ca.fabs(t), t * ca.fabs(t), ca.sign(t)), values)
+
+
+def _across_the_axis(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+    """(3,) across the axis, by waves of its angle."""
+    across = ca.DM(rotation_to_z(self.chain.joints[self.joint_index].axis)[:, :2])
+    waves = turning_waves(chain.q[self.joint_index], range(1, SLOW + 1))
+    return ca.mtimes([across, ca.reshape(values, 2, 2 * SLOW), waves])
+
+
+of_joint(
+    "two_joint_error",
+    "depends on other joints too: waves of the other's angle, and once per turn of both angles",
+    numbers(8, "rad", LEVER),
+    settings={"other": Setting(1, 99, _other_joints, whole=True, symbolic=False)},
+    joint_angles=_with_other,
+)
+of_joint(
+    "approach_error",
+    "depends on the direction of approach: s (v1 + v2 cos q + v3 sin q + v4 exp(-|last move|))",
+    numbers(4, "rad", LEVER),
+    needs=frozenset({"directions", "past"}),
+    joint_angles=_by_approach,
+)
+of_joint(
+    "load_error",
+    "depends on the load: v1 t + v2 |t| + v3 t |t| + v4 sign t, t the gravity torque",
+    numbers(4, "rad", LEVER),
+    needs=frozenset({"gravity"}),
+    joint_angles=_by_load,
+)
+of_joint(
+    "axis_error",
+    "tilt or shift across the axis: waves of the joint's angle, tilts at the reach",
+    numbers(8 * SLOW, "mm"),
+    dimensions=SPACE,
+    joint_turns=lambda self, chain, values: _across_the_axis(self, chain, values[: 4 * SLOW] / self.reach),
+    joint_shifts=lambda self, chain, values: _across_the_axis(self, chain, values[4 * SLOW :]),
+)
+
+
+# -- in time and with the temperature ----------------------------------------------------------------------------------
+def _in_time(chain: Chain, count: int) -> ca.SX:
+    """Waves over the session, the slow ones larger."""
+    return half_waves(chain.time + 0.5, count) / ca.DM(range(1, count + 1))
+
+
+def _moving(
+    name: str,
+    about: str,
+    unit: str,
+    places: tuple[str, str],
+    count: int,
+    functions: Callable[[Chain], ca.SX],
+    **more: Any,
+) -> None:
+    """Add an effect that shifts and turns something, each by functions of what holds in a row.
+
+    unit : of the values, shifts and turns at the reach;  places : of the shift and of the turn;  count : of functions
+    """
+
+    def moved(self: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
+        shift, turn = (widths(self.chain)[place] for place in places)
+        both = ca.mtimes(ca.reshape(values, shift + turn, count), functions(chain))
+        return both[:shift], both[shift:] / self.reach
+
+    formulas = {
+        places[0]: lambda self, chain, values: moved(self, chain, values)[0],
+        places[1]: lambda self, chain, values: moved(self, chain, values)[1],
+    }
+    size = lambda self: count * sum(widths(self.chain)[place] for place in places)  # noqa: E731
+    of_any_form(name, about, lambda self: numbers(size(self), unit), **formulas, **more)
+
+
+BASE, GEOMETRY = ("base_translation", "base_rotation"), ("joint_shifts", "joint_turns")
+of_session = partial(_moving, unit="mm/session", needs=frozenset({"time"}), once=True)
+of_warmth = partial(
+    _moving, unit="mm/K", count=1, functions=lambda chain: chain.temperature, needs=frozenset({"temperature"})
+)
+of_session(
+    "time_shift",
+    "smooth in time: base moves as waves over the session",
+    places=BASE,
+    count=FAST,
+    functions=partial(_in_time, count=FAST),
+)
+of_session(
+    "time_geometry",
+    "geometry that changes in time: every joint moves, as slow waves over the session",
+    places=GEOMETRY,
+    count=SLOW,
+    functions=partial(_in_time, count=SLOW),
+    prior=0.3,
+)
+of_warmth("temperature_shift", "follows the temperature: base moves by v (T - T_mean)", places=BASE)
+of_warmth(
+    "temperature_geometry",
+    "geometry that follows the temperature: every joint moves by v (T - T_mean)",
+    places=GEOMETRY,
+    prior=0.3,
+)
+of_any_form(
+    "time_load",
+    "load that changes in time: angles by the gravity torque, as slow waves over the session",
+    lambda self: numbers(SLOW * len(self.chain), "rad/session", self.reach),
+    needs=frozenset({"time", "gravity"}),
+    once=True,
+    prior=0.3,
+    joint_angles=lambda self, chain, values: (
+        chain.torques
+        / _load_unit(self, chain)
+        * ca.mtimes(ca.reshape(values, len(self.chain), SLOW), _in_time(chain, SLOW))
+    ),
+)
+
+
+# -- over the workspace ------------------------------------------------------------------------------------------------
+def _place(self: Effect, point: ca.SX) -> ca.SX:
+    """(d,) of a point, from the base along its axes, in units of the reach."""
+    d, base = self.chain.dimension, ca.DM(self.chain.base)
+    return ca.mtimes(base[:d, :d].T, point - base[:d, 3]) / self.reach
+
+
+def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX]) -> None:
+    """Add an effect that shifts what is measured, along each axis, by functions of its place."""
+
+    def counted(self: Effect) -> list[Number]:
+        d = self.chain.dimension
+        return numbers(d * functions(ca.SX.sym("place", d)).numel(), "mm")
+
+    def shifted(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
+        return ca.mtimes(ca.reshape(values, self.chain.dimension, -1), functions(_place(self, point)))
+
+    of_any_form(name, about, counted, of_positions=True, prior=0.25, instrument=shifted)
+
+
+def _fast(x: ca.SX) -> ca.SX:
+    """Waves between 0 and 1, the slow ones larger."""
+    return half_waves(x, FAST) / ca.sqrt(ca.DM(range(1, FAST + 1)))
+
+
+def _products(place: ca.SX) -> ca.SX:
+    """Slow waves along the axes, and products of them."""
+    along = [ca.vertcat(1.0, half_waves(0.5 * (x + 1.0), SLOW)) for x in ca.vertsplit(place)]
+    orders = [np.array(k) for k in product(range(SLOW + 1), repeat=len(along)) if 1 <= sum(k) <= SLOW]
+    return ca.vertcat(
+        *(prod(w[int(k)] for w, k in zip(along, each, strict=True)) / (1.0 + each @ each) for each in orders)
+    )
+
+
+def _outwards(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
+    """Away from the base, by waves of the distance."""
+    place = _place(self, point)
+    distance = ca.norm_2(place)
+    return place / ca.fmax(distance, 1e-9) * ca.dot(_fast(distance), values)
+
+
+_over_workspace(
+    "workspace_smooth", "smooth over the workspace: slow waves along the axes of the base, and products", _products
+)
+_over_workspace(
+    "workspace_axes",
+    "smooth over the workspace: waves along each axis of the base",
+    lambda place: ca.vertcat(*(_fast(0.5 * (x + 1.0)) for x in ca.vertsplit(place))),
+)
+_over_workspace(
+    "workspace_squares",
+    "smooth over the workspace: squares and products of the coordinates from the base",
+    lambda place: ca.vertcat(*(a * b for a, b in combinations_with_replacement(ca.vertsplit(place), 2))),
+)
+of_any_form(
+    "workspace_radius",
+    "smooth over the workspace: outwards, by waves of the distance from the base",
+    numbers(FAST, "mm"),
+    of_positions=True,
+    prior=0.25,
+    instrument=_outwards,
+)
