@@ -80,9 +80,7 @@ def drive(
     postures = given = given[np.random.default_rng(seed).permutation(rows)] if order == "random" else given
     senses = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
     senses[(rows % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
-    cut, sideways = False, []
-    many = len(plan) > MANY and order != "travel"
-    around = rows if many else shortest_path(room.travel(postures[:, None], postures))
+    path: Route | None = None
     try:
         for attempt in range(ATTEMPTS):
             entries = None if approach == "any" else approaches(postures, senses, room, generator)
@@ -95,8 +93,12 @@ def drive(
                 break
             postures = another(problem, postures, lost, room, turn, generator)
     except TimeoutError:
+        path = None
+    many = len(plan) > MANY and order != "travel"
+    around = rows if many else shortest_path(room.travel(postures[:, None], postures))
+    if cut := path is None:
         rows = around if order == "travel" else rows
-        cut, path = True, Route(rows, [postures[[row]] for row in rows], [])
+        path = Route(rows, [postures[[row]] for row in rows], [])
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in path.ways])
     measured, whole = (replace(plan, postures=q) for q in (postures[path.rows], np.concatenate(path.ways)))
     ways = (plan.postures, whole.postures, measured.postures, postures[around])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +86,9 @@ def test_postures_behind_a_post_are_replaced_by_the_best_that_are_not() -> None:
     found = drive(problem, Plan(postures))
     assert found.data["moves"]["replaced"] == 1
     assert np.all(np.abs(found.plan.postures[:, 0]) < np.pi / 2)
+    apart = np.degrees(np.abs(found.plan.postures[:, None] - found.plan.postures).max(axis=2))
+    shortest = min(sum(apart[a, b] for a, b in pairwise(order)) for order in permutations(range(6)))
+    assert found.data["moves"]["shortest_deg"] == pytest.approx(shortest)  # of what is measured, not of what was given
     assert len({*map(tuple, found.plan.postures)} & {*map(tuple, postures)}) == 5
     assert inside(problem, found.moves.postures)
     (new,) = {*map(tuple, found.plan.postures)} - {*map(tuple, postures)}
