@@ -123,8 +123,8 @@ def _with_prior(
     for turn in range(10):  # the model is nearly linear: of the first round two steps are enough to see the noise
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
-        wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
-        widened = replace(prior, deviations=wide)
+        wide = {name: deviation * factors.get(name, widths[2]) for name, deviation in prior.deviations.items()}
+        widened = replace(prior, deviations=wide, own_error=widths[2] * prior.own_error)
         posed = replace(problem, noise=noise, prior=widened)
         rows, center = posed.prior_rows, posed.prior_center
 
@@ -142,7 +142,7 @@ def _with_prior(
     solution, determined = replace(solution, iterations=steps), decomposed.determined(jacobian)
     fit = _identification(posed, measurements, "levenberg_marquardt", solution, decomposed, determined)
     contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
-    factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths)
+    factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths[:2])
     return replace(
         fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradiction=contradiction
     )
@@ -196,8 +196,8 @@ def _identification(
     used, held = problem.weights > 0.0, problem.prior_rows
     unexplained, (m, d, p) = np.zeros(len(after), dtype=bool), rows.jacobian.shape
     if m * d - p + len(held) > p:
-        white, left = (problem.root_weights * after)[used], held @ (problem.prior_center - x)
-        unexplained[used] = outlying(white, rows.jacobian.reshape(m * d, p), held, left)
+        columns, left = rows.jacobian.reshape(m * d, p), held @ (problem.prior_center - x)
+        unexplained[used] = outlying(rows.residual, columns, held, left)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]
