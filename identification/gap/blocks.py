@@ -409,9 +409,9 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     unseen |= {j for spec in model.arm.effects if spec.curve is not None and (j := spec.joint)}
     for j, angles in enumerate(rows.postures.T) if outside else ():
         if j + 1 not in unseen and np.ptp(angles) > 1e-9:
-            ends = measured_range(angles, joints[j].type == REVOLUTE)
-            columns.append(at.levers[:, :, j, None] * curve_waves(angles, *ends)[:, None, :])
-            blocks.append(Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *ends)))
+            span = measured_range(angles, joints[j].type == REVOLUTE)
+            columns.append(at.levers[:, :, j, None] * curve_waves(angles, *span)[:, None, :])
+            blocks.append(Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *span)))
     for k in wrong:
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))

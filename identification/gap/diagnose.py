@@ -121,8 +121,8 @@ def diagnose(
     before = base.residuals(measurements)
     # whether the geometry alone predicts better: other rows, by more than chance; or, as the tests are linear and the
     # average is cut at physical bounds, its own
-    others = tests[0].shrinks is False and tests[0].after > tests[0].before
-    if alone := others or rms_distance(after[kept]) > rms_distance(before[kept]):
+    refuted = tests[0].shrinks is False and tests[0].after > tests[0].before
+    if alone := refuted or rms_distance(after[kept]) > rms_distance(before[kept]):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
