@@ -93,10 +93,6 @@ class Body(ByValue):
         faces += [brick(box[12:]) @ box[3:12].reshape(3, 3).T + box[:3] for box in self.boxes]
         return np.concatenate(faces)
 
-    def faces(self, longest: float) -> Array:
-        """(f, 3, 3) what it looks like in faces without a longer edge: every point is within 0.58 of it of a center."""
-        return cut(self.triangles, longest)
-
 
 @dataclass(frozen=True, eq=False)
 class Cell(ByValue):

@@ -23,11 +23,9 @@ ROOT = Path(__file__).parents[1]
 SEED, PATIENCE = 0, 300.0  # [s]: tests that take longer notice it
 TESTED = {  # module -> tests that must notice, in tests/identification and tests/doe
     "identification/information.py": "test_information.py",
-    "identification/kinematics/chain.py": "kinematics model estimation/test_estimate.py estimation/test_batch.py",
+    "identification/kinematics/chain.py": "kinematics model estimation/test_estimate.py",
     "identification/levenberg_marquardt.py": "test_levenberg_marquardt.py",
-    "identification/estimation/uncertainty.py": (
-        "estimation/test_uncertainty.py estimation/test_outlying.py gap/test_confirmation.py"
-    ),
+    "identification/estimation/uncertainty.py": ("estimation/test_uncertainty.py gap/test_confirmation.py"),
     "identification/estimation/estimate.py": "estimation/test_estimate.py estimation/test_prior.py",
     "identification/estimation/problem.py": "estimation/test_prior.py estimation/test_contradictions.py",
     "identification/gap/likelihood.py": "gap/test_likelihood.py gap/test_average.py",

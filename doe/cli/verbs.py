@@ -212,8 +212,8 @@ def design_files(
     expected = ExpectedTip.of(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()
     extra += [] if expected is None else [str(expected)]
-    data |= driven.to_json()
-    extra += driven.in_words()
+    data |= driven.data
+    extra += driven.lines
     text = (driven.moves or driven.plan).text(loaded.joint_types, columns_beside(design))
     files: dict[Path | None, tuple[str, Any]] = {out: ("plan", text)}
     if picture is not None:
@@ -682,7 +682,7 @@ def demo_files(
     spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
     out : Directory for the files.
     """
-    from doe.demo.run import demo_document, overview_figure, planar, run_demo
+    from doe.demo.run import demo_document, planar, run_demo
     from doe.demo.run import spatial as six_axes
 
     try:
@@ -693,9 +693,9 @@ def demo_files(
         raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
     with interruptible(f"the files in {out} are whole, but not all there"):
         demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
-        document, picture = demo_document(demo), overview_figure(demo)
+        document = demo_document(demo)
         text = page(document, [out / name for name in demo.data["files"]])
-        write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
+        write_together({out / "report.html": text}, force=True)
         files = ", ".join(demo.data["files"])
         look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
         answer = Answer(demo.data, document.plus(look))

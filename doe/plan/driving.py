@@ -6,9 +6,9 @@ A posture to which no free way leads is replaced by the best, by the criterion, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,88 +31,19 @@ ATTEMPTS = 5  # to replace what no way leads to
 MANY = 100  # runs above which a plan keeps its order if no other is asked for
 
 
-@dataclass(frozen=True)
-class Drive:
+class Drive(NamedTuple):
     """A plan of measurements in their order, and how they are driven through.
 
-    plan : the measurements;  moves : the same with way-points, None: they were not asked for, and nothing is in the way
-    order : `given`, `random` or `travel`, None: nobody asked for one;  approach : of `SENSES`
-    travel, before : [rad] of the joint that moves most, in all, and with straight moves in the order given
-    shortest : [rad] of the shortest order if nothing is in the way;  replaced : how many postures were
-    sideways : runs from 1 that no free way leads to from the side that was asked for;  not_free : as `unproven` has it
-    wound : joints from 1 with limits of more than one turn
-    cut : whether time ended before free moves were found: then it has none
+    plan : the measurements;  moves : the same with way-points, None: they were not asked for, and nothing is in the
+        way, or time ended before free ones were found
+    data : by the keys of files (identification/files/README.md, "JSON keys"), none where no order was asked for
+    lines : what is to be said
     """
 
     plan: Plan
-    moves: Plan | None = None
-    order: str | None = None
-    approach: str = "any"
-    travel: float = 0.0
-    before: float = 0.0
-    shortest: float = 0.0
-    replaced: int = 0
-    sideways: Sequence[int] = ()
-    not_free: Sequence[Mapping[str, Any]] = ()
-    wound: Sequence[int] = ()
-    cut: bool = False
-
-    def to_json(self) -> dict[str, Any]:
-        """By the keys of files; rows as a program has them, joints as the controller counts [deg, mm]."""
-        if self.order is None:
-            return {}
-        before, after, shortest = np.degrees([self.before, self.travel, self.shortest]).tolist()
-        saved = 1.0 - after / before if before > 0.0 else 0.0
-        data: dict[str, Any] = {"travel_deg": {"order": self.order, "before": before, "after": after, "saved": saved}}
-        if self.moves is None or self.moves.via is None:
-            return data | ({"moves": None} if self.cut else {})
-        runs = np.where(self.moves.via, 0, np.cumsum(~self.moves.via)).tolist()
-        rows = [
-            {"kind": "measure" if run else "via", "run": run or None, "joints": row}
-            for run, row in zip(runs, self.moves.displayed.tolist(), strict=True)
-        ]
-        vias = int(self.moves.via.sum())
-        moves = {"vias": vias, "replaced": self.replaced, "shortest_deg": shortest, "approach": self.approach}
-        lacking = {"no_approach": [*self.sideways], "not_free": [*self.not_free]}
-        return data | {"moves": moves | lacking | {"rows": rows}}
-
-    def in_words(self) -> list[str]:
-        """What is to be said of the order, and of the moves."""
-        if self.order is None:
-            return []
-        data = self.to_json()
-        before, after, saved = (data["travel_deg"][key] for key in ("before", "after", "saved"))
-        change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
-        travel = f"joint travel {before:.0f} -> {after:.0f} deg"
-        lines = [f"order {self.order}: {travel} of the joint that moves farthest ({change})"]
-        if self.cut:
-            lines.append(
-                "Moves: no way from posture to posture was proven free in time; straight moves may collide: armcal "
-                "score names them. Narrower joint limits, as the cell has them, make the search shorter."
-            )
-        if moves := data.get("moves"):
-            times = after / moves["shortest_deg"] if moves["shortest_deg"] > 0.0 else 1.0
-            counted = f"{moves['vias']} way-point{'s' * (moves['vias'] != 1)}"
-            lines.append(
-                f"Moves: {counted}, {times:.2f} times the travel of the shortest order with nothing in the way."
-            )
-            if self.approach != "any":
-                how = {"alternate": "both ways in turn"}.get(self.approach, f"in {self.approach} direction")
-                lines.append(f"every joint comes to each posture {how}; plan and bound leave room for it at the limits")
-            if self.sideways:
-                runs = f"run{'s' * (len(self.sideways) != 1)} {', '.join(map(str, self.sideways))}"
-                lines.append(f"but not to {runs}: no free way was found there from that side")
-            if self.replaced:
-                were = "1 of the postures was" if self.replaced == 1 else f"{self.replaced} of the postures were"
-                lines.append(f"{were} replaced: no free way led there from the others")
-            if self.wound and (self.replaced or self.not_free):
-                limits = f"[joint_limits_deg] of one turn for joint{'s' * (len(self.wound) != 1)}"
-                lines.append(
-                    f"No free way leads into all turns of the joints: of the others the plan says little. {limits} "
-                    f"{', '.join(map(str, self.wound))}, as armcal init writes them, give a plan of where the arm gets."
-                )
-            lines += in_sentences(self.not_free)
-        return lines
+    moves: Plan | None
+    data: dict[str, Any]
+    lines: list[str]
 
 
 def drive(
@@ -134,7 +65,7 @@ def drive(
     """
     solid, generator = clearance_of(problem.constraints) is not None, np.random.default_rng(seed)
     if not solid and approach == "any" and order is None:
-        return Drive(plan)
+        return Drive(plan, None, {}, [])
     order = order or ("travel" if solid and len(plan) <= MANY else "given")
     room = room_of(problem.model, problem.constraints, 0.02)
     kept_margin = room.margin
@@ -167,16 +98,64 @@ def drive(
         cut, path = True, Route(rows, [postures[[row]] for row in rows], [])
     via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in path.ways])
     measured, whole = (replace(plan, postures=q) for q in (postures[path.rows], np.concatenate(path.ways)))
-    shortest = min(room.length(measured.postures), room.length(postures[around]))
-    lengths = room.length(whole.postures), room.length(plan.postures), shortest
-    replaced = int(np.any(postures != given, axis=1).sum())
-    not_free = (unproven(problem.constraints, whole.postures) or []) if path.unreached else []
-    wound = turns(problem.model) & (problem.upper - problem.lower > WOUND)
-    runs, joints = (
-        (np.flatnonzero(chosen) + 1).tolist() for chosen in (np.isin(path.rows, sideways) & (not cut), wound)
-    )
-    moves = None if cut or (not solid and approach == "any") else replace(whole, via=via)
-    return Drive(measured, moves, order, approach, *lengths, replaced, runs, not_free, joints, cut)
+    ways = (plan.postures, whole.postures, measured.postures, postures[around])
+    before, after, *shortest = np.degrees([room.length(way) for way in ways]).tolist()
+    saved = 1.0 - after / before if before > 0.0 else 0.0
+    data: dict[str, Any] = {"travel_deg": {"order": order, "before": before, "after": after, "saved": saved}}
+    if cut:
+        data["moves"] = None
+    if cut or (not solid and approach == "any"):
+        return Drive(measured, None, data, in_words(data, []))
+    runs = np.where(via, 0, np.cumsum(~via)).tolist()
+    data["moves"] = {
+        "vias": int(via.sum()),
+        "replaced": int(np.any(postures != given, axis=1).sum()),
+        "shortest_deg": min(shortest),
+        "approach": approach,
+        "no_approach": (np.flatnonzero(np.isin(path.rows, sideways)) + 1).tolist(),
+        "not_free": (unproven(problem.constraints, whole.postures) or []) if path.unreached else [],
+        "rows": [
+            {"kind": "measure" if run else "via", "run": run or None, "joints": row}
+            for run, row in zip(runs, whole.displayed.tolist(), strict=True)
+        ],
+    }
+    wound = np.flatnonzero(turns(problem.model) & (problem.upper - problem.lower > WOUND)) + 1
+    return Drive(measured, replace(whole, via=via), data, in_words(data, wound.tolist()))
+
+
+def in_words(data: Mapping[str, Any], wound: Sequence[int]) -> list[str]:
+    """What is to be said of the order, and of the moves.
+
+    wound : joints from 1 with limits of more than one turn
+    """
+    order, before, after, saved = data["travel_deg"].values()
+    change = f"{abs(saved):.0%} {'more' if saved < 0.0 else 'saved'}"
+    lines = [f"order {order}: joint travel {before:.0f} -> {after:.0f} deg of the joint that moves farthest ({change})"]
+    if "moves" not in data:
+        return lines
+    if (moves := data["moves"]) is None:
+        late = "Moves: no way from posture to posture was proven free in time; straight moves may collide: armcal score"
+        shorter = "names them. Narrower joint limits, as the cell has them, make the search shorter."
+        return [*lines, f"{late} {shorter}"]
+    vias, replaced, shortest, approach, sideways, not_free, _ = moves.values()
+    times, counted = after / shortest if shortest > 0.0 else 1.0, f"{vias} way-point{'s' * (vias != 1)}"
+    lines.append(f"Moves: {counted}, {times:.2f} times the travel of the shortest order with nothing in the way.")
+    if approach != "any":
+        how = "both ways in turn" if approach == "alternate" else f"in {approach} direction"
+        lines.append(f"every joint comes to each posture {how}; plan and bound leave room for it at the limits")
+    if sideways:
+        runs = f"run{'s' * (len(sideways) != 1)} {', '.join(map(str, sideways))}"
+        lines.append(f"but not to {runs}: no free way was found there from that side")
+    if replaced:
+        were = "1 of the postures was" if replaced == 1 else f"{replaced} of the postures were"
+        lines.append(f"{were} replaced: no free way led there from the others")
+    if wound and (replaced or not_free):
+        limits = f"[joint_limits_deg] of one turn for joint{'s' * (len(wound) != 1)} {', '.join(map(str, wound))}"
+        lines.append(
+            "No free way leads into all turns of the joints: of the others the plan says little. "
+            f"{limits}, as armcal init writes them, give a plan of where the arm gets."
+        )
+    return lines + in_sentences(not_free)
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]] | None:

@@ -6,8 +6,6 @@ Two postures of a plan, and of those measured already, differ by the minimum dis
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -53,19 +51,18 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
     """Rows that come too near earlier rows, or postures measured already; in very long plans later rows count too."""
     if problem.choices is not None or problem.minimum_distance == 0.0:
         return np.empty(0, dtype=np.intp)
-    before, distance = len(problem.kept), problem.minimum_distance / ROUNDING
-    points = np.concatenate([problem.kept, postures])
-    if len(points) <= 200:
-        return np.flatnonzero(np.tril(gaps(problem, points, points) < distance, -1)[before:].any(axis=1))
-    from scipy.spatial import KDTree  # 0.1 s to import
+    points, distance = np.concatenate([problem.kept, postures]), problem.minimum_distance / ROUNDING
+    crowded = np.arange(len(points))
+    if len(points) > 200:
+        from scipy.spatial import KDTree  # 0.1 s to import
 
-    compared = problem.comparable(points)
-    near = KDTree(compared).query_ball_point(compared, distance, p=np.inf, return_length=True)[before:] > 1
-    crowded = np.flatnonzero(near)
-    if len(crowded) * len(points) > 10_000_000:  # pairs of rows to compare one by one
-        return crowded
-    earlier = [gaps(problem, points[None, k], points[:k]).min(initial=np.inf) for k in (before + crowded).tolist()]
-    return crowded[np.array(earlier) < distance]
+        compared = problem.comparable(points)
+        near = KDTree(compared).query_ball_point(compared, distance, p=np.inf, return_length=True)
+        crowded = np.flatnonzero(near > 1)
+    if len(crowded) <= 3000:  # else there are too many pairs to compare
+        alike = gaps(problem, points[crowded], points[crowded]) < distance
+        crowded = crowded[np.tril(alike, -1).any(axis=1)]
+    return crowded[crowded >= len(problem.kept)] - len(problem.kept)
 
 
 def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
@@ -87,13 +84,13 @@ def values_with(problem: DesignProblem, plan: Array, places: Array) -> Array:
 def separated(problem: DesignProblem, postures: Array) -> Array:
     """The same plan with every repeat moved to the best free posture near it; unchanged where there is none."""
     plan, crowded = np.array(postures), too_near(problem, postures)
-    sizes = problem.minimum_distance * ROUNDING * np.array([-3, -2, -1, 1, 2, 3])
-    units = problem.joint_units * np.eye(problem.joints)
-    steps = [size * unit for unit in units for size in sizes]  # of one joint, and below of two
-    steps += [a + b for a, b in product(steps, steps) if np.count_nonzero(a + b) == 2] if len(crowded) else []
+    size = problem.minimum_distance * ROUNDING * problem.joint_units * np.eye(problem.joints)
+    steps = np.concatenate([count * size for count in (-3, -2, -1, 1, 2, 3)])  # of one joint, and below of two
+    two = (steps[:, None] + steps).reshape(-1, problem.joints)
+    steps = np.concatenate([steps, two[np.count_nonzero(two, axis=1) == 2]])
     for row in crowded if len(crowded) <= 2000 else ():
         others = np.delete(plan, row, axis=0)
-        around = plan[row] + np.array(steps)
+        around = plan[row] + steps
         around = around[np.all((around >= problem.lower) & (around <= problem.upper), axis=1)]
         if len(places := with_room(problem, around, np.vstack([others, problem.kept]))):
             plan[row] = places[np.argmax(values_with(problem, others, places))]

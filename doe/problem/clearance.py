@@ -20,7 +20,6 @@ of a pair that is always near, as both neighbours of a short link, a quarter of 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,8 +54,7 @@ class Clearance:
     """The condition on a posture that bodies keep their distance: a constraint, as `doe.problem.constraints` has them.
 
     pairs : (k) names of both bodies;  asked : (k,) [mm] how far they are to keep apart;  touching : the pairs that are
-    not looked at since they touch wherever the arm goes;  clear : those that are not since they never touch as drawn:
-    always near, their covers overlap somewhere, but not the surfaces at the postures where covers overlap most
+    not looked at since their pieces overlap wherever the arm goes
     """
 
     kind = "clearance"
@@ -97,19 +95,9 @@ class Clearance:
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         apart = self.distance(drawn)
         largest = np.quantile(apart, 0.98, axis=0)  # seldom postures aside
-        # [mm] of pairs that never come farther apart, and touch by their covers, drawings are compared at the postures
-        # where covers overlap most: covers stick out
-        drawings = {body.name: body for body in cell.bodies}
+        kept = largest > 0.0
+        self.touching, self.pairs = (tuple(pairs[k] for k in np.flatnonzero(each)) for each in (~kept, kept))
         self.unseen = [", ".join(each) for each in [getattr(cell.bodies, "unseen", ())] if each]  # without meshes
-        drawn_both = np.array([{*pair} <= {*drawings} for pair in pairs], dtype=bool)
-        never = (largest < 60.0) & (apart.min(axis=0) < 0.0) & drawn_both
-        for k in np.flatnonzero(never):
-            worst = self._frames_at(drawn[np.argsort(apart[:, k])[:60]])
-            never[k] = not drawn_touch(drawings[pairs[k][0]], drawings[pairs[k][1]], worst)
-        kept = (largest > 0.0) & ~never
-        self.touching, self.clear, self.pairs = (
-            tuple(pairs[k] for k in np.flatnonzero(chosen)) for chosen in (~kept & ~never, never, kept)
-        )
         self.asked = np.minimum(self.usual, 0.25 * largest)[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
@@ -162,17 +150,14 @@ class Clearance:
             those = len(np.unique(postures[[each["run"] - 1 for each in near]], axis=0))
             lines.append(f"Collisions: {those} of {many} postures bring bodies too near to each other:")
         lines += [f"  run {each['run']}: {distance_in_words(each)}" for each in near]
-        touching, clear = ([" and ".join(pair) for pair in pairs] for pairs in (self.touching, self.clear))
-        few = np.flatnonzero(self.asked < self.usual)
+        touching, few = [" and ".join(pair) for pair in self.touching], np.flatnonzero(self.asked < self.usual)
         narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
         if not near:
-            kept = len(self.pairs) - len(narrow)
-            stay = f"of bodies stay{'s' * (kept == 1)} {self.usual:g} mm apart"
-            lines.append(f"Collisions: {_counted(kept)} {stay} in all {many} postures.")
+            stay = f"of bodies stay{'s' * (len(self.pairs) - len(narrow) == 1)} {self.usual:g} mm apart"
+            lines.append(f"Collisions: {_counted(len(self.pairs) - len(narrow))} {stay} in all {many} postures.")
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),
-            ("Not looked at, since they never touch as they are drawn", clear),
             ("Not looked at, since their meshes are not found", self.unseen),
         ):
             rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
@@ -271,8 +256,6 @@ class Clearance:
     def count(self) -> int:
         """k."""
         return len(self.pairs)
-
-    values = margin
 
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
@@ -384,24 +367,3 @@ def nearest_to_box(a: Array, b: Array, half: Array) -> tuple[Array, Array]:
     between = (falling < 0.0) & (rising > 0.0)
     weight = np.where(between, rising / np.where(between, rising - falling, 1.0), falling >= 0.0)
     return np.where(falling >= 0.0, low, high), weight * back + (1.0 - weight) * ahead
-
-
-def drawn_touch(one: Any, other: Any, frames: Array, fine: float = 4.0) -> bool:
-    """Whether surfaces of two bodies come within `fine` [mm] of each other in one of the frames (m, n + 2, 4, 4)."""
-    from scipy.spatial import cKDTree  # takes longer to load than all else here
-
-    moved, still = one.faces(10.0 * fine), other.faces(fine).mean(axis=1)
-    if not len(moved) or not len(still):
-        return True  # nobody knows
-    tree, relative = cKDTree(still), np.linalg.inv(frames[:, other.joint]) @ frames[:, one.joint]
-
-    def near(points: Array, frame: Array, away: float) -> tuple[NDArray[np.bool_], Array]:
-        placed = points @ frame[:3, :3].T + frame[:3, 3]
-        return np.all((placed > tree.mins - away) & (placed < tree.maxes + away), axis=1), placed
-
-    ever = np.any([near(moved.mean(axis=1), frame, 12.0 * fine)[0] for frame in relative], axis=0)
-    points = replace(one, triangles=moved[ever]).faces(fine).mean(axis=1)
-    around = (near(points, frame, 2.0 * fine) for frame in relative)
-    return any(
-        np.isfinite(tree.query(placed[rows], distance_upper_bound=1.2 * fine)[0]).any() for rows, placed in around
-    )

@@ -8,8 +8,7 @@ in CasADi, for which links are thin and run from joint to joint; those of bodies
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -22,36 +21,6 @@ from identification import Array, InputError, design_model, vectorize
 
 LINK_RADIUS = 0.03  # of the arm's reach: how near to a link a line of sight may pass
 FLAT = 1e-9  # [mm] lengths that divide nothing
-Points = list[ca.SX]  # base, joints and tip
-
-
-@dataclass(frozen=True)
-class Expression:
-    """A condition on one posture: a function of a CasADi posture q (n,) whose expressions (k,) are to be kept >= 0,
-    differentiable almost everywhere.
-
-    joints : n;  kind : its name in messages
-    """
-
-    function: Callable[[ca.SX], ca.SX]
-    joints: int
-    kind: str = "expression"
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"function": self.function, "joints": self.joints, "kind": self.kind}
-
-    def symbolic(self, q: ca.SX) -> ca.SX:
-        """(k,) expressions."""
-        return ca.vec(self.function(q))
-
-    def margin(self, postures: Array) -> Array:
-        """(m, k) values at postures (m, n)."""
-        return self._evaluate(np.asarray(postures, dtype=float))[0][..., 0]
-
-    @cached_property
-    def _evaluate(self) -> Callable[..., tuple[Array, ...]]:
-        q = ca.SX.sym("q", self.joints)
-        return vectorize(ca.Function("constraint", [q], [ca.cse(ca.densify(self.symbolic(q)))]))
 
 
 class Derivatives:
@@ -101,39 +70,51 @@ class Derivatives:
         return self._evaluated("bend", postures, weights.reshape(-1, self.count))[0]
 
 
-class Walls:
-    """The margins of all constraints, side by side, and their derivatives by the n joints."""
+class Expression(Derivatives):
+    """A condition on one posture: a function of a CasADi posture q (n,) whose expressions (k,) are to be kept >= 0,
+    differentiable almost everywhere.
 
-    def __init__(self, constraints: Sequence[Constraint], n: int) -> None:
-        q, expressions = ca.SX.sym("q", n), [each for each in constraints if isinstance(each, Expression)]
-        self._parts: list[Derivatives | Clearance] = [each for each in constraints if isinstance(each, Clearance)]
-        if expressions:
-            walls = ca.vertcat(*(each.symbolic(q) for each in expressions))
-            self._parts.insert(0, Derivatives(q, walls, range(n), (walls.numel(),)))
+    joints : n;  kind : its name in messages
+    """
+
+    def __init__(self, function: Callable[[ca.SX], ca.SX], joints: int, kind: str = "expression") -> None:
+        q = ca.SX.sym("q", joints)
+        expressions = ca.vec(function(q))
+        super().__init__(q, expressions, range(joints), (expressions.numel(),))
+        self.kind, self._made = kind, (function, joints, kind)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Expression, self._made
+
+    margin = Derivatives.values
+
+
+Constraint = Expression | Clearance
+
+
+class Walls(tuple[Constraint, ...]):
+    """The margins of all constraints, side by side, and their derivatives by the n joints."""
 
     def values(self, postures: Array) -> Array:
         """(m, k) margins."""
-        return np.concatenate([part.values(postures) for part in self._parts], axis=1)
+        return np.concatenate([each.margin(postures) for each in self], axis=1)
 
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, n, k)."""
-        values, slopes = zip(*(part.first(postures) for part in self._parts), strict=True)
+        values, slopes = zip(*(each.first(postures) for each in self), strict=True)
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
         """(m, n) gradients of the sums of margins with weights (m, k)."""
-        return np.sum([part.slope(postures, each) for part, each in self._weighted(weights)], axis=0)
+        return np.sum([each.slope(postures, part) for each, part in self._weighted(weights)], axis=0)
 
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, n, n) Hessians of the sums of margins with weights (m, k)."""
-        return np.sum([part.bend(postures, each) for part, each in self._weighted(weights)], axis=0)
+        return np.sum([each.bend(postures, part) for each, part in self._weighted(weights)], axis=0)
 
-    def _weighted(self, weights: Array) -> Iterator[tuple[Derivatives | Clearance, Array]]:
-        counts = [part.count for part in self._parts]
-        return zip(self._parts, np.split(weights, np.cumsum(counts)[:-1], axis=1), strict=True)
-
-
-Constraint = Expression | Clearance
+    def _weighted(self, weights: Array) -> Iterator[tuple[Constraint, Array]]:
+        ends = np.cumsum([each.count for each in self])
+        return zip(self, np.split(weights, ends[:-1], axis=1), strict=True)
 
 
 def constraints_of(model: Any) -> tuple[Constraint, ...]:

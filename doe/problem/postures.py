@@ -20,11 +20,8 @@ def random_postures(problem: DesignProblem, count: int, generator: Generator) ->
 
     Raises `InputError` naming the constraints that exclude everything.
     """
-
-    def anywhere(size: int) -> Array:
-        return generator.uniform(problem.lower, problem.upper, (size, problem.joints))
-
-    return fill(problem, count, anywhere, generator)
+    limits = problem.lower, problem.upper
+    return fill(problem, count, lambda size: generator.uniform(*limits, (size, problem.joints)), generator)
 
 
 def half_at_limits(problem: DesignProblem, anywhere: Array, others: Array, generator: Generator) -> Array:

@@ -108,33 +108,23 @@ class DesignProblem:
     beyond: float = 0.0
 
     def __post_init__(self) -> None:
-        def settle(name: str, value: Any) -> None:
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
-            object.__setattr__(self, name, value)
-
-        settle("model", design_model(self.model))
-        check_model(self.model)
-        if not callable(getattr(self.criterion, "value", None)):
-            allowed = "an object with value(), such as doe.criteria.criterion('A', ...)"
-            raise InputError(f"criterion: {self.criterion!r:.40}, allowed: {allowed}")
-        for name in ("lower", "upper"):
-            limit = getattr(self, name)
-            settle(name, np.array(getattr(self.model, name) if limit is None else limit, dtype=float).ravel())
-        kept = np.empty((0, self.joints)) if self.kept is None else np.atleast_2d(np.array(self.kept, dtype=float))
-        if kept.size and kept.shape[1:] != (self.joints,):
-            raise InputError(f"kept: shape {kept.shape}, allowed: (k, {self.joints})")
-        settle("kept", kept.reshape(-1, self.joints))
-        if self.choices is not None and np.shape(self.choices)[1:] != (self.joints,):
-            raise InputError(f"candidates: shape {np.shape(self.choices)}, allowed: (N, {self.joints})")
-        settle("deviations", dict(self.deviations))
+        model = design_model(self.model)
+        check_model(model)
+        n = len(model.joint_types)
+        usual = {"lower": model.lower, "upper": model.upper, "kept": np.empty((0, n))}
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "deviations", dict(self.deviations))
+        for name, value in usual.items():
+            array = np.array(value if getattr(self, name) is None else getattr(self, name), dtype=float)
+            array.flags.writeable = False
+            object.__setattr__(self, name, np.atleast_2d(array) if name == "kept" else array)
+        if {self.lower.shape, self.upper.shape} != {(n,)} or not np.all(self.lower < self.upper):
+            found = f"{self.lower} to {self.upper}"
+            raise InputError(f"joint limits: {found}, allowed: lower < upper for each of {n} joints")
+        for name, rows in (("kept", self.kept), ("candidates", self.choices)):
+            if rows is not None and np.shape(rows)[1:] != (n,):
+                raise InputError(f"{name}: shape {np.shape(rows)}, allowed: (k, {n})")
         _ = self.precisions  # raises for deviations that do not fit
-        if not (np.isfinite(self.minimum_distance) and self.minimum_distance >= 0.0):
-            raise InputError(f"minimum distance: {np.degrees(self.minimum_distance):g} deg, allowed: a number >= 0")
-        if len(self.model.joint_types) != self.joints:
-            raise InputError(f"joint limits: {self.joints} of {len(self.model.joint_types)} joints, allowed: one each")
-        if not np.all(self.lower < self.upper):
-            raise InputError("joint limits: lower >= upper, allowed: lower < upper for every joint")
 
     def __getstate__(self) -> dict[str, Any]:
         """What pickles: the CasADi functions do not, and are rebuilt where they are needed."""
@@ -309,7 +299,7 @@ class DesignProblem:
     @cached_property
     def walls(self) -> Walls:
         """All constraints' margins (k,), which are kept >= 0, and their derivatives by the joints."""
-        return Walls(self.constraints, self.joints)
+        return Walls(self.constraints)
 
     @cached_property
     def steepness(self) -> Array:

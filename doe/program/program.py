@@ -106,27 +106,26 @@ def program(
     moving = np.maximum(15.0 / 8.0 * (ways / fastest).max(axis=1), 0.5)  # no controller knows a move without duration
     left = np.cumsum(moving + settle * ~via)
     arrivals, departures = (np.ceil(1000.0 * each).astype(int).tolist() for each in (left - settle * ~via, left))
-    units = [length if slide else angle for slide in slides]
+    units, runs = [length if slide else angle for slide in slides], np.where(via, 0, np.cumsum(~via)).tolist()
     order = [*range(n)] if n <= of_arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
-    inner, outer = order[:of_arm], order[of_arm:]
-    runs = np.where(via, 0, np.cumsum(~via)).tolist()
+    inner, outer = (
+        order[:of_arm],
+        order[of_arm:],
+    )  # external: of more than six those that slide, or turn after the sixth
     labels = [f"run {run}" if run else "via" for run in runs]
-    comments = labels.copy()
-    for move in not_free:
-        comments[move["row"] - 1] += SPECIAL.sub("?", f", may collide: {' and '.join(move['bodies'])}")
-    moves = []
-    for k, row in enumerate(columns):
-        joints = [decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)]
-        moves.append(
-            {
-                "run": runs[k],  # number of the measurement there, 0 at a way-point
-                "joints": [joints[j] for j in inner],
-                "external": [joints[j] for j in outer],  # of more than six those that slide, or turn after the sixth
-                "arrival": arrivals[k],  # [ms] from the start
-                "departure": departures[k],  # after settling
-                "comment": comments[k],
-            }
-        )
+    doubts = {move["row"] - 1: f", may collide: {' and '.join(move['bodies'])}" for move in not_free}
+    texts = [[decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)] for row in columns]
+    moves = [
+        {
+            "run": run,  # number of the measurement there, 0 at a way-point
+            "joints": [text[j] for j in inner],
+            "external": [text[j] for j in outer],
+            "arrival": arrivals[k],  # [ms] from the start
+            "departure": departures[k],  # after settling
+            "comment": labels[k] + SPECIAL.sub("?", doubts.get(k, "")),
+        }
+        for k, (run, text) in enumerate(zip(runs, texts, strict=True))
+    ]
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
     planned = f"{max(runs)} runs, {speed} % speed, {settle:g} s to settle"

@@ -196,8 +196,8 @@ def _identification(
     used, held = problem.weights > 0.0, problem.prior_rows
     unexplained, (m, d, p) = np.zeros(len(after), dtype=bool), rows.jacobian.shape
     if m * d - p + len(held) > p:
-        white, left = (problem.root_weights * after)[used], held @ (problem.prior_center - x)
-        unexplained[used] = outlying(white, rows.jacobian.reshape(m * d, p), held, left)
+        columns, left = rows.jacobian.reshape(m * d, p), held @ (problem.prior_center - x)
+        unexplained[used] = outlying(rows.residual, columns, held, left)
     structure = together(unexplained, data.postures, data.posture_numbers)
     outlier = unexplained & ~structure
     first = np.flatnonzero(used)[np.unique(data.repeat_numbers[used], return_index=True)[1]]

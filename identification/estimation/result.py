@@ -325,6 +325,7 @@ class _Spread(NamedTuple):
     def row(
         self,
         name: str,
+        parameter: str | None,
         nominal: float | None,
         value: float,
         slopes: Values,
@@ -332,8 +333,7 @@ class _Spread(NamedTuple):
         convention: str,
         bounds: tuple[float, float] = (-np.inf, np.inf),
     ) -> CorrectedValue:
-        """A value with what is known of it;  slopes : its derivatives by parameters [API unit]; all else in file units,
-        of one parameter its name is said."""
+        """A value with what is known of it, in file units;  slopes : its derivatives by parameters [API unit]"""
         slope = np.array([slopes.get(each, 0.0) for each in self.names])
         at, deviation, freedom, prior = np.flatnonzero(slope), np.nan, np.inf, None
         slope, before = slope[at], self.before[at]
@@ -348,7 +348,6 @@ class _Spread(NamedTuple):
         corrected, std, low, high = (float(figure) if np.isfinite(figure) else None for figure in figures)
         if at.size and np.all(np.any(before != 0.0, axis=1)):
             prior = float(np.linalg.norm(before.T @ slope))
-        parameter = next(iter(slopes)) if len(slopes) == 1 else None
         return CorrectedValue(name, parameter, nominal, corrected, std, low, high, unit, convention, prior)
 
 
@@ -373,7 +372,7 @@ def corrected_values(
     of, lengths, zeros = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), [], []
     for j, length in enumerate(arm.lengths.tolist() if chain.planar else (), start=1):
         value = length + values.get(name := f"{LENGTH_ERROR}:{j}", 0.0)
-        lengths.append(of.row(f"length of link {j}", length, value, {name: 1.0}, "mm", "length of the link"))
+        lengths.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
     # what each joint adds to what is read, as the controller counts: of coupled joints what both add
     shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
     turned = any(spec.name == "base_offset" for spec in arm.effects)
@@ -385,9 +384,10 @@ def corrected_values(
             meaning = (
                 ZERO.format(j=j) if j > 1 or not turned else f"zero of joint 1 with how the arm is turned, {STANDS}"
             )
-            zeros.append(of.row(f"zero of joint {j}", 0.0, value, slopes, p.file_unit, meaning))
+            alone = next(iter(slopes)) if len(slopes) == 1 else None
+            zeros.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))
     of_instrument = [
-        replace(of.row(name, None, value, slopes, unit, meaning), parameter=parameter)
+        of.row(name, parameter, None, value, slopes, unit, meaning)
         for name, parameter, value, slopes, unit, meaning in chain.instrument.own_values(values)
         # what the arm file says of them is where fits start
         if all(p.name in values for p in chain.instrument.parameters)
@@ -408,8 +408,7 @@ def corrected_values(
                 nominal = drawn[place, key] + 0.0  # no -0
                 value = value - _turns(value - nominal, key)
             axis, _, unit = key.rpartition("_")
-            row = of.row(f"{place} {axis}", nominal, value, slopes_of[place, key], unit, meaning)
-            rows.append(replace(row, parameter=None))
+            rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
         rows += of_instrument
     for effect in model.effects:  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
@@ -417,7 +416,7 @@ def corrected_values(
         for p in effect.parameters:
             value, bounds = values.get(p.name, 0.0) * p.to_file, (p.lower * p.to_file, p.upper * p.to_file)
             label = f"{effect.label}.{p.short}"
-            rows.append(of.row(label, 0.0, value, {p.name: p.to_file}, p.file_unit, meaning, bounds))
+            rows.append(of.row(label, p.name, 0.0, value, {p.name: p.to_file}, p.file_unit, meaning, bounds))
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
@@ -494,8 +493,8 @@ def dh_table(
     for (j, name), value in now.items():
         row_number = j + (convention != STANDARD and name in ("a", "alpha", "beta"))
         unit, meaning = DH_MEANING[name]
-        about = f"row {row_number} {name}", nominal[j, name], value, slopes[j, name]
-        listed.append(replace(of.row(*about, unit, meaning.format(j=j, k=j + 1)), parameter=None))
+        about = f"row {row_number} {name}", None, nominal[j, name], value, slopes[j, name]
+        listed.append(of.row(*about, unit, meaning.format(j=j, k=j + 1)))
     real = corrected(arm.chain, values)
     (_, first, last), (_, drawn_first, drawn_last) = (corrected_links(chain, drawn) for chain in (real, arm.chain))
     behind = np.linalg.inv(drawn_last) @ last

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import tomlkit
@@ -23,7 +23,6 @@ from pydantic import BaseModel
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
 from identification.bodies import Cell
-from identification.effects import Effect, build_all, library
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
 from identification.files.bodies import ShapedBodies, pairs_apart
@@ -53,8 +52,11 @@ from identification.kinematics.parameters import (
 )
 from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
+if TYPE_CHECKING:
+    from identification.effects import Effect
+
 Plain = dict[str, Any]
-Effects = list[tuple[EffectSpec, Effect]]
+Effects: TypeAlias = "list[tuple[EffectSpec, Effect]]"
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
 HEADER = re.compile(r"\[\[?\s*([\w-]+)[\w.\"' -]*\]\]?\s*(#.*)?")  # of a table
 CLASSES = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
@@ -285,6 +287,10 @@ def _shape(table: Any, key: str, folder: PathLike) -> Shape:
 # -- effects and calibration -------------------------------------------------------------------------------------------
 def _built(specs: Sequence[EffectSpec], chain: KinematicChain) -> Effects:
     """Specs with their effects on an arm. Raises `InputError` for effects that it cannot have."""
+    if not specs:
+        return []
+    from identification.effects import build_all  # imports CasADi: only arms with effects pay for it
+
     return list(zip(specs, build_all(specs, chain), strict=True))
 
 
@@ -312,6 +318,8 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
     """
     specs = []
     for k, table in enumerate(tables, start=1):
+        from identification.effects import library
+
         curve, settings = None, getattr(library().get(table.name), "settings", {})
         if table.name == CURVE:
             try:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 AnyPath = TypeVar("AnyPath", bound=PathLike)
 Content: TypeAlias = Union[str, bytes, "Figure", Callable[[], "Figure"]]  # of a file; a picture, or what draws it
+PICTURES = (".png", ".svg", ".pdf")  # endings
 EXISTS = "the file exists, allowed: a new file name, or --force to replace it"
 
 
@@ -86,10 +87,10 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
     """
     targets: dict[Path, bytes] = {}
     for path, content in contents.items():
-        target = _checked_target(path, force)
+        target = check_writable(path, force, picture=not isinstance(content, str | bytes))
         if not isinstance(content, str | bytes):
-            picture, buffer = _picture_format(path), io.BytesIO()
-            (content() if callable(content) else content).savefig(buffer, format=picture, dpi=150)
+            buffer, ending = io.BytesIO(), Path(path).suffix.lower().removeprefix(".")
+            (content() if callable(content) else content).savefig(buffer, format=ending, dpi=150)
             content = buffer.getvalue()
         targets[target] = content.encode() if isinstance(content, str) else content
     staged = {target: target.with_name(f".{secrets.token_hex(8)}.tmp") for target in targets}
@@ -113,30 +114,19 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
             new.unlink(missing_ok=True)
 
 
-def check_writable(path: PathLike | None, force: bool = False, *, picture: bool = False) -> None:
-    """Raises the `InputError` of `write_together` before long work starts, not after it. None: nothing to write."""
-    if path is not None:
-        _checked_target(path, force)
-        if picture:
-            _picture_format(path)
+def check_writable(path: PathLike, force: bool = False, *, picture: bool = False) -> Path:
+    """The file that is then written; raises the `InputError` of `write_together` before long work starts, not after it.
 
-
-def _picture_format(path: PathLike) -> str:
-    """The format of a picture. Raises `InputError` for a name whose ending is no format."""
-    if (ending := Path(path).suffix).lower() not in (".png", ".svg", ".pdf"):
-        raise InputError(f"{path}: ending {ending!r}, allowed: .png, .svg, .pdf")
-    return ending.lower().removeprefix(".")
-
-
-def _checked_target(path: PathLike, force: bool) -> Path:
+    picture : its ending is that of a format
+    """
     target = Path(os.path.realpath(path))  # a link stays a link: its target is replaced
+    folder, ending = str(Path(path).parent), Path(path).suffix
     try:
         os.stat(target)
     except (FileNotFoundError, NotADirectoryError):
         pass
     except OSError as error:  # a name that is too long, links that lead in a circle
         raise InputError(f"{path}: cannot be written ({error.strerror}), allowed: another file name") from None
-    folder = str(Path(path).parent)
     for wrong, sentence in (
         (not os.path.isdir(target.parent), f"there is no folder {folder!r}, allowed: a file in an existing folder"),
         (os.path.isdir(target), "is a directory, allowed: a file name"),
@@ -144,6 +134,7 @@ def _checked_target(path: PathLike, force: bool) -> Path:
         (os.path.exists(path) and not os.path.isfile(path), "is not a regular file, allowed: a new file name"),
         (not os.access(target.parent, os.W_OK), "the folder cannot be written to, allowed: a writable one"),
         (os.path.exists(target) and not force, EXISTS),
+        (picture and ending.lower() not in PICTURES, f"ending {ending!r}, allowed: {', '.join(PICTURES)}"),
     ):
         if wrong:
             raise InputError(f"{path}: {sentence}")

@@ -55,12 +55,6 @@ def test_limits_are_the_controllers(arm: Arm) -> None:
     within = np.all((columns >= [-170.0, -60.0, -150.0]) & (columns <= [170.0, 80.0, 40.0]), axis=1)
     assert 0.1 < within.mean() < 0.9
     np.testing.assert_array_equal(problem.feasible(q), within)
-    import casadi as ca
-
-    (constraint,) = problem.constraints
-    symbols = ca.SX.sym("q", 3)
-    function = ca.Function("margin", [symbols], [constraint.symbolic(symbols)])
-    np.testing.assert_allclose(np.array(function(q[:50].T)).T, constraint.margin(q[:50]))
     said = outside_limits(arm, Measurements(q[~within], np.zeros((np.sum(~within), 2))))
     first = np.flatnonzero((columns[~within][0] < [-170, -60, -150]) | (columns[~within][0] > [170, 80, 40]))[0]
     assert f"row 1: joint {first + 1} at {columns[~within][0][first]:.5g} deg, allowed -150 to 40" in said[0]
