@@ -125,7 +125,8 @@ class ContinuousSet:
     def starts(self) -> Array:
         """(k, n) of the cheap search."""
         also = [] if self.also is None else [np.atleast_2d(self.also)]
-        return np.concatenate([*also, self.drawn(8000, np.random.default_rng(0))])
+        count = 2000 if self.problem.many_parameters else 8000  # of many a bound is rough
+        return np.concatenate([*also, self.drawn(count, np.random.default_rng(0))])
 
     def best(
         self, gradient: Array, near: Array, generator: Generator | None = None, stop: Stop = never
