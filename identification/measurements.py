@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import blake2b
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -355,21 +355,14 @@ KEPT = 2000  # digests: of 12,000 rows one in six, so that 30 of them are missed
 BYTES = 6  # of a digest: two of a million rows share one with a probability of 0.002 for each of a thousand others
 
 
-class Shared(NamedTuple):
-    """Estimated from the digests: the share of the measurements that the calibration comes from, and the share of what
-    it comes from that is among the measurements."""
-
-    measurements: float
-    calibration: float
-
-    @classmethod
-    def of(cls, text: str, postures: Array, positions: Array) -> Self:
-        """How many rows two sets share: one of digests, and postures (m, n) with positions (m, d)."""
-        kept, digests = digests_in(text), row_digests(postures, positions)
-        if len(kept) >= KEPT:  # of these rows alone it can be told
-            digests = {digest for digest in digests if digest <= max(kept)}
-        shared = len(digests & kept)
-        return cls(shared / max(len(digests), 1), shared / max(len(kept), 1))
+def shared_rows(text: str, measurements: Measurements) -> tuple[float, float]:
+    """Estimated from the digests of a calibration's rows: the share of the measurements that are among these, and the
+    share of these that are among the measurements."""
+    kept, digests = digests_in(text), row_digests(measurements.postures, measurements.positions)
+    if len(kept) >= KEPT:  # of these rows alone it can be told
+        digests = {digest for digest in digests if digest <= max(kept)}
+    shared = len(digests & kept)
+    return shared / max(len(digests), 1), shared / max(len(kept), 1)
 
 
 def row_digests(postures: Array, positions: Array) -> set[bytes]:

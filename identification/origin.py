@@ -79,17 +79,14 @@ def without_prior_effects(arm: Arm) -> Arm:
     return replace(arm, effects=tuple(kept), calibration=replace(calibration, values=values))
 
 
-def data_hashes(provenance: Mapping[str, Any]) -> list[str]:
-    """SHA-256 of the files that measurements come from: of one, or of several that were sessions; empty: not known."""
-    hashes = provenance.get("sha256", [])
-    return [hashes] if isinstance(hashes, str) else list(hashes)
-
-
 def comes_from(provenance: Mapping[str, Any], measurements: Measurements) -> bool:
-    """Whether a calibration of this provenance was fitted to these files, or what it holds was."""
-    origins = (provenance, *provenance.get(HELD_FROM, {}).values())
-    hashes = {sha for one in origins for sha in data_hashes(one)}
-    return not hashes.isdisjoint(data_hashes(measurements.provenance))
+    """Whether a calibration of this provenance was fitted to the files of these measurements, or what it holds was: by
+    their SHA-256, of one file, or of several that were sessions."""
+    hashes, rows = (
+        np.concatenate([np.atleast_1d(one.get("sha256", [])) for one in origins])
+        for origins in ((provenance, *provenance.get(HELD_FROM, {}).values()), (measurements.provenance,))
+    )
+    return bool(np.isin(rows, hashes).any())
 
 
 def familiar_range(arm: Arm) -> tuple[Array, Array]:

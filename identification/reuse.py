@@ -24,7 +24,7 @@ from identification.information import product_inverse, spectrum
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import ROW_DIGESTS, Measurements, Shared, digests_in, digests_text
+from identification.measurements import ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
 from identification.model import Model
 from identification.model.placed import with_markers
 from identification.origin import HELD_FROM, comes_from
@@ -155,7 +155,7 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         reason = "the calibration was fitted to these very measurements, which would count twice"
         raise InputError(f"prior: {reason}, allowed: new measurements")
     if isinstance(text := calibration.provenance.get(ROW_DIGESTS), str):
-        shared, of_its = Shared.of(text, measurements.postures, measurements.positions)
+        shared, of_its = shared_rows(text, measurements)
     else:
         why = "the calibration does not say which rows it comes from, as of an earlier version"
         warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=2)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -110,55 +109,28 @@ def _seated(model: Model, session: Measurements, noise: float, generator: np.ran
 
 
 # -- servo errors ------------------------------------------------------------------------------------------------------
+def with_servo_errors(arm: Arm, measurements: Measurements) -> tuple[Arm, list[dict[str, Any]]]:
+    """The arm with the servo errors that the measurements show, instead of its own, and of every joint an entry of
+    `servo_error` (identification/files/README.md, "JSON keys"): read less commanded position = offset + reversal s +
+    rest by least squares, s the sign of the last motion.
 
-
-class FollowingError(NamedTuple):
-    """Read less commanded position of one joint [rad, mm]: offset + reversal s + rest, s the sign of the last motion.
-
-    joint : from 1;  rms, largest : of all of it;  rest : RMS of the rest
+    The arm as it is and no entry where no commands are given or they are the readings.
     """
-
-    joint: int
-    kind: str
-    offset: float
-    reversal: float
-    rms: float
-    largest: float
-    rest: float
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `servo_error` (identification/files/README.md, "JSON keys")."""
-        factor, unit = (180.0 / np.pi, "deg") if self.kind == REVOLUTE else (1.0, "mm")
-        figures = {name: value * factor for name, value in zip(self._fields[2:], self[2:], strict=True)}
-        return {"joint": self.joint, "unit": unit, **figures}
-
-
-def following_errors(measurements: Measurements, kinds: Sequence[str]) -> tuple[FollowingError, ...]:
-    """Of every joint, by least squares; empty where no commands are given or they are the readings.
-
-    kinds : (n) `revolute` or `prismatic`
-    """
-    if measurements.commanded is None or np.array_equal(measurements.commanded, measurements.postures):
-        return ()
-    errors, signs = measurements.postures - measurements.commanded, measurements.conditions.directions
-    assert signs is not None  # measurements know it
-    of_joints = []
-    for j, (kind, error, sign) in enumerate(zip(kinds, errors.T, signs.T, strict=True), start=1):
+    signs, entries = measurements.conditions.directions, list[dict[str, Any]]()
+    if measurements.commanded is None or signs is None or np.array_equal(measurements.commanded, measurements.postures):
+        return arm, entries
+    errors, specs = measurements.postures - measurements.commanded, [s for s in arm.effects if s.name != SERVO]
+    for j, (kind, error, sign) in enumerate(zip(arm.joint_types, errors.T, signs.T, strict=True), start=1):
         columns = np.column_stack([np.ones(len(error)), sign])
-        (offset, reversal), *_ = np.linalg.lstsq(columns, error, rcond=RANK_TOLERANCE)
+        offset, reversal = np.linalg.lstsq(columns, error, rcond=RANK_TOLERANCE)[0].tolist()
         rest = error - columns @ [offset, reversal]
-        figures = np.sqrt(np.mean(error**2)), np.max(np.abs(error)), np.sqrt(np.mean(rest**2))
-        of_joints.append(FollowingError(j, kind, float(offset), float(reversal), *map(float, figures)))
-    return tuple(of_joints)
-
-
-def with_servo_errors(arm: Arm, measurements: Measurements) -> Arm:
-    """The arm with the servo errors that the measurements show, instead of its own, where they have commands."""
-    if not (errors := following_errors(measurements, arm.joint_types)):
-        return arm
-    specs = [spec for spec in arm.effects if spec.name != SERVO]
-    specs += [EffectSpec(SERVO, e.joint, {"b": e.offset, "h": e.reversal}) for e in errors if e.largest > 0.0]
-    return arm.with_effects(*specs)
+        rms, largest = float(np.sqrt(np.mean(error**2))), float(np.max(np.abs(error)))
+        figures = {"offset": offset, "reversal": reversal, "rms": rms, "largest": largest}
+        figures |= {"rest": float(np.sqrt(np.mean(rest**2)))}
+        factor, unit = (180.0 / np.pi, "deg") if kind == REVOLUTE else (1.0, "mm")
+        entries.append({"joint": j, "unit": unit, **{name: value * factor for name, value in figures.items()}})
+        specs += [EffectSpec(SERVO, j, {"b": offset, "h": reversal})] if largest > 0.0 else []
+    return arm.with_effects(*specs), entries
 
 
 def servo_shift(arm: Arm, directions: Array) -> Array:

@@ -321,7 +321,7 @@ def identify_files(
     from identification.model import Model
     from identification.origin import diagnosed, identified, without_prior_effects
     from identification.sessions import SESSIONS, with_sessions, without_sessions
-    from identification.simulate import following_errors, with_servo_errors
+    from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
     # the arm and its rows
@@ -330,9 +330,8 @@ def identify_files(
         raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
-    if errors := following_errors(measurements, loaded.joint_types):
-        keys["servo_error"] = [error.to_json() for error in errors]
-    loaded = with_servo_errors(loaded, measurements)
+    loaded, servo_errors = with_servo_errors(loaded, measurements)
+    keys |= {"servo_error": servo_errors} if servo_errors else {}
     reference = identified(old or loaded).get("mean_temperature_C")
     if reference is not None and (old or chosen or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
@@ -505,7 +504,7 @@ def diagnose_files(
         raise InputError(f"{models[0]}: found an arm file among the data, allowed: files of measurements")
     measurements = load_sessions(data, loaded)
     held_out = None if holdout is None else load_sessions([holdout], loaded)
-    loaded = with_servo_errors(loaded, measurements)
+    loaded, _ = with_servo_errors(loaded, measurements)
     diagnosis = judged(diagnose(loaded, measurements, held_out, seed, progress), loaded, measurements, held_out)
     result, names, files = diagnosis.to_json(), [*map(str, (arm, *data))], Files()
     refuted = [f"not confirmed: {holds_in_words(test)[1]}" for test in tests_of(result) if test["confirmed"] is False]

@@ -82,7 +82,8 @@ class Exchange:
                 if choices is None:
                     fresh = random_postures(problem, count * runs, generator)
                     postures = np.unique(np.concatenate([fresh, *(plan for _, plan in best)]), axis=0)
-                chosen = np.array([generator.choice(len(postures), runs, replace=repeats) for _ in range(count)])
+                again = repeats or len(postures) < runs  # where hardly any posture is allowed
+                chosen = np.array([generator.choice(len(postures), runs, replace=again) for _ in range(count)])
                 batch = Batch(problem, postures[chosen], postures, chosen)
             else:
                 started = self.begin(problem, count, runs, generator)

@@ -123,8 +123,8 @@ def _with_prior(
     for turn in range(10):  # the model is nearly linear: of the first round two steps are enough to see the noise
         noise, widths = likeliest(problem, x, *about(x))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
-        wide = {name: deviation * factors.get(name, 1.0) for name, deviation in prior.deviations.items()}
-        widened = replace(prior, deviations=wide)
+        wide = {name: deviation * factors.get(name, widths[2]) for name, deviation in prior.deviations.items()}
+        widened = replace(prior, deviations=wide, own_error=widths[2] * prior.own_error)
         posed = replace(problem, noise=noise, prior=widened)
         rows, center = posed.prior_rows, posed.prior_center
 
@@ -142,7 +142,7 @@ def _with_prior(
     solution, determined = replace(solution, iterations=steps), decomposed.determined(jacobian)
     fit = _identification(posed, measurements, "levenberg_marquardt", solution, decomposed, determined)
     contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
-    factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths)
+    factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths[:2])
     return replace(
         fit, prior=posed.prior, machining_factor=factor, doubts=(*fit.doubts, *far), contradiction=contradiction
     )
@@ -301,14 +301,15 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
     x, last, on = starts.copy(), np.full(len(starts), np.inf), np.arange(len(starts))
     data = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0))
     for _ in range(12):
-        arguments = problem.postures, table, x[on, None, :], np.moveaxis(data, 0, -1)
+        at = x[on]
+        arguments = problem.postures, table, at[:, None, :], np.moveaxis(data, 0, -1)
         gradients, by_row = problem.model.expressions.residual_gradient(*arguments)
         # components come first in memory, so these sums over rows are products with contiguous memory
-        pull = x[on] @ held
+        pull = at @ held
         gradient = ((np.moveaxis(gradients[..., 0], -1, 0) @ problem.weights).T - pull) / lengths
-        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, x[on])
+        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, at)
         size = np.max(np.abs(gradient), axis=1)
-        inside = np.all((x[on] >= lower) & (x[on] <= upper), axis=1)
+        inside = np.all((at >= lower) & (at <= upper), axis=1)
         done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + problem.rounding[on]) & inside
         squares[on[done]], stationary[on[done]] = cost[done], True
         contracts = size <= 0.3 * last[on]  # a step that shrinks the gradient by less hands the data set over

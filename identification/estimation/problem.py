@@ -51,11 +51,14 @@ class Prior(ByValue):
         that a model does not have do not matter
     own_error : standard deviation [mm] of one coordinate of a posture's own error, of which other postures say nothing:
         to a fit it is noise
+    factors : on `deviations` and `own_error`, of which a fit takes the likeliest: of sizes that are typical, some arms
+        have all less
     """
 
     deviations: Mapping[str, float] = field(default_factory=dict)
     earlier: Calibration = field(default_factory=lambda: Calibration({}, (), np.zeros((0, 0))))
     own_error: float = 0.0
+    factors: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
         variances = np.asarray(self.earlier.covariance).diagonal().tolist()
@@ -84,7 +87,10 @@ class Prior(ByValue):
 
     def factor(self, parameters: ParameterSet) -> Array:
         """(p, r) F, with the covariance F F^T; zero in the rows of parameters without a prior."""
-        independent = np.diag(parameters.vector(self.deviations, default=0.0))
+        deviations = parameters.vector(self.deviations, default=0.0)
+        independent = np.diag(deviations)[:, deviations > 0.0]
+        if not self.earlier.parameter_names:
+            return independent
         earlier = self.earlier.about(parameters.names)
         covariance = np.asarray(earlier.covariance)
         sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
@@ -93,7 +99,7 @@ class Prior(ByValue):
         root[[parameters.index(name) for name in earlier.parameter_names]] = (
             sizes[:, None] * vectors * np.sqrt(np.maximum(values, PRODUCT_TOLERANCE * values.max(initial=0.0)))
         )
-        return np.concatenate([independent[:, independent.any(axis=0)], root], axis=1)
+        return np.concatenate([independent, root], axis=1)
 
     def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
         """(r, p) rows for the Jacobian, F^-1, one for each parameter that has a prior; its residuals are rows @ (center
@@ -320,9 +326,10 @@ def likeliest_noise(target: Array, effects: Array, spare: int, least: float, lar
     return float(minus_log(vertex)), float(np.exp(vertex))
 
 
-def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> tuple[float, tuple[float, float]]:
+def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> tuple[float, tuple[float, ...]]:
     """Noise, no less than a sigma that is given (where intervals rely on that: it), and the widths of the prior of the
-    largest likelihood: a factor on the sizes of the machining, and a further one on those of joint zeros.
+    largest likelihood: a factor on the sizes of the machining, a further one on those of joint zeros, and one of
+    `Prior.factors`.
 
     residual, jacobian : of `Problem.linearized` about x (p,)
     """
@@ -331,6 +338,7 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     held = factor.any(axis=1)
     sized = problem.model.prior.keys() & prior.deviations.keys()
     machined = np.array([name in sized for name in parameters.names])
+    others = np.array([name in prior.deviations.keys() - sized for name in parameters.names])
     zeros = machined & np.array([p.kind == JOINT_OFFSET for p in parameters])
     target = residual + jacobian @ np.where(held, x - problem.prior_center, 0.0)  # all at the center of the prior
     basis = np.linalg.qr(jacobian[:, ~held])[0]
@@ -340,13 +348,13 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     scatter = float(np.linalg.norm(target)) / np.sqrt(max(spare, 1))  # without all that has a prior
     unit = 1.0 if has_sigma else max(scatter, 1e-12)
     if spare == 0:
-        return unit, (1.0, 1.0)
+        return unit, (1.0, 1.0, 1.0)
     # in units of sigma, or of the scatter of a fit without the parameters that have a prior
     least, largest = unit if has_sigma else unit / 1e3, unit if holds else 1e3 * unit
 
-    def fitted(widths: tuple[float, float], share: float) -> tuple[float, float]:
+    def fitted(widths: tuple[float, ...], share: float) -> tuple[float, float]:
         """-2 log of the likelihood, and the noise, from a share of the rows."""
-        times = np.where(machined, widths[0], 1.0) * np.where(zeros, widths[1], 1.0)
+        times = np.where(machined, widths[0], 1.0) * np.where(zeros, widths[1], 1.0) * np.where(others, widths[2], 1.0)
         root, left = np.sqrt(share), max(round(share * spare), 1)
         value, noise = likeliest_noise(root * target, root * (jacobian * times) @ factor, left, least, largest)
         # 4, by which other sizes than those stated must be likelier: chi2 of one degree of freedom, 5 %
@@ -354,10 +362,12 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
 
     # the likelihood is flat over a factor of two; joint zeros are set by hand: to 32 deg
     of_machining, of_zeros = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (1.0, 4.0, 16.0, 64.0)
-    several = [*product(of_machining if machined.any() else (1.0,), of_zeros if zeros.any() else (1.0,))]
+    several = [*product(of_machining if machined.any() else (1.0,), of_zeros if zeros.any() else (1.0,), (1.0,))]
     # of more equations, rows show the same misfits again, and widths are chosen as from so many
     share = min(1.0, 3000 / problem.equations)
     best = several[0] if len(several) == 1 else min(several, key=lambda widths: fitted(widths, share)[0])
+    if len(prior.factors) > 1:
+        best = min(((*best[:2], factor) for factor in prior.factors), key=lambda widths: fitted(widths, share)[0])
     return fitted(best, 1.0)[1], best
 
 

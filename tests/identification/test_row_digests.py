@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.measurements import BYTES, KEPT, Shared, digests_in, digests_text, row_digests
+from identification.measurements import BYTES, KEPT, Measurements, digests_in, digests_text, row_digests, shared_rows
 
 POSTURES, POSITIONS = np.random.default_rng(1).uniform(-3.0, 3.0, (12_000, 9)).round(6), 3
 ROWS = POSTURES[:, :6], 1000.0 * POSTURES[:, 6:]
@@ -30,30 +30,29 @@ def test_shares_of_few_rows_are_exact(seed: int, both: int, first: int, second: 
     rows = generator.permutation(12_000)[: both + first + second]
     one, other = rows[: both + first], generator.permutation(np.r_[rows[:both], rows[both + first :], rows[:both]])
     q, x = of(other)
-    found = Shared.of(digests(*of(one)), np.radians(np.degrees(q)), x / 1000.0 * 1000.0)
-    assert found.measurements == pytest.approx(both / (both + second))
-    assert found.calibration == pytest.approx(both / (both + first))
+    shares = shared_rows(digests(*of(one)), Measurements(np.radians(np.degrees(q)), x / 1000.0 * 1000.0))
+    assert shares == pytest.approx((both / (both + second), both / (both + first)))
 
 
 @pytest.mark.parametrize("decimals", [3, 4, 5])
 def test_rows_written_with_fewer_digits_are_known(decimals: int) -> None:
     """Angles in degrees; of what is at half a step, rounding decides by itself."""
     q, x = (np.random.default_rng(2).normal(0.0, size, (1000, 3)) for size in (60.0, 600.0))
-    found = Shared.of(digests(np.radians(q), x.round(5)), np.radians(q.round(decimals)), x.round(decimals))
-    assert min(found) > 0.8
+    written = Measurements(np.radians(q.round(decimals)), x.round(decimals))
+    assert min(shared_rows(digests(np.radians(q), x.round(5)), written)) > 0.8
     again = x + np.random.default_rng(3).normal(0.0, 0.01, x.shape)
-    assert max(Shared.of(digests(np.radians(q), x), np.radians(q), again)) < 0.01
+    assert max(shared_rows(digests(np.radians(q), x), Measurements(np.radians(q), again))) < 0.01
 
 
 def test_many_rows_take_bounded_space_and_show_a_part_of_them() -> None:
     text = digests(*of(slice(0, 9000)))
     assert len(text) == 4 * KEPT * BYTES // 3
     for rows, share in ((slice(0, 9000), 1.0), (slice(4000, 4100), 1.0), (slice(9000, 12_000), 0.0)):
-        assert Shared.of(text, *of(rows)).measurements == share
-    half = Shared.of(text, *of(slice(6000, 12_000)))
+        assert shared_rows(text, Measurements(*of(rows)))[0] == share
+    half, of_its = shared_rows(text, Measurements(*of(slice(6000, 12_000))))
     # binomial: of 6,000 rows 1,333 are among the digests' range, of 2,000 digests 667 are of these rows
-    assert half.measurements == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(1333))
-    assert half.calibration == pytest.approx(1.0 / 3.0, abs=4.0 * 0.5 / np.sqrt(2000))
+    assert half == pytest.approx(0.5, abs=4.0 * 0.5 / np.sqrt(1333))
+    assert of_its == pytest.approx(1.0 / 3.0, abs=4.0 * 0.5 / np.sqrt(2000))
 
 
 def test_a_union_is_that_of_the_rows() -> None:
@@ -63,4 +62,4 @@ def test_a_union_is_that_of_the_rows() -> None:
 
 @pytest.mark.parametrize("text", ["", "no digests", "AAAA", "\u00e9"])
 def test_a_text_that_no_program_wrote_has_no_rows(text: str) -> None:
-    assert Shared.of(text, *of(slice(0, 5))) == (0.0, 0.0)
+    assert shared_rows(text, Measurements(*of(slice(0, 5)))) == (0.0, 0.0)

@@ -12,7 +12,7 @@ from identification import Arm, Calibration, EffectSpec, Model, estimate, load_a
 from identification.compensate import compensate
 from identification.files.measurement import measurement_text
 from identification.measurements import Measurements, load_measurements
-from identification.simulate import following_errors, servo_shift, simulate, with_servo_errors
+from identification.simulate import servo_shift, simulate, with_servo_errors
 
 ARM = Arm([300.0, 250.0], sigma=0.05)
 SLACK = {1: (2e-4, 5e-5), 2: (-3e-4, 8e-5)}
@@ -28,14 +28,16 @@ def data(rows: int = 40) -> Measurements:
 def test_what_a_controller_leaves() -> None:
     """The two numbers of each joint come back; positions are those of the joints as read."""
     found = data()
-    errors = following_errors(found, ARM.joint_types)
-    for error in errors:
-        b, h = SLACK[error.joint]
-        assert (error.offset, error.reversal) == pytest.approx((b, h), abs=1e-12)
-        assert error.rest < 1e-12
-        assert error.largest == pytest.approx(abs(b) + h)
-        left = (found.postures - found.commanded)[:, error.joint - 1]
-        assert error.to_json()["rms"] == pytest.approx(np.degrees(np.sqrt(np.mean(left**2))))
+    known, entries = with_servo_errors(ARM, found)
+    assert [spec.joint for spec in known.effects] == [1, 2]
+    for spec, entry in zip(known.effects, entries, strict=True):
+        b, h = SLACK[entry["joint"]]
+        assert (spec.values["b"], spec.values["h"]) == pytest.approx((b, h), abs=1e-12)
+        assert (entry["offset"], entry["reversal"]) == pytest.approx(np.degrees([b, h]), abs=1e-10)
+        assert entry["rest"] < 1e-10
+        assert entry["largest"] == pytest.approx(np.degrees(abs(b) + h))
+        left = (found.postures - found.commanded)[:, entry["joint"] - 1]
+        assert entry["rms"] == pytest.approx(np.degrees(np.sqrt(np.mean(left**2))))
     exact = Model(replace(TRUTH, effects=())).position(found.postures)
     assert np.std(found.positions - exact) == pytest.approx(0.05, rel=0.2)
 
@@ -43,7 +45,7 @@ def test_what_a_controller_leaves() -> None:
 def test_fits_do_not_care() -> None:
     """A model of what is read is the same with servo errors in the arm and without."""
     found = data()
-    with_them = estimate(Model(with_servo_errors(ARM, found)), found)
+    with_them = estimate(Model(with_servo_errors(ARM, found)[0]), found)
     np.testing.assert_array_equal(with_them.parameters, estimate(Model(ARM), found).parameters)
 
 

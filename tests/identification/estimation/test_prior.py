@@ -68,7 +68,7 @@ def test_what_neither_rows_nor_prior_determine_stays_undetermined() -> None:
 
 def test_it_is_ridge_regression_where_the_noise_is_given() -> None:
     data, _ = measured(np.random.default_rng(0), 8, 0.1)
-    found = estimate(MODEL, data, prior=PRIOR, sigma="given")
+    found = estimate(MODEL, data, prior=replace(PRIOR, factors=(1.0,)), sigma="given")
     residual, jacobian = linear(data)
     precision = jacobian.T @ jacobian / 0.01 + np.diag(np.where(SIZES > 0.0, 1.0 / np.maximum(SIZES, 1e-300), 0.0) ** 2)
     covariance = np.linalg.inv(precision)
@@ -190,7 +190,7 @@ def test_the_widths_are_those_of_the_largest_marginal_likelihood(factors: tuple[
     problem = Problem.of(SPATIAL, data, 0.05, prior=Prior(SPATIAL.prior))
     expected = min(product(2.0 ** np.arange(6.0), 4.0 ** np.arange(4.0)), key=minus_log)
     assert (expected[0] > 1.0, expected[1] > 1.0) == (factors[0] > 1.0, factors[1] > 1.0)
-    assert likeliest(problem, zero, residual / 0.05, jacobian / 0.05) == (1.0, expected)
+    assert likeliest(problem, zero, residual / 0.05, jacobian / 0.05) == (1.0, (*expected, 1.0))
 
 
 @pytest.mark.parametrize("degrees", [20.0, 110.0])
