@@ -196,7 +196,7 @@ def _table_of_kinds(title: str, place: str, /, **keys: Any) -> Any:
 
 
 def _covariance(table: Any) -> Any:
-    """A row and a column for each parameter, symmetric and without negative eigenvalues, to six digits."""
+    """A row and a column for each parameter, symmetric and without negative eigenvalues."""
     if table.covariance is None:
         return table
     if (names := table.parameters) is None:
@@ -205,12 +205,15 @@ def _covariance(table: Any) -> Any:
         if count != len(names):
             _refuse("covariance", f"found {count} {what} for {len(names)} parameters, allowed: {len(names)}")
     covariance = np.array(table.covariance).reshape(len(names), len(names))
-    scales = np.sqrt(np.abs(np.diagonal(covariance)))  # so that no unit counts
+    # to six digits of each variance, whatever its unit, and to twelve of the largest, by which all may be rounded
+    scales, rounded = np.sqrt(np.abs(np.diagonal(covariance))), 1e-12 * np.abs(covariance).max(initial=0.0)
     unit = covariance / np.outer(*[np.where(scales > 0.0, scales, 1.0)] * 2)
-    for row, column in np.argwhere(np.abs(unit - unit.T) > 1e-6)[:1]:
+    asymmetric = (np.abs(unit - unit.T) > 1e-6) & (np.abs(covariance - covariance.T) > rounded)
+    for row, column in np.argwhere(asymmetric)[:1]:
         pair = f"{covariance[row, column]:g} in row {row + 1}, column {column + 1}, {covariance[column, row]:g} across"
         _refuse("covariance", f"found {pair}, allowed: a symmetric matrix")
-    if (lowest := np.linalg.eigvalsh(unit).min(initial=0.0)) < -1e-6:
+    lowest, in_units = (np.linalg.eigvalsh(each).min(initial=0.0) for each in (unit, covariance))
+    if lowest < -1e-6 and in_units < -rounded:
         state = f"found an eigenvalue of {lowest:.2g} with variances scaled to 1"
         _refuse("covariance", f"{state}, allowed: a covariance, which has none below 0")
     return table
