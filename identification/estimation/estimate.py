@@ -301,14 +301,15 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
     x, last, on = starts.copy(), np.full(len(starts), np.inf), np.arange(len(starts))
     data = np.ascontiguousarray(np.moveaxis(problem.positions, -1, 0))
     for _ in range(12):
-        arguments = problem.postures, table, x[on, None, :], np.moveaxis(data, 0, -1)
+        at = x[on]
+        arguments = problem.postures, table, at[:, None, :], np.moveaxis(data, 0, -1)
         gradients, by_row = problem.model.expressions.residual_gradient(*arguments)
         # components come first in memory, so these sums over rows are products with contiguous memory
-        pull = x[on] @ held
+        pull = at @ held
         gradient = ((np.moveaxis(gradients[..., 0], -1, 0) @ problem.weights).T - pull) / lengths
-        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, x[on])
+        cost = by_row[..., 0, 0] @ problem.weights + np.einsum("kp,kp->k", pull, at)
         size = np.max(np.abs(gradient), axis=1)
-        inside = np.all((x[on] >= lower) & (x[on] <= upper), axis=1)
+        inside = np.all((at >= lower) & (at <= upper), axis=1)
         done = (size <= GRADIENT_TOLERANCE * np.sqrt(cost) + problem.rounding[on]) & inside
         squares[on[done]], stationary[on[done]] = cost[done], True
         contracts = size <= 0.3 * last[on]  # a step that shrinks the gradient by less hands the data set over
