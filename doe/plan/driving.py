@@ -81,7 +81,8 @@ def drive(
     senses = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
     senses[(rows % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
     cut, sideways = False, []
-    around = rows if len(plan) > MANY else shortest_path(room.travel(postures[:, None], postures))
+    many = len(plan) > MANY and order != "travel"
+    around = rows if many else shortest_path(room.travel(postures[:, None], postures))
     try:
         for attempt in range(ATTEMPTS):
             entries = None if approach == "any" else approaches(postures, senses, room, generator)

@@ -190,11 +190,10 @@ class Clearance:
         apart = square[:, :, None] + square[:, None] - 2.0 * points @ np.swapaxes(points, 1, 2)
         most[:, rods] = np.sqrt(np.maximum(apart, 0.0)).reshape(m, -1)[:, one * self._capsules + other]
         least[:, rods] = most[:, rods] - half[:, one] - half[:, other]
-        three, boxes = (
-            np.stack([placed[0], middle, placed[1]], axis=1)[..., first[~rods]],
-            second[~rods] - self._capsules,
+        boxes, three = second[~rods] - self._capsules, np.stack([placed[0], middle, placed[1]], axis=1)
+        start, between, end = from_box(
+            self._in_box(three[..., first[~rods]], boxes), self._boxes[boxes, 12:].T[:, None, None]
         )
-        start, between, end = from_box(self._in_box(three, boxes), self._boxes[boxes, 12:].T[:, None, None])
         most[:, ~rods] = np.minimum(np.minimum(start, end), between)
         least[:, ~rods] = 2.0 * between - np.maximum(start, end)
         radii = self._radii[first] + self._radii[second]
@@ -210,17 +209,14 @@ class Clearance:
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:
         """Frames and ends as `Seen` has them."""
-        frames, placed = self._frames_at(postures), np.empty((2, 3, len(postures), self._capsules))
+        base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
+        frames = np.concatenate([base, self.model.joint_frames(postures)], axis=1)
+        placed = np.empty((2, 3, len(postures), self._capsules))
         for end, joints in enumerate(self._frames[:, : self._capsules]):
             for joint in np.unique(joints):
                 points = frames[:, joint, :3, :3] @ self._ends[end, joints == joint].T + frames[:, joint, :3, 3:]
                 placed[end][..., joints == joint] = points.swapaxes(0, 1)
         return frames, placed
-
-    def _frames_at(self, postures: Array) -> Array:
-        """(m, n + 2, 4, 4) frames of base, joints and measured point."""
-        base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
-        return np.concatenate([base, self.model.joint_frames(postures)], axis=1)
 
     def _in_box(self, points: Array, box: NDArray[np.intp]) -> Array:
         """(3, ..., W) points (3, ..., W) along the axes of boxes (W,), from their centers."""
