@@ -168,7 +168,9 @@ def missing_lines(design: Design) -> list[str]:
     if missing:
         effects = {name.partition(":")[0].partition(".")[0] for name in missing}
         named = f"{len(missing)} parameters of {', '.join(sorted(effects))}"
-        lines.append(f"may be missing, each of its typical size: {named}; {WHAT_TO_FIT}")
+        order = ", which also allows for what follows from the order of its rows (backlash, drifts), and expects more"
+        more = order if problem.fit == "library-prior" else ""
+        lines.append(f"may be missing, each of its typical size: {named}; {WHAT_TO_FIT}{more}")
         equations = len(design.plan) * problem.model.dimension
         if equations < problem.parameters:
             few = f"{equations} equations for {problem.parameters} parameters"
