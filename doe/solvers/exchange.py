@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from doe.criteria import Ranking, information_matrix
 from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import distance_to_keep, gaps
-from doe.problem.postures import listed_candidates, random_postures
+from doe.problem.postures import fill, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem, information_of_each
 from doe.solvers.solver import Budget, Offer
 from identification import Array, InputError
@@ -86,7 +86,7 @@ class Exchange:
                 chosen = np.array([generator.choice(len(postures), runs, replace=again) for _ in range(count)])
                 batch = Batch(problem, postures[chosen], postures, chosen)
             else:
-                started = random_postures(problem, count * runs, generator).reshape(count, runs, -1)
+                started = self.begin(problem, count, runs, generator)
                 if vary:
                     kept = generator.random(started.shape[:2]) > 0.25
                     varied = np.array([plan for _, plan in best])[generator.integers(len(best), size=count)]
@@ -107,6 +107,19 @@ class Exchange:
                 yield Offer(climbed, independent=not vary)
             yield Offer(plans[0], count - 1)
             vary = bool(best) and (many or not vary)
+
+    def begin(self, problem: DesignProblem, count: int, runs: int, generator: Generator) -> Array:
+        """(s, m, n) random plans on the grid, where many optimal plans are, so that a start ends exactly at one; joints
+        that play no part stay in the middle."""
+        grid = self.grid(problem)
+
+        def on_grid(size: int) -> Array:
+            postures = np.tile((problem.lower + problem.upper) / 2.0, (size, 1))
+            for joint in problem.searched_joints:
+                postures[:, joint] = grid[joint, generator.integers(grid.shape[1], size=size)]
+            return postures
+
+        return fill(problem, count * runs, on_grid, generator).reshape(count, runs, problem.joints)
 
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""

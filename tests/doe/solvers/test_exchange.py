@@ -47,6 +47,13 @@ def test_finds_the_best_of_all_grid_plans() -> None:
     assert design.value == pytest.approx(best, abs=1e-12)
 
 
+def test_few_starts_end_exactly_at_an_optimal_plan_of_the_grid() -> None:
+    """Starts on it do; a climb from anywhere ends within some 1e-7."""
+    lower, upper = np.radians([[-180.0, -120.0, -100.0], [180.0, 120.0, 60.0]])
+    design = solve(problem(Arm([260.0, 180.0, 120.0], lower, upper)), 8, "exchange", starts=4)
+    assert design.value == pytest.approx(4.0 * np.log(np.sin(np.radians(80.0))), abs=1e-12)
+
+
 def test_measured_postures_count() -> None:
     kept = np.tile((FOUR.lower + FOUR.upper) / 2, (10, 1))
     case = problem(FOUR, kept=kept)
