@@ -102,18 +102,15 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
         wide, model = with_base(arm), Model(with_base_offset(arm))
         start = model.parameters.vector(model.best_known)
         computed = model.position(measurements.postures, start, replace(measurements.conditions, session=None))
-        rows_of = dict(zip(measurements.sessions, measurements.session_rows, strict=False))
-        bases = []
-        for session in measurements.session_names:
-            rows = rows_of.get(session)
-            at = start if rows is None else start_at_bases(start, model, computed[rows], measurements.positions[rows])
-            bases.append([float(at[model.parameters.index(name)]) for name in BASE])
-        values = Model(wide).best_known | dict(zip(BASE, bases[0], strict=True)) | dict(Model(wide).fixed)
-        for number, base in enumerate(bases[1:], start=2):
-            # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
-            first = (values[name] for name in BASE)
-            moved = {short: a - b for short, a, b in zip("xyw", base, first, strict=True)}
-            base_values |= {f"{short}{number}": value for short, value in moved.items()}
+        at = np.tile(start, (count, 1))
+        for name, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
+            nearest = start_at_bases(start, model, computed[rows], measurements.positions[rows])
+            at[measurements.session_names.index(name)] = nearest
+        bases = at[:, [model.parameters.index(name) for name in BASE]]
+        values = Model(wide).best_known | dict(zip(BASE, bases[0].tolist(), strict=True)) | dict(Model(wide).fixed)
+        # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
+        for number, base in enumerate(bases[1:] - [values[name] for name in BASE], start=2):
+            base_values |= {f"{short}{number}": float(value) for short, value in zip("xyw", base, strict=True)}
         calibration = Calibration({}, provenance={} if calibration is None else calibration.provenance)
     else:
         # base of session k = that of the first, shifted along the axes of the instrument and turned about its own

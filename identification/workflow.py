@@ -397,8 +397,10 @@ def identify_files(
     # beside the drawing, and beside the geometry alone
     doubts, hidden = [*fitted.warnings], frozenset[str]()  # parameters of the library's effects
     if (effects := library(rows)) is not None:
-        keys["prior"], hidden = effects.to_json(), frozenset(effects.prior.deviations)
-        lines.append(effects.sentence)
+        typical, hidden = effects.prior.deviations, frozenset(effects.prior.deviations)
+        share = next((size / typical[name] for name, size in fitted.prior.deviations.items() if name in typical), 1.0)
+        keys["prior"] = effects.to_json() | {"share": share}
+        lines.append(effects.sentence + (f", or rather {share:g} times as large" if share != 1.0 else ""))
         if not chosen and old is None:
             alone = Model(with_sessions(bare, rows))
             keys["offered"] = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)

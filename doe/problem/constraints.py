@@ -201,13 +201,8 @@ def _distance(a: ca.SX | ca.DM, b: ca.SX | ca.DM, c: ca.SX, d: ca.SX) -> ca.SX:
     share = _share((crossed * last - first * second) / ca.fmax(square * second - crossed**2, FLAT))
     along = _share((crossed * share + last) / second)
     share = _share((crossed * along - first) / ca.fmax(square, FLAT))
-    return _root(ca.sumsqr(between + share * one - along * other))
+    return ca.sqrt(ca.fmax(ca.sumsqr(between + share * one - along * other), FLAT**2))  # has a derivative at zero
 
 
 def _share(value: ca.SX) -> ca.SX:
     return ca.fmax(0.0, ca.fmin(1.0, value))
-
-
-def _root(square: ca.SX) -> ca.SX:
-    """A length that has a derivative at zero."""
-    return ca.sqrt(ca.fmax(square, FLAT**2))

@@ -11,7 +11,7 @@ One CasADi function with the settings as arguments gives the slopes of one effec
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -42,8 +42,6 @@ FAINT = 0.03
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
 WAVES = 30  # half periods of an error curve over the angles of its joint; convention: what a person would call smooth
 HOLE = 0.5 * np.pi  # convention: angles without a row that are no part of what was measured
-TIMES = 12  # convention: half periods in a session of the fastest smooth function of time
-SLOW = 3  # convention: half periods, of orders of functions of several variables
 
 
 # -- effects of the library --------------------------------------------------------------------------------------------
@@ -361,17 +359,6 @@ def curve_waves(angles: Array, start: float, stop: float) -> Array:
     return np.asarray(splines @ (cosines / np.sin(0.5 * np.pi * k / count)))
 
 
-def error_curves(at: At) -> Iterator[tuple[Block, Array]]:
-    """The error curve of each joint that has none and moves, with its (m, d, K) columns."""
-    joints, unseen = at.model.arm.chain.joints, untested_joints(at)
-    curved = {spec.joint for spec in at.model.arm.effects if spec.curve is not None}
-    for j, angles in enumerate(at.rows.postures.T):
-        if j + 1 not in unseen | curved and np.ptp(angles) > 1e-9:
-            ends = measured_range(angles, joints[j].type == REVOLUTE)
-            waves = at.levers[:, :, j, None] * curve_waves(angles, *ends)[:, None, :]
-            yield Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *ends)), waves
-
-
 # -- all of them, in the space of their columns ------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class Linearized:
@@ -418,9 +405,13 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
         if effect.label in place:
             names = [p.name for p in effect.parameters if p.name in model.names]
             columns[place[effect.label]] = jacobian[:, :, [model.names.index(name) for name in names]]
-    for block, its in error_curves(at) if outside else ():
-        blocks.append(block)
-        columns.append(its)
+    joints, unseen = model.arm.chain.joints, untested_joints(at)
+    unseen |= {j for spec in model.arm.effects if spec.curve is not None and (j := spec.joint)}
+    for j, angles in enumerate(rows.postures.T) if outside else ():
+        if j + 1 not in unseen and np.ptp(angles) > 1e-9:
+            span = measured_range(angles, joints[j].type == REVOLUTE)
+            columns.append(at.levers[:, :, j, None] * curve_waves(angles, *span)[:, None, :])
+            blocks.append(Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *span)))
     for k in wrong:
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))

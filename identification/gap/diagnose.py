@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -17,7 +17,7 @@ from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
-from identification.gap.confirmation import Confirmation, Gap, HeldOut, cross_validation
+from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fit, Rows, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
@@ -119,8 +119,10 @@ def diagnose(
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
     before = base.residuals(measurements)
-    # tests are linear; an average that is beyond what physics allows may be worse than that where it is clipped
-    if alone := worse_than_geometry(tests) or rms_distance(after[kept]) > rms_distance(before[kept]):
+    # whether the geometry alone predicts better: other rows, by more than chance; or, as the tests are linear and the
+    # average is cut at physical bounds, its own
+    refuted = tests[0].shrinks is False and tests[0].after > tests[0].before
+    if alone := refuted or rms_distance(after[kept]) > rms_distance(before[kept]):
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
@@ -218,11 +220,6 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
     if shared or 2 * near > len(holdout):  # a few repeats may agree by chance, most rows only in a rounded copy
         copied = f"{max(shared, near)} of {len(holdout)} rows are also in the data"
         raise InputError(f"holdout: {copied}, allowed: rows not used before")
-
-
-def worse_than_geometry(tests: Sequence[Confirmation]) -> bool:
-    """Whether other postures are predicted better without all that was found, by more than chance."""
-    return tests[0].shrinks is False and tests[0].after > tests[0].before
 
 
 def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit, alone: bool) -> Iterator[str]:

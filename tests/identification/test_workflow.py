@@ -62,6 +62,7 @@ def test_what_a_fit_with_the_librarys_prior_wrote_is_fitted_with_it_again(folder
     whole = identify_files(out, folder / "data.csv").data
     assert whole["fit"] == {"asked": "library-prior", "followed": True, "against": None}
     assert whole["prior"]["parameters"] > first["prior"]["parameters"]
+    assert whole["prior"]["share"] == 0.125  # nothing is missing
     assert "prior" not in identify_files(out, folder / "data.csv", prior=False).data
 
 

@@ -141,3 +141,13 @@ def test_a_feasible_plan_better_than_the_best_list() -> None:
     chosen = solve(replace(problem, choices=choices), 12, starts=2, bound=NONE)
     # four seeds of the climb reach 0.978 to 1.004 of the list's best weights, the best exchange on the list 0.902
     assert problem.criterion.efficiency(chosen.value, design.value, problem.parameters) < 0.96
+
+
+def test_a_search_where_hardly_any_posture_is_allowed_ends_in_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between narrow walls the same few postures are drawn again and again: fewer than runs."""
+    case = six_axis(replace(LIMITED, constraints=(BOX,)))
+    few = random_postures(case, 4, np.random.default_rng(0))
+    monkeypatch.setattr("doe.solvers.exchange.random_postures", lambda _, count, __: np.resize(few, (count, 6)))
+    design = solve(case, 14, "exchange", starts=1, bound=Bound(np.inf, "continuous"))
+    assert case.feasible(design.plan.postures).all()
+    assert len(np.unique(design.plan.postures, axis=0)) == 14

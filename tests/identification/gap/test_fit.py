@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import partialmethod
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
 from identification import Diagnosis, EffectSpec, Identification, Measurements, Model, diagnose, estimate
+from identification.estimation.problem import Problem
 from identification.gap.fit import Rows, fit
-from identification.levenberg_marquardt import LeastSquares
 from tests.identification.estimation.cases import arm, data, plan, scipy_fit
 from tests.identification.gap.test_diagnose import ARM, diagnosed, measured
 
@@ -112,6 +112,6 @@ def test_sigma_per_row_is_a_relative_weight() -> None:
 
 def test_a_fit_that_does_not_converge_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not any("did not converge" in note for note in diagnosed(None).notes)
-    monkeypatch.setattr("identification.estimation.problem.LeastSquares", partial(LeastSquares, iterations=0))
+    monkeypatch.setattr(Problem, "minimized", partialmethod(Problem.minimized, iterations=0))
     found = diagnose(ARM, measured(None))
     assert any("did not converge: " in note for note in found.notes)
