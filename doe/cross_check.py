@@ -37,7 +37,9 @@ def cross_check(
     designs.append(("exact plan", f"{len(exact.plan)} runs", exact))
     rows: list[dict[str, Any]] = [
         {
-            "method": f"{name}, {design.solver}",
+            "method": f"{name}, {design.solver}"
+            + (f", cut at {design.seconds:.0f} s" if design.status is Status.time_limit else "")
+            + (", bound cut" if design.bound is not None and design.bound.cut else ""),
             "space": space,
             "value": design.value,
             "bound": None if design.bound is None else design.bound.value,
@@ -45,7 +47,6 @@ def cross_check(
         }
         for name, space, design in designs
     ]
-    rows[-1]["method"] += f", cut at {exact.seconds:.0f} s" if exact.status is Status.time_limit else ""
     if (theorem := closed_form_bound(problem)) is not None:
         closed = {"method": "closed form", "space": "all postures", "value": theorem.value, "bound": theorem.value}
         rows.append(closed | {"table_1_max_residual": None})
