@@ -112,7 +112,7 @@ BAR = Arm(replace(CHAIN, tools={"1": CHAIN.tools["1"]}, instrument=Distance()), 
 def test_every_effect_by_its_parameters(name: str) -> None:
     """In the plane and in space, beside the compliance that some act through; at settings that some rows see."""
     cls, generator = OF_MODELS[name], np.random.default_rng(3)
-    settings = {"k": 5.0, "at": 0.13, "side": 1.0, "tau": 0.4, "width_deg": 20.0, "sessions": 2.0}
+    settings = {"k": 5.0, "at": 0.13, "side": 1.0, "tau": 0.4, "width_deg": 20.0, "sessions": 2.0, "other": 1.0}
     effect = EffectSpec(name, None if cls.per_joint == "none" else 2, {key: settings[key] for key in cls.settings})
     in_space = BAR if "distance" in cls.needs else arms()[0]
     for arm in (arm for arm in (PLANAR, in_space) if arm.dimension in cls.dimensions):
