@@ -23,13 +23,13 @@ from identification.errors import InputError, require
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
 from identification.kinematics.parameters import (
+    GEOMETRY,
     JOINT_OFFSET,
     LENGTH_ERROR,
     MAX_LINKS,
     REVOLUTE,
     by_joint,
     chain_parameters,
-    of_effects,
 )
 from identification.workspace import ColumnLimits, WorkspaceConstraint
 
@@ -154,7 +154,7 @@ class Calibration(ByValue):
     @property
     def effects(self) -> dict[str, float]:
         """Values of the effects' parameters."""
-        return of_effects(self.values)
+        return {name: value for name, value in self.values.items() if not GEOMETRY.fullmatch(name)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,6 +110,9 @@ class DesignProblem:
     def __post_init__(self) -> None:
         model = design_model(self.model)
         check_model(model)
+        if not callable(getattr(self.criterion, "value", None)):
+            allowed = "an object with value(), such as doe.criteria.criterion('A', ...)"
+            raise InputError(f"criterion: {self.criterion!r:.40}, allowed: {allowed}")
         n = len(model.joint_types)
         usual = {"lower": model.lower, "upper": model.upper, "kept": np.empty((0, n))}
         object.__setattr__(self, "model", model)

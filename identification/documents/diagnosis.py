@@ -172,7 +172,7 @@ def diagnosis_actions(
     data: Data, arm: str = "arm.toml", rows: Sequence[str] = ("data.csv",), written: Path | None = None
 ) -> list[Action]:
     """What follows from a diagnosis of these files;  written : the extended model, where it has been"""
-    again, named = " ".join(["armcal diagnose", arm, *rows]), data["effects"] or is_described(data)
+    again = " ".join(["armcal diagnose", arm, *rows])
     alone = identify_command(arm, rows[0], ALONE) if len(rows) == 1 else f"{again} --out calibrated.toml"
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
@@ -193,9 +193,9 @@ def diagnosis_actions(
         return [use, correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
-        part = "the error curves, within the angles measured," if is_described(data) else "the named part"
-        meanwhile = f"; {part} may be used in the meantime" if named else ""
-        actions.insert(0, Action(f"Look for a cause {place_in_words(data)}{meanwhile}."))
+        within = ", within the angles measured" if is_described(data) else ""
+        usable = f"; the extended model has what was found and may be used in the meantime{within}"
+        actions.insert(0, Action(f"Look for a cause {place_in_words(data)}{usable if data['predicting'] else ''}."))
     if written is None:
         actions.append(Action("Keep the extended model:", f"{again} --out extended.toml"))
     return [*actions, correct(str(written or "extended.toml"))]

@@ -358,7 +358,7 @@ def corrected_values(
     factor: Array | None = None,
 ) -> tuple[CorrectedValue, ...]:
     """What was estimated or differs from the drawing: lengths and zeros of a planar arm; in space zeros, frames, base
-    and measured points; values of the instrument, where they were estimated; and parameters of effects.
+    and measured points; values of the instrument, where they were estimated; parameters of effects that have a name.
 
     calibration : None: the arm's own calibration
     unknown : names of parameters that are not estimable
@@ -410,7 +410,7 @@ def corrected_values(
             axis, _, unit = key.rpartition("_")
             rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
         rows += of_instrument
-    for effect in model.effects:  # their names with the settings
+    for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
         meaning = STANDS if effect.name == "base_offset" else meaning
         for p in effect.parameters:

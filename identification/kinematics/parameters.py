@@ -151,8 +151,3 @@ def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
 def by_joint(values: Mapping[str, float], kind: str) -> Array:
     """(n,) the values of a kind, `kind:1` to `kind:n`, of a mapping from names."""
     return readonly([values[name] for j in range(1, MAX_LINKS + 1) if (name := f"{kind}:{j}") in values])
-
-
-def of_effects(values: Mapping[str, float]) -> dict[str, float]:
-    """The values whose names are those of effects."""
-    return {name: value for name, value in values.items() if not GEOMETRY.fullmatch(name)}

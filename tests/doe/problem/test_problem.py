@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -97,6 +98,8 @@ def test_a_part_is_spread_and_has_limits_and_middles() -> None:
 
 def test_bad_input() -> None:
     case = problem(FOUR)
+    with pytest.raises(InputError, match=r"^criterion: 'A', allowed: an object with value\(\)"):
+        replace(case, criterion="A")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="at least 2"):
         grid(case, 1)
     with pytest.raises(InputError, match="2 to 256, which are 16,777,216 candidates at most"):

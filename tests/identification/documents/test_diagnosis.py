@@ -32,7 +32,7 @@ def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int =
     """The JSON object of a diagnosis, as far as verdict and actions need it."""
     candidates = [{"effects": [name], "probability": 0.4} for name in effects[:sets]]
     found = {"verdict": verdict, "effects": list(effects), "candidates": candidates, "where": "joint:3", "gap": GAP}
-    found |= {"shape": None, "curves": []}
+    found |= {"shape": None, "curves": [], "predicting": list(effects)}
     return found | {
         "confirmed": confirmed,
         "confirmation": None if confirmed is None else {**TEST, "confirmed": confirmed},
