@@ -120,9 +120,13 @@ def diagnose(
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
     before = base.residuals(measurements)
     # whether the geometry alone predicts better: other rows, by more than chance; or, as the tests are linear and the
-    # average is cut at physical bounds, its own
-    refuted = tests[0].shrinks is False and tests[0].after > tests[0].before
-    if alone := refuted or rms_distance(after[kept]) > rms_distance(before[kept]):
+    # average is cut at physical bounds, its own, as the likeliest noise weighs them
+    alone = tests[0].shrinks is False and tests[0].after > tests[0].before
+    if predicting.specs and not alone:
+        weighted = posterior.noises[posterior.best.noise].rows.pick(kept)
+        with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
+        alone = with_all > without
+    if alone:
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None

@@ -353,3 +353,23 @@ def test_effects_of_an_arm_that_sags_with_three_reflectors_at_each_posture() -> 
     assert [finding.name for finding in named.scatter] == ["repeats"]
     # three reads of a posture tell its error from that of a row: 0.03^2 / 0.02^2 = 2.25 on a grid of factors of 4
     assert 0.5 < named.scatter[0].size < 9.0
+
+
+def test_rows_that_err_alike_are_weighed_as_such() -> None:
+    """First-order autoregression, correlation 0.95: least squares has smaller residuals on its own rows, and twice the
+    error of what weighs the rows rightly and is written."""
+    rng = np.random.default_rng(4)
+    exact = replace(TRUTH, sigma=1e-9)
+    run = simulator.session(exact, rng.uniform(-np.pi, np.pi, (60, 3)), rng)
+    data, noise = simulator.measure(exact, run, rng, "white"), 0.1 * rng.normal(size=(60, 2))
+    for k in range(1, 60):
+        noise[k] = 0.95 * noise[k - 1] + np.sqrt(1.0 - 0.95**2) * noise[k]
+    noisy = replace(data, positions=data.positions + noise)
+    arm = replace(ARM, sigma=None)
+    result, plain = diagnose(arm, noisy), identify(Model(arm), noisy)
+    assert result.verdict == "none" and not any("geometry alone" in note for note in result.notes)
+    weighed, simple = (
+        np.linalg.norm(Model(each).position(data.postures) - data.positions)
+        for each in (result.extended_arm(), replace(arm, calibration=plain.calibration()))
+    )
+    assert weighed < 0.5 * simple
