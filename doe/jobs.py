@@ -95,26 +95,6 @@ def with_columns(frame: pl.DataFrame, types: Mapping[str, Any]) -> pl.DataFrame:
     return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
 
 
-def finished_rows(path: Path, *, resume: bool, force: bool) -> dict[str, list[Row]]:
-    """Rows of an earlier run by the text of their key, if they are to be kept; else a table of this name is removed.
-
-    Raises `InputError` if there is one and it is neither to be resumed nor replaced, or none can be written.
-    """
-    check_writable(path if os.path.isdir(path.parent) else path.parent, force=True)
-    if not path.exists():
-        return {}
-    if not (resume or force):
-        raise InputError(f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
-    if not resume:
-        path.unlink()  # so that what is resumed later is of one run
-        return {}
-    try:
-        return pl.read_parquet(path).rows_by_key(KEY, named=True, include_key=True)
-    except (pl.exceptions.PolarsError, OSError) as error:
-        reason = f"not a Parquet file with a column {KEY!r} ({str(error).splitlines()[0]})"
-        raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
-
-
 # -- tasks -------------------------------------------------------------------------------------------------------------
 class _Serial(Executor):
     """Runs each task in this process when it is submitted."""
@@ -146,9 +126,23 @@ def run_tasks(
 
     A task that raises becomes a row with `status` "failed" and `error`; every row has its key's entries, `status` and
     `seconds`. After Ctrl-C or an error the table has all that is finished. Raises `JobError` if a worker dies or all
-    are lost, `InputError` as `finished_rows`, and for rows of another seed.
+    are lost, `InputError` for a table that exists and is neither to be resumed nor replaced, that cannot be read or
+    written, or that has rows of another seed.
     """
-    rows = {} if path is None else finished_rows(path, resume=resume, force=force)
+    rows: dict[str, list[Row]] = {}  # by the text of their key
+    if path is not None:
+        check_writable(path if os.path.isdir(path.parent) else path.parent, force=True)
+    if path is not None and path.exists():
+        if not (resume or force):
+            raise InputError(f"{path}: exists, allowed: a new name, --resume to go on, or --force to replace it")
+        if resume:
+            try:
+                rows = pl.read_parquet(path).rows_by_key(KEY, named=True, include_key=True)
+            except (pl.exceptions.PolarsError, OSError) as unreadable:
+                reason = f"not a Parquet file with a column {KEY!r} ({str(unreadable).splitlines()[0]})"
+                raise InputError(f"{path}: {reason}, allowed: a table written by armcal") from None
+        else:
+            path.unlink()  # so that what is resumed later is of one run
     asked = {canonical(key): key for key in keys}
     for made in (row.get(SEED, seed) for text in asked for row in rows.get(text, ())):
         if made != seed:
@@ -240,13 +234,23 @@ def _pool(number: int) -> Iterator[Executor]:
 
     # of loky's tracker, which would print what a killed process leaves behind and it removes
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
+    parent = os.getpid()
+
+    def end_with_parent() -> None:
+        """Ends a process when the one that asked is gone: killed, it could not say so."""
+
+        def watch() -> None:
+            while os.getppid() == parent:
+                time.sleep(0.2)
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+
     # a dask worker is a daemon, which may have no children since they would outlive it: ours do not
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C is for the one that asked
     try:
-        pool = ProcessPoolExecutor(
-            number, env={**SINGLE_THREAD, **QUIET}, initializer=_end_with, initargs=(os.getpid(),)
-        )
+        pool = ProcessPoolExecutor(number, env={**SINGLE_THREAD, **QUIET}, initializer=end_with_parent)
         pool.submit(int)  # starts them
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -254,17 +258,6 @@ def _pool(number: int) -> Iterator[Executor]:
         yield pool
     finally:
         pool.shutdown(kill_workers=True)
-
-
-def _end_with(parent: int) -> None:
-    """Ends this process when the one that asked is gone: killed, it could not say so."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.2)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager

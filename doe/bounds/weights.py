@@ -40,13 +40,24 @@ def optimal_weights(
 ) -> tuple[Array, Array]:
     """Weights (k,) for scaled Jacobians (k, d, p), and (p, p) G there, by the method that criterion and gap allow."""
     if criterion.name == "E":  # no gradient of its own: that of the dual
-        weights, status, gradient = solve_program(prior.information(information_of_each(jacobians)), criterion)
-        if weights is None or gradient is None:
+        on_support, status, dual = solve_program(prior.information(information_of_each(jacobians)), criterion)
+        if on_support is None or dual is None:
             raise JobError(f"clarabel: status {status} on the restricted master of {len(jacobians)} postures")
-        return weights, gradient
-    if accuracy >= 1e-2:
-        return multiplicative_weights(jacobians, criterion, prior, accuracy, stop)
-    return interior_point_weights(jacobians, criterion, prior, accuracy)
+        return on_support, dual
+    if accuracy < 1e-2:
+        return interior_point_weights(jacobians, criterion, prior, accuracy)
+    # multiplicative, until max tr(G F) is within `accuracy` of tr(G M)
+    weights, rows = np.full(len(jacobians), 1.0 / len(jacobians)), jacobians.reshape(-1, jacobians.shape[2])
+    power = 1.0 if criterion.power == 0 else 0.5
+    for _ in range(2000):
+        information = prior.mixture(jacobians, weights)
+        gradient = criterion.gradient(information)
+        each = np.einsum("ia,ia->i", rows @ gradient, rows).reshape(len(jacobians), -1).sum(axis=1)
+        if prior.mixed(each, gradient).max() <= (1.0 + accuracy) * float(np.sum(gradient * information)) or stop():
+            break
+        weights = weights * each**power
+        weights /= weights.sum()
+    return np.where(weights > 1e-6 * weights.max(), weights, 0.0), gradient  # the others are left out
 
 
 def interior_point_weights(
@@ -92,24 +103,6 @@ def interior_point_weights(
         w = w / w.sum()
         gradient, g = judged(w)
     return best
-
-
-def multiplicative_weights(
-    jacobians: Array, criterion: Criterion, prior: PriorInformation, gap: float, stop: Stop = never
-) -> tuple[Array, Array]:
-    """(k,) weights for scaled Jacobians (k, d, p) from equal ones, until max tr(G F) is within `gap` of tr(G M); and
-    (p, p) G there. Not for E."""
-    weights, rows = np.full(len(jacobians), 1.0 / len(jacobians)), jacobians.reshape(-1, jacobians.shape[2])
-    power = 1.0 if criterion.power == 0 else 0.5
-    for _ in range(2000):
-        information = prior.mixture(jacobians, weights)
-        gradient = criterion.gradient(information)
-        each = np.einsum("ia,ia->i", rows @ gradient, rows).reshape(len(jacobians), -1).sum(axis=1)
-        if prior.mixed(each, gradient).max() <= (1.0 + gap) * float(np.sum(gradient * information)) or stop():
-            break
-        weights = weights * each**power
-        weights /= weights.sum()
-    return np.where(weights > 1e-6 * weights.max(), weights, 0.0), gradient  # the others are left out
 
 
 def sparsest(jacobians: Array, weights: Array) -> Array:

@@ -70,6 +70,9 @@ def program(
     Raises `InputError` for an arm that the controller does not know, rows that the arm must not be driven to, and a
     template that does not work.
     """
+    from jinja2 import PackageLoader, StrictUndefined, TemplateError
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
+
     (file, angle, length, least, of_arm, most), n = LANGUAGES[robot], arm.links
     if not least <= n <= most:
         allowed = f"{least} to {most}" if least < most else least
@@ -150,7 +153,24 @@ def program(
         {"kind": "measure" if run else "via", "run": run or None, "joints": row, "seconds": arrival / 1000.0}
         for run, row, arrival in zip(runs, columns.tolist(), arrivals, strict=True)
     ]
-    text = rendered_template(file, template, variables)
+    options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
+    environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)  # for a user's template
+    failures = TemplateError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError
+    if template is None:
+        environment.loader = PackageLoader("doe.program", ".")
+        text = environment.get_template(file).render(variables)
+    else:
+        try:
+            text = environment.from_string(template.read_text("utf-8-sig")).render(variables)
+        except OSError as error:
+            raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
+        except failures as error:
+            line = getattr(error, "lineno", None)
+            where = f"{template}: " if line is None else f"{template}: line {line}: "
+            allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
+            raise InputError(f"{where}{error}, {allowed}") from None
     return Program(text, identifier, listed, plan.units, departures[-1] / 1000.0, not_free)
 
 
@@ -158,30 +178,3 @@ def decimal(value: float, unit: float, digits: int) -> str:
     """A number in a unit, without an exponent and without -0; at least one digit behind the point."""
     text = f"{round(float(value) * unit, digits) + 0.0:.{digits}f}".rstrip("0")
     return f"{text}0" if text.endswith(".") else text
-
-
-def rendered_template(own: str, template: Path | None, variables: dict[str, Any]) -> str:
-    """The text of a template, its own or a user's file, which runs in jinja's sandbox and knows these variables.
-
-    Raises `InputError`, one line, where a user's does not work.
-    """
-    from jinja2 import PackageLoader, StrictUndefined, TemplateError
-    from jinja2.sandbox import ImmutableSandboxedEnvironment
-
-    failures = TemplateError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError
-    options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
-    environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)
-    if template is None:
-        environment.loader = PackageLoader("doe.program", ".")
-        return environment.get_template(own).render(variables)
-    try:
-        return environment.from_string(template.read_text("utf-8-sig")).render(variables)
-    except OSError as error:
-        raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
-    except failures as error:
-        line = getattr(error, "lineno", None)
-        where = f"{template}: " if line is None else f"{template}: line {line}: "
-        allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
-        raise InputError(f"{where}{error}, {allowed}") from None

@@ -32,7 +32,18 @@ def plan_figure(arm: Arm, postures: Array) -> Figure:
         top, bottom = np.asarray(figure.subfigures(2, 1, height_ratios=[2.2, 1.0]))
         up, around = side(arm)
         for k, view in enumerate(((up, around), (up, around + 90.0)), start=1):
-            draw_side(top.add_subplot(1, 2, k, projection="3d"), arm, shown, view)
+            axes: Any = top.add_subplot(1, 2, k, projection="3d")
+            axes.view_init(*view)
+            draw_arm(axes, arm, shown)
+            if arm.cell is not None:
+                draw_bodies(axes, arm, shown[0])
+            # of the arm: a tracker may be far from it
+            limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
+            axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+            draw_constraints(axes, arm)
+            axes.tick_params(labelsize=7)
+            axes.locator_params(nbins=4)
+            axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=1.1)  # the same scale on all axes
         first = "" if arm.cell is None else "; bodies as in the first"
         top.subplots_adjust(left=0.09, right=0.9, bottom=0.06, top=0.94, wspace=0.3)
         top.suptitle(f"{count}, from two sides; light to dark in order of measurement{first}", fontsize=9)
@@ -88,24 +99,6 @@ def draw_constraints(axes: Any, arm: Arm) -> None:
             axes.fill(*line.T, color=color, alpha=0.25, lw=0)
     for tracker in (one.tracker for one in arm.constraints if hasattr(one, "tracker")):
         axes.plot(*np.array([tracker]).T, "k^", ms=6, **cut)
-
-
-def draw_side(axes: Any, arm: Arm, postures: Array, view: tuple[float, float] | None = None, zoom: float = 1.1) -> None:
-    """A spatial arm at postures (m, n), its bodies at the first of them, and what constrains it, from one side.
-
-    view : [deg] elevation and azimuth, None: as the page has it
-    zoom : of the box in its place, whose sides have the same scale
-    """
-    axes.view_init(*(view or side(arm)))
-    draw_arm(axes, arm, postures)
-    if arm.cell is not None:
-        draw_bodies(axes, arm, postures[0])
-    limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])  # of the arm: a tracker may be far from it
-    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-    draw_constraints(axes, arm)
-    axes.tick_params(labelsize=7)
-    axes.locator_params(nbins=4)
-    axes.set_box_aspect(limits[:, 1] - limits[:, 0], zoom=zoom)
 
 
 def draw_bodies(axes: Any, arm: Arm, posture: Array) -> None:

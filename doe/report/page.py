@@ -70,8 +70,16 @@ def page(document: Document, *last: Section) -> str:
     style, *scripts = (read(name).read_text("utf-8") for name in ("page.css", *names, "page.js"))
 
     def picture(figure: Figure) -> str:
-        """As SVG in the page's colours; a wide one scrolls where the page is narrower."""
-        drawn, width = svg(figure), 72.0 * figure.get_figwidth()
+        """As SVG that scales with the page, in its colours; a wide one scrolls where the page is narrower. Equal
+        figures give equal text."""
+        import matplotlib  # deferred: tables need no pictures
+
+        buffer, width = io.StringIO(), 72.0 * figure.get_figwidth()
+        with matplotlib.rc_context({"svg.hashsalt": "armcal", "svg.fonttype": "path"}):
+            figure.savefig(buffer, format="svg", dpi=200, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        drawn = buffer.getvalue()
+        drawn = re.sub(r'width="[^"]*pt"', 'width="100%"', drawn[drawn.index("<svg") :], count=1)
+        drawn = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", drawn)
         drawn = re.sub("|".join(COLORS), lambda color: COLORS[color[0]], drawn)
         return f'<div class="{"wide" if width > 430.0 else "panel"}" style="--width: {width:.0f}pt">\n{drawn}</div>\n'
 
@@ -85,15 +93,3 @@ def page(document: Document, *last: Section) -> str:
         style=style,
         scripts=scripts,
     )
-
-
-def svg(figure: Figure) -> str:
-    """The figure as an SVG element that scales with the page; equal figures give equal text."""
-    import matplotlib  # deferred: tables need no pictures
-
-    buffer = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "armcal", "svg.fonttype": "path"}):
-        figure.savefig(buffer, format="svg", dpi=200, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    text = buffer.getvalue()
-    element = text[text.index("<svg") :]
-    return re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", re.sub(r'width="[^"]*pt"', 'width="100%"', element, count=1))

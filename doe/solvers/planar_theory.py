@@ -118,7 +118,12 @@ def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) ->
         for k in generator.permutation(np.flatnonzero(products < ROUNDING * len(columns))).tolist():
             if wide:
                 column = offered[:, k]
-                angles[:, joint], needed = _arc(np.angle(column / neighbor if to_right else neighbor / column))
+                turned = np.mod(np.angle(column / neighbor if to_right else neighbor / column), 2.0 * np.pi)
+                around = np.sort(turned)
+                gaps = np.diff(around, append=around[0] + 2.0 * np.pi)
+                last = int(np.argmax(gaps))  # before the largest gap: the others are the shortest arc that holds them
+                above, needed = turned - around[(last + 1) % len(around)], 2.0 * np.pi - float(gaps[last])
+                angles[:, joint] = np.where(above < 0.0, above + 2.0 * np.pi, above)
                 free_phase[joint] = max(widths[joint] - needed, 0.0)
             else:
                 column, needed = neighbor * np.exp(0.5j * widths[joint] * signs[:, k]), widths[joint]
@@ -130,13 +135,3 @@ def _constructed(widths: Array, group: tuple[int, ...], generator: Generator) ->
         columns = np.column_stack([columns, column] if to_right else [column, columns])
         left, right = (left, right + 1) if to_right else (left - 1, right)
     return angles, free_phase
-
-
-def _arc(angles: Array) -> tuple[Array, float]:
-    """Angles counted from the start of the shortest arc that holds them, and its length [rad]."""
-    turned = np.sort(np.mod(angles, 2.0 * np.pi))
-    gaps = np.concatenate([turned[1:], turned[:1] + 2.0 * np.pi]) - turned
-    last = int(np.argmax(gaps))
-    start = turned[(last + 1) % len(turned)]
-    above = np.mod(angles, 2.0 * np.pi) - start
-    return np.where(above < 0.0, above + 2.0 * np.pi, above), float(2.0 * np.pi - gaps[last])

@@ -91,20 +91,6 @@ def available_solvers() -> Mapping[str, Solver]:
     return loaded | SOLVERS
 
 
-def chosen_solver(problem: DesignProblem, solver: Solver | str | None) -> Solver:
-    """The solver asked for, or the best for the problem. Raises `InputError` for an unknown name, with the nearest, and
-    where it does not fit the problem."""
-    if isinstance(solver, str):
-        if solver not in available_solvers():
-            raise InputError.unknown("solver: unknown name", solver, available_solvers())
-        solver = available_solvers()[solver]
-    if solver is None:
-        return SOLVERS["exchange"]
-    if problem.choices is not None and not isinstance(solver, Exchange):
-        raise InputError(f"solver: {solver.name} cannot choose from a list of postures, allowed: exchange")
-    return solver
-
-
 # -- the search --------------------------------------------------------------------------------------------------------
 def solve(
     problem: DesignProblem,
@@ -133,7 +119,13 @@ def solve(
     Ctrl-C returns the best plan so far, status `interrupted`. Raises `InputError` for too few runs, an unknown name.
     """
     began = perf_counter()
-    chosen = chosen_solver(problem, solver)
+    if isinstance(solver, str):
+        if solver not in available_solvers():
+            raise InputError.unknown("solver: unknown name", solver, available_solvers())
+        solver = available_solvers()[solver]
+    chosen = SOLVERS["exchange"] if solver is None else solver
+    if problem.choices is not None and not isinstance(chosen, Exchange):
+        raise InputError(f"solver: {chosen.name} cannot choose from a list of postures, allowed: exchange")
     check_runs(problem, runs)
     if throw and (names := problem.without_effect):
         raise JobError(f"design: no plan identifies all {problem.parameters} parameters; {NEUTRAL}: {'; '.join(names)}")
@@ -187,9 +179,20 @@ def solve(
         if design.certified_optimal and status is not Status.interrupted:  # by a bound that came after the search, say
             design = replace(design, status=Status.bound_reached)
     if not np.isfinite(design.value):
-        if throw:
-            raise JobError(_reason(design))
-        return replace(design, status=Status.not_identifiable)
+        if not throw:
+            return replace(design, status=Status.not_identifiable)
+        if problem.choices is None:
+            many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
+        else:
+            many = listed_candidates(problem, problem.choices)
+        seen, names = spectrum(plan_jacobians(problem, many), np.ones(p)), problem.model.parameters.names
+        aliases = seen.combinations(names, np.ones(p))
+        if aliases and problem.choices is not None:
+            raise JobError(f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan")
+        reason = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
+        reason += f"; {NEUTRAL}: {'; '.join(aliases)}" if aliases else ""
+        placed = any("base." in alias and "tool[" in alias for alias in aliases)  # the axes of a SCARA are parallel
+        raise JobError(reason + "; add [tool] or [base] to the arm file" * placed)
     if throw and not np.isfinite(best_value):
         apart = f"postures {problem.spacing} apart"
         raise JobError(f"design: no plan within the constraints and with {apart} was found by {design.solver}")
@@ -248,20 +251,3 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
         if runs + len(problem.kept) > most:
             postures = f"{runs + len(problem.kept)} postures {problem.spacing} apart"
             raise InputError(f"runs: {postures}, allowed: at most {most:.0f} in the limits")
-
-
-def _reason(design: Design) -> str:
-    """Why a plan does not identify all parameters."""
-    problem, p = design.problem, design.problem.parameters
-    if problem.choices is None:
-        many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
-    else:
-        many = listed_candidates(problem, problem.choices)
-    seen, names = spectrum(plan_jacobians(problem, many), np.ones(p)), problem.model.parameters.names
-    aliases = seen.combinations(names, np.ones(p))
-    if aliases and problem.choices is not None:
-        return f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan"
-    message = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
-    placed = any("base." in alias and "tool[" in alias for alias in aliases)  # the axes of a SCARA are parallel
-    message += f"; {NEUTRAL}: {'; '.join(aliases)}" if aliases else ""
-    return message + "; add [tool] or [base] to the arm file" * placed

@@ -98,8 +98,17 @@ class Study:
                 postures: Array | str | None = None if name == RANDOM else f"no plan: {row.get('error')}"
                 if plan is not None:
                     postures = plan.postures
+                elif name == DFT and not arm.chain.planar:
+                    postures = f"plan dft: arm {arm.name} is spatial, allowed: planar arms"
+                elif name == DFT and runs < arm.links:
+                    few = f"{runs} runs are too few for {arm.links} links"
+                    postures = f"plan dft: {few}, allowed: at least {arm.links}"
                 elif name == DFT:
-                    postures = _dft(arm, runs)
+                    postures = dft_postures(arm.links, runs)
+                    inside = np.all((postures >= arm.lower) & (postures <= arm.upper), axis=1)
+                    outside = np.flatnonzero(~(inside & DesignProblem.of(arm).feasible(postures)))
+                    if outside.size:
+                        postures = f"plan dft: posture {outside[0] + 1} is outside the limits or a constraint"
                 elif row.get("status") == "done":
                     postures = Plan.of_displayed(np.array(row["postures_deg"]), arm.joint_types).postures
                 for sigma, truth, model in product(asked.sigma_mm or [arm.sigma or 0.0], asked.truths, asked.models):
@@ -155,18 +164,6 @@ def dft_postures(links: int, runs: int) -> Array:
     """(m, n) theta_j = 2 pi i j / m, so every q_j = 2 pi i / m, in (-pi, pi] (doe/README.md, "Information matrix")."""
     turn = 2.0 * np.pi * np.arange(runs) / runs
     return np.tile(np.where(turn > np.pi, turn - 2.0 * np.pi, turn)[:, None], (1, links))
-
-
-def _dft(arm: Arm, runs: int) -> Array | str:
-    """The plan, or why there is none."""
-    if not arm.chain.planar:
-        return f"plan dft: arm {arm.name} is spatial, allowed: planar arms"
-    if runs < arm.links:
-        return f"plan dft: {runs} runs are too few for {arm.links} links, allowed: at least {arm.links}"
-    postures = dft_postures(arm.links, runs)
-    inside = np.all((postures >= arm.lower) & (postures <= arm.upper), axis=1)
-    outside = np.flatnonzero(~(inside & DesignProblem.of(arm).feasible(postures)))
-    return f"plan dft: posture {outside[0] + 1} is outside the limits or a constraint" if outside.size else postures
 
 
 # what a block of replications needs: the arm as the fit knows it and as it really is, the plan (m, n), None: a random

@@ -132,29 +132,38 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
 
     products : of the problem, beside rows that are left out;  sigma : of one whitened coordinate [mm]
     """
+    sizes, widths = np.array([column.shape[2] for column in problem.columns]), products.widths
+    # of each block that can be seen in all combinations of its parameters: the least length of a unit of them [mm],
+    # projected off the base model, as a fraction and beside the longest before, and how far a unit moves the tip
+    seen = dict[int, tuple[float, float, float, float]]()
+    for width in np.unique(sizes):
+        alike = [k for k in np.flatnonzero((sizes == width) & (widths == width)).tolist() if problem.blocks[k].listed]
+        if alike:
+            back = np.linalg.inv(np.array([problem.roots[k] for k in alike]))  # to the coefficients of the columns
+            places = products.starts[alike][:, None] + np.arange(width)
+            grams = back.transpose(0, 2, 1) @ products.gram[places[:, :, None], places[:, None, :]] @ back
+            moving = np.concatenate([problem.columns[k] for k in alike], axis=2)
+            lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150).reshape(-1, width)
+            units = grams / (lengths[:, :, None] * lengths[:, None, :])
+            least, fraction = (np.sqrt(np.maximum(np.linalg.eigvalsh(each)[:, 0], 0.0)) for each in (grams, units))
+            far = np.linalg.norm(moving, axis=(0, 1)).reshape(-1, width).max(axis=1) / np.sqrt(len(rows))
+            seen |= dict(zip(alike, np.column_stack([least, fraction, lengths.max(axis=1), far]).tolist(), strict=True))
+
     plain: list[tuple[str, float, Index]] = []
     level = LEVEL / sum(member.weight for member in library.members)
     detectable: dict[str, Size] = {}
     for block in library.members:
         if block.effect is None or block.through:
             continue
-        parameter, count, number = block.effect.parameters[0], block.size, problem.numbers.get(block.label)
-        size, fraction = Size(None, parameter.file_unit), 0.0
-        places = products.places([] if number is None else [number])
-        if number is not None and len(places) == count:  # else a combination of its parameters cannot be seen
-            back = np.linalg.inv(problem.roots[number])  # from the parameters to the coefficients of the columns
-            gram, moving = back.T @ products.gram[np.ix_(places, places)] @ back, problem.columns[number]
-            lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150)
-            smallest = [np.linalg.eigvalsh(each)[0] for each in (gram, gram / np.outer(lengths, lengths))]
-            least, fraction = np.sqrt(np.maximum(smallest, 0.0)).tolist()
-            if count < products.freedom and least > VISIBLE * lengths.max():
-                spare, one_sided = products.freedom - count, bool(products.signs[number])
-                needed = detectable_lambda(count, spare, level * block.weight, one_sided)
-                moved = needed * sigma / least * float(np.linalg.norm(moving, axis=(0, 1)).max()) / np.sqrt(len(rows))
-                # an effect that moves the tip farther is seen without a test, and is not linear
-                if moved <= 0.1 * library.base.reach:
-                    value = needed * sigma / least * parameter.to_file
-                    size = Size(float(value), parameter.file_unit, float(moved))
+        parameter, count, number = block.effect.parameters[0], block.size, problem.numbers.get(block.label, -1)
+        size, places = Size(None, parameter.file_unit), products.places([number] if number >= 0 else [])
+        least, fraction, longest, far = seen.get(number, (0.0, 0.0, 1.0, 0.0))
+        if count < products.freedom and least > VISIBLE * longest:
+            one_sided = bool(products.signs[number])
+            needed = detectable_lambda(count, products.freedom - count, level * block.weight, one_sided) * sigma / least
+            # an effect that moves the tip farther is seen without a test, and is not linear
+            if needed * far <= 0.1 * library.base.reach:
+                size = Size(float(needed * parameter.to_file), parameter.file_unit, float(needed * far))
         # of several settings the one that is hardest to see
         both = detectable.get(block.key, size), size
         detectable[block.key] = max(both, key=lambda one: np.inf if one.value is None else one.value)

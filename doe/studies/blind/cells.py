@@ -81,7 +81,7 @@ class CellSpec:
     noise: str = "white"  # see `noise`
     outside: bool = False  # the hidden effect is one that the library does not have
     reported: bool = True  # in the full study; the others can be asked for by name
-    many: str = ""  # see `many_effects`
+    many: str = ""  # a key of `COUNTS`: as many effects of the library, drawn at random, one of gravity
     links: Sequence[int] = (2, 6)  # least and most, in the plane
     physics: str = ""  # the hidden effect is that one of `PHYSICS`
     reads: int = 1  # of each posture, one after another, with an error they share
@@ -107,8 +107,11 @@ def random_truth(rng: np.random.Generator, n: int) -> TrueArm:
     return TrueArm.planar(lengths, *errors, lower=-limit, upper=limit, **loads)
 
 
-def random_six_axes(rng: np.random.Generator) -> TrueArm:
-    """A six-axis arm of one of two common builds, its axes 2 mrad and 0.5 mm off, its encoders 5 mrad."""
+def truth_of(spec: CellSpec, rng: np.random.Generator) -> TrueArm:
+    """The arm of a data set, in space of six axes and one of two common builds, its axes 2 mrad and 0.5 mm off, its
+    encoders 5 mrad."""
+    if not spec.space:
+        return random_truth(rng, int(rng.integers(spec.links[0], spec.links[1] + 1)))
     half, lengths = np.pi / 2.0, np.round(rng.uniform([150, 300, 250, 80, 80, 60], [500, 700, 600, 200, 130, 120]))
     rise, upper, fore, *wrist = lengths.tolist()
     if rng.random() < 0.5:  # three parallel axes and an offset wrist
@@ -120,7 +123,7 @@ def random_six_axes(rng: np.random.Generator) -> TrueArm:
     table = np.array(rows)
     span = rng.uniform(1.5, 2.9, 6)
     aside = rng.uniform(30.0, 80.0, (2, 2)) * rng.choice([-1.0, 1.0], (2, 2))
-    tools = np.column_stack([aside, rng.uniform(40, 100, 2)])
+    tools = np.column_stack([aside, rng.uniform(40, 100, 2)])[: spec.reflectors]
     base = shift(rng.uniform(-1500.0, 1500.0, 3))
     base[:3, :3] = turn(rng.normal(0.0, 1.0, 3))
     masses = 1.0 + np.hypot(table[:, 0], table[:, 2]) / 100.0 * rng.uniform(1.0, 4.0, 6)
@@ -128,13 +131,6 @@ def random_six_axes(rng: np.random.Generator) -> TrueArm:
     offsets = rng.normal(0.0, 5e-3, 6)
     place = {"base": base, "tools": tools, "lower": -span, "upper": span}
     return TrueArm.built(table, rng, 2e-3, 0.5, offsets=offsets, **place, **loads)
-
-
-def truth_of(spec: CellSpec, rng: np.random.Generator) -> TrueArm:
-    """The arm of a data set."""
-    if not spec.space:
-        return random_truth(rng, int(rng.integers(spec.links[0], spec.links[1] + 1)))
-    return replace(truth := random_six_axes(rng), tools=truth.tools[: spec.reflectors])
 
 
 def arm_of(truth: TrueArm) -> Arm:
@@ -222,6 +218,13 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         wrong = np.linalg.lstsq(columns / scale, error.ravel(), rcond=1e-10)[0]
         exact = simulator.position(truth, fresh)
         reachable = float(np.sqrt(truth.dimension * np.mean((at_fresh / scale @ wrong) ** 2)))
+    values: dict[str, float] = {}  # in space without the geometry, which others say differently
+    if not (spec.outside or outside):
+        if truth.in_plane:
+            errors = {"length_error": truth.links[:, 0] - truth.lengths, "joint_offset": truth.offsets}
+            values = {f"{name}:{j + 1}": float(error[j]) for j in range(truth.n) for name, error in errors.items()}
+        for effect in truth.effects:
+            values |= {f"{key(effect)}.{name}": value for name, value in numbered(effect[2]).items()}
     return DataSet(
         arm=arm_of(truth),
         measurements=data,
@@ -231,7 +234,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         place=place_of(outside) if outside else "time" if spec.noise == WALK else None,
         specs=tuple(EffectSpec(name, joint, settings(name, values)) for name, joint, values in inside),
         wrong_rows=tuple((np.flatnonzero(far) + 1).tolist()),
-        values={} if spec.outside or outside else values_of(truth),
+        values=values,
         exact=exact,
         reachable=reachable,
         further=further,
@@ -251,16 +254,6 @@ def numbered(values: Values) -> dict[str, float]:
         ends = [""] if np.ndim(values[name]) == 0 else "xyz" if name in "vw" else range(1, len(parts) + 1)
         named |= {f"{name}{end}": part for end, part in zip(ends, parts, strict=False)}
     return named
-
-
-def values_of(truth: TrueArm) -> dict[str, float]:
-    """Parameter name -> true value [API units]; in space without the geometry, which others say differently."""
-    values: dict[str, float] = {}
-    if truth.in_plane:
-        errors = {"length_error": truth.links[:, 0] - truth.lengths, "joint_offset": truth.offsets}
-        values = {f"{name}:{j + 1}": float(error[j]) for j in range(truth.n) for name, error in errors.items()}
-    named = ((key(effect), numbered(effect[2])) for effect in truth.effects)
-    return values | {f"{effect}.{name}": value for effect, of_effect in named for name, value in of_effect.items()}
 
 
 def key(effect: Drawn) -> str:
@@ -291,17 +284,34 @@ def joints_of(name: str, n: int) -> Sequence[int | None]:
 
 def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Generator) -> list[Drawn]:
     """The effects of a data set."""
-    if spec.many:
-        return many_effects(truth, run, spec.many, spec.sizes, rng)
+    effects: list[Drawn] = []
+    names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
+    if spec.many:  # what a real robot has at once, each effect of its own size
+        listed = [(name, joint) for name in names for joint in joints_of(name, truth.n)]
+        listed = [listed[k] for k in rng.permutation(len(listed))]
+        of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
+        listed = [place for place in listed if place not in of_gravity[1:]]
+        if spec.many == "small":  # one or more in every joint
+            first = {j: (name, j) for name, j in reversed(listed) if j is not None}
+            listed = [*first.values(), *(place for place in listed if place not in first.values())]
+        (fewest, most), limits = COUNTS[spec.many], np.log(spec.sizes)
+        count, span = int(rng.integers(fewest, most + 1)), base_jacobian(truth, run)
+        for name, joint in listed:
+            lam = None if spec.space else rng.uniform(*limits)  # in this order since the study began
+            direction = directions(truth, name, joint, rng)
+            size = float(np.exp(rng.uniform(*limits) if lam is None else lam))
+            if (effect := sized(truth, run, (name, joint, direction), size, span)) is not None:
+                effects.append(effect)
+            if len(effects) == count:
+                break
+        return effects
     if spec.physics:
         return [physics_effect(truth, run, spec.physics, float(np.exp(rng.uniform(*np.log(spec.sizes)))), rng)]
     if spec.lam is None:
         return []
-    names: tuple[str, ...] = SPACE_JOINT + SPACE_WHOLE if spec.space else LIBRARY_JOINT + LIBRARY_WHOLE
     if spec.outside:
         names = SPACE_OUTSIDE if spec.space else OUTSIDE
     span = library_columns(truth, run) if spec.outside else base_jacobian(truth, run)
-    effects: list[Drawn] = []
     while len(effects) < spec.effects:
         new = random_effect(names, truth, run, spec.lam, rng, span)
         if family(new) not in map(family, effects):
@@ -389,32 +399,6 @@ def random_effect(
         drawn = name, joint, directions(truth, name, joint, rng)
         if (effect := sized(truth, run, drawn, lam, span)) is not None:
             return effect
-
-
-def many_effects(
-    truth: TrueArm, run: RowConditions, kind: str, sizes: Sequence[float], rng: np.random.Generator
-) -> list[Drawn]:
-    """What a real robot has at once, each effect of its own size lambda between two: so many effects of the library at
-    random as `COUNTS` says, one of gravity; `small`: one or more in every joint."""
-    names = LIBRARY_JOINT + LIBRARY_WHOLE if truth.in_plane else SPACE_JOINT + SPACE_WHOLE
-    listed = [(name, joint) for name in names for joint in joints_of(name, truth.n)]
-    listed = [listed[k] for k in rng.permutation(len(listed))]
-    of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
-    listed = [place for place in listed if place not in of_gravity[1:]]
-    if kind == "small":
-        first = {j: (name, j) for name, j in reversed(listed) if j is not None}
-        listed = [*first.values(), *(place for place in listed if place not in first.values())]
-    most, effects = int(rng.integers(COUNTS[kind][0], COUNTS[kind][1] + 1)), list[Drawn]()
-    span, limits = base_jacobian(truth, run), np.log(sizes)
-    for name, joint in listed:
-        lam = rng.uniform(*limits) if truth.in_plane else None  # in this order since the study began
-        direction = directions(truth, name, joint, rng)
-        size = float(np.exp(rng.uniform(*limits) if lam is None else lam))
-        if (effect := sized(truth, run, (name, joint, direction), size, span)) is not None:
-            effects.append(effect)
-        if len(effects) == most:
-            break
-    return effects
 
 
 def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, values: Values | None = None) -> Array:

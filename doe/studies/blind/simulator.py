@@ -232,19 +232,6 @@ def angle_error(run: RowConditions, name: str, joint: int, v: Values, torque: Ar
     return shapes[name]() if name in shapes else np.zeros(len(q))
 
 
-def growth(run: RowConditions, name: str, v: Values, length: float) -> Array | float:
-    """(m,) growth of a link, as a share of its length [mm]."""
-    since = run.t + 0.5
-    shapes: dict[str, Callable[[], Array]] = {
-        "thermal_growth": lambda: v["a"] * run.warm,
-        "thermal_transient": lambda: v["a"] * (1.0 - np.exp(-since / v["tau"])),
-        "link_step": lambda: v["d"] * (run.t > v["at"]) / length,
-        # outside the library: fast, and slowly back
-        "two_warm_ups": lambda: np.exp(-since[:, None] / v["tau"]) @ [-v["a"], -v["b"]] + v["a"] + v["b"],
-    }
-    return shapes[name]() if name in shapes else np.zeros(len(since))
-
-
 def relays(angles: Array, at: float, width: float) -> Array:
     """(m,) mean of three relays in -1..1, less their mean curve: each switches up above at + w, down below at - w, and
     between them stays as it was last switched, however long ago (F. Preisach, 1935); w a half, one and one and a half
@@ -287,6 +274,7 @@ def places(truth: TrueArm, run: RowConditions) -> list[Array]:
         moments, deflection, slope = gravity_loads(truth, run)
     torques = np.einsum("mji,ji->mj", moments, home[:-1, :3, 2])
     drift, rotation = np.zeros((m, 3)), np.zeros((m, 3))  # of the base
+    since = run.t + 0.5  # the first row
     for name, _, v in truth.effects:
         if name == "base_offset":
             drift = drift + np.array([v["x0"], v["y0"], 0.0])
@@ -306,9 +294,17 @@ def places(truth: TrueArm, run: RowConditions) -> list[Array]:
                 angle = angle + v["c"][j] * torques[:, j]
             elif joint is not None and (joint == j + 1 or (name == "two_joint_cable" and joint == j)):
                 angle = angle + angle_error(run, name, joint, v, torques)
-            if joint in (None, j + 1):
-                longer = longer + np.outer(growth(run, name, v, float(np.linalg.norm(link))), link)
-            if name == "link_bending":
+            grows = joint in (None, j + 1)
+            if name == "thermal_growth" and grows:
+                longer = longer + np.outer(v["a"] * run.warm, link)
+            elif name == "thermal_transient" and grows:
+                longer = longer + np.outer(v["a"] * (1.0 - np.exp(-since / v["tau"])), link)
+            elif name == "link_step" and grows:
+                longer = longer + np.outer(v["d"] * (run.t > v["at"]) / float(np.linalg.norm(link)), link)
+            elif name == "two_warm_ups" and grows:  # outside the library: fast, and slowly back
+                slow = np.exp(-since[:, None] / v["tau"]) @ [-v["a"], -v["b"]] + v["a"] + v["b"]
+                longer = longer + np.outer(slow, link)
+            elif name == "link_bending":
                 longer, bend = longer + v["flexibility"] * np.outer(deflection[:, j], y), v["flexibility"] * slope[:, j]
             elif name == "bearing_compliance" and joint == j + 1:
                 tilt = tilt + v["c"] * (moments[:, j] - torques[:, j, None] * axis)

@@ -243,7 +243,7 @@ def test_outliers_are_15_sigma_away() -> None:
 def test_what_is_outside_the_library_is_of_the_size_asked_for_in_space(number: int, names: tuple[str, ...]) -> None:
     """Off the geometry and all that the simulator draws from the library lambda sigma long."""
     rng = np.random.default_rng(number)
-    truth = cells.random_six_axes(rng)
+    truth = cells.truth_of(cells.CellSpec(rows=(60,), space=True), rng)
     run = session(truth, rng.uniform(truth.lower, truth.upper, (60, truth.n)), rng)
     library = library_columns(truth, run)
     effect = random_effect(names, truth, run, 10.0, rng, library)
