@@ -367,7 +367,8 @@ def test_rows_that_err_alike_are_weighed_as_such() -> None:
     noisy = replace(data, positions=data.positions + noise)
     arm = replace(ARM, sigma=None)
     result, plain = diagnose(arm, noisy), identify(Model(arm), noisy)
-    assert result.verdict == "none" and not any("geometry alone" in note for note in result.notes)
+    assert result.verdict == "none"
+    assert not any("geometry alone" in note for note in result.notes)
     weighed, simple = (
         np.linalg.norm(Model(each).position(data.postures) - data.positions)
         for each in (result.extended_arm(), replace(arm, calibration=plain.calibration()))
