@@ -42,6 +42,14 @@ def half_waves(x: ca.SX, count: int) -> ca.SX:
     return ca.cos(np.pi * ca.DM(range(1, count + 1)) * x)
 
 
+def slow_waves(place: ca.SX, with_last: bool = False) -> ca.SX:
+    """Products of waves along several coordinates from -1 to 1, the slow ones larger: of orders, in half periods, with
+    a sum up to `SLOW`;  with_last : only those in which the last coordinate is"""
+    along = [ca.vertcat(1.0, half_waves(0.5 * (x + 1.0), SLOW)) for x in ca.vertsplit(place)]
+    orders = [k for k in product(range(SLOW + 1), repeat=len(along)) if 1 <= sum(k) <= SLOW and k[-1] >= with_last]
+    return ca.vertcat(*(prod(w[k] for w, k in zip(along, each, strict=True)) / np.dot(each, each) for each in orders))
+
+
 # -- of a joint --------------------------------------------------------------------------------------------------------
 def _other_joints(scope: Scope) -> list[float]:
     """Joints that turn, but for its own."""
@@ -50,10 +58,9 @@ def _other_joints(scope: Scope) -> list[float]:
 
 
 def _with_other(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
-    """Of the other joint's angle, and of both angles."""
-    angle, other = chain.q[self.joint_index], chain.q[int(self.chosen["other"]) - 1]
-    once, twice = turning_waves(other, [1]), turning_waves(other, [2]) / 4.0
-    return ca.dot(ca.vertcat(once, twice, ca.vec(ca.mtimes(turning_waves(angle, [1]), once.T)) / 2.0), values)
+    """Of the other joint's angle, and of both angles: not periodic, as a cable that is wound up."""
+    angles = (chain.q[j] / np.pi for j in (self.joint_index, int(self.chosen["other"]) - 1))
+    return ca.dot(slow_waves(ca.vertcat(*angles), with_last=True), values)
 
 
 def _by_approach(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
@@ -85,8 +92,8 @@ def _across_the_axis(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
 
 of_joint(
     "two_joint_error",
-    "depends on other joints too: waves of the other's angle, and once per turn of both angles",
-    numbers(8, "rad", LEVER),
+    "depends on other joints too: slow waves of the other's angle, and products of those of both",
+    numbers(6, "rad", LEVER),
     settings={"other": Setting(1, 99, _other_joints, whole=True, symbolic=False)},
     joint_angles=_with_other,
 )
@@ -214,15 +221,6 @@ def _fast(x: ca.SX) -> ca.SX:
     return half_waves(x, FAST) / ca.sqrt(ca.DM(range(1, FAST + 1)))
 
 
-def _products(place: ca.SX) -> ca.SX:
-    """Slow waves along the axes, and products of them."""
-    along = [ca.vertcat(1.0, half_waves(0.5 * (x + 1.0), SLOW)) for x in ca.vertsplit(place)]
-    orders = [np.array(k) for k in product(range(SLOW + 1), repeat=len(along)) if 1 <= sum(k) <= SLOW]
-    return ca.vertcat(
-        *(prod(w[int(k)] for w, k in zip(along, each, strict=True)) / (1.0 + each @ each) for each in orders)
-    )
-
-
 def _outwards(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
     """Away from the base, by waves of the distance."""
     place = _place(self, point)
@@ -230,9 +228,7 @@ def _outwards(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
     return place / ca.fmax(distance, 1e-9) * ca.dot(_fast(distance), values)
 
 
-_over_workspace(
-    "workspace_smooth", "smooth over the workspace: slow waves along the axes of the base, and products", _products
-)
+_over_workspace("workspace_smooth", "smooth over the workspace: slow waves along the axes of the base", slow_waves)
 _over_workspace(
     "workspace_axes",
     "smooth over the workspace: waves along each axis of the base",
