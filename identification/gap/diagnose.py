@@ -12,7 +12,15 @@ from identification.arm import Arm
 from identification.arrays import rows_in_words
 from identification.documents.diagnosis import untested
 from identification.errors import InputError
-from identification.estimation.doubts import another_frame, copied_rows, far_off, flipped, misread, outside_limits
+from identification.estimation.doubts import (
+    another_frame,
+    copied_rows,
+    far_off,
+    flipped,
+    lacking,
+    misread,
+    outside_limits,
+)
 from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import averaged, geometry
@@ -179,6 +187,7 @@ def diagnose(
             *another_frame(library.arm, measurements),
             *outside_limits(library.arm, measurements),
             *([moved] if words else []),
+            *(f"hold-out: {one}" for one in ([] if holdout is None else lacking(predicting.model, holdout))),
             *copies,
         ),
         replication=replications(fitted, measurements.session_names, named.effects),

@@ -374,3 +374,18 @@ def test_rows_that_err_alike_are_weighed_as_such() -> None:
         for each in (result.extended_arm(), replace(arm, calibration=plain.calibration()))
     )
     assert weighed < 0.5 * simple
+
+
+def test_a_holdout_without_the_temperature_is_told() -> None:
+    rng = np.random.default_rng(5)
+    data, fresh = measured(None), measured(None, seed=2, m=30)
+    warm, other = rng.uniform(18.0, 24.0, 60), rng.uniform(18.0, 24.0, 30)
+    moved = (
+        replace(each, positions=each.positions + np.outer(kelvin - warm.mean(), [0.2, 0.1]))
+        for each, kelvin in ((data, warm), (fresh, other))
+    )
+    shifted, holdout = (replace(each, temperature=kelvin) for each, kelvin in zip(moved, (warm, other), strict=True))
+    given, missing = (diagnose(ARM, shifted, rows) for rows in (holdout, replace(holdout, temperature=None)))
+    assert given.where == "temperature"
+    assert not any("temperature_C" in note for note in given.warnings)
+    assert any(note.startswith("hold-out: temperature_shift needs the column") for note in missing.warnings)
