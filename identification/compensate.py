@@ -63,7 +63,8 @@ def compensate(
     postures : (k, n) nominal joint commands [rad], which the commands stay near; left out: where the search starts is
         the middle of the angles of the identification, which the commands stay within where that is possible; where
         these are not known, of the limits
-    conditions : payload, temperature and the like of every row; directions follow from the order of the rows
+    conditions : payload, temperature and the like of every row; directions follow from the order of the rows. What
+        happened once in the session of the identification is over, as for `validate`, where no times are given
     orientations : (k, 3, 3) axes of a spatial arm's tool for the instrument at the targets; left out: any will do, but
         that where targets are left out, too, an arm that measures orientations keeps those of its nominal postures
     constraints : that commands keep to, as of `doe.problem.constraints.constraints_of(Model(arm))`
@@ -104,7 +105,14 @@ def compensate(
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
     limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
     boxes = [limits] if nominal is not None or np.array_equal(familiar, limits) else [familiar, limits]
-    where = replace(conditions or Conditions(), orientation=turned)
+    where, assumed = replace(conditions or Conditions(), orientation=turned), list[str]()
+    if where.time is None and (once := [effect.key for effect in model.effects if effect.once]):
+        where = replace(where, time=np.full(len(goals), 0.5))
+        assumed.append(f"{', '.join(once)}: of the session of the identification; taken as at its end")
+    if where.temperature is None and (warm := [e.key for e in model.effects if "temperature" in e.needs]):
+        mean = identified(arm).get("mean_temperature_C")
+        at = "" if mean is None else f", {float(mean):.1f} deg C"
+        assumed.append(f"{', '.join(warm)}: taken at the mean temperature of the identification{at}")
     near = np.tile(np.add(*familiar) / 2.0, (len(goals), 1)) if nominal is None else nominal
     task, sided = Task(model, goals, near, where, *limits, constraints, tolerance), tuple[str, ...]()
     commands = task.reached_within(boxes) if nominal is None else nominal
@@ -119,7 +127,9 @@ def compensate(
     barred = barred_by(constraints, commands)
     if where.directions is not None:
         commands = commands - servo_shift(arm, where.directions)
-    return Compensation(arm, points, commands, distances(left), turned, angles, barred, sided, tolerance)
+    return Compensation(
+        arm, points, commands, distances(left), turned, angles, barred, sided, tolerance, tuple(assumed)
+    )
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:
@@ -166,6 +176,7 @@ class Compensation(Documented):
     barred : (k) constraints that a command misses, in words, empty where all hold; none at all: nothing is constrained
     sided : effects of the model for which the order of the targets was taken as that of the approach
     tolerance : [mm] what counts as reached
+    assumed : sentences on the conditions that were taken because none were given
     """
 
     arm: Arm
@@ -177,6 +188,7 @@ class Compensation(Documented):
     barred: tuple[str, ...] = ()
     sided: tuple[str, ...] = ()
     tolerance: float = TOLERANCE
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("targets", "commands", "errors"):
@@ -245,6 +257,7 @@ class Compensation(Documented):
             most = f"by {float(np.max(self.errors[self.reached])):.2g} mm at most"
             least = f"less than the {self.tolerance:.2g} mm that the calibration itself is uncertain by"
             notes.append(f"{close} of the targets reached are missed {most}, {least}: no posture of the arm is nearer")
+        notes += self.assumed if self.reached.any() else ()
         if self.sided and self.reached.any():
             # how joints that all rise move as the controller counts
             counting, rise = self.arm.counting, np.ones((1, self.arm.links))

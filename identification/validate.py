@@ -23,7 +23,7 @@ from identification.documents.identification import (
 )
 from identification.errors import InputError
 from identification.estimation import Identification, estimate
-from identification.estimation.doubts import left_out_residuals
+from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
@@ -158,13 +158,7 @@ class Validation(Documented):
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
             yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
-        for effect in model.effects:
-            for need, column, missing, instead in (
-                ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
-                ("time", "order or time_s", measurements.order is None, "the order of the rows"),
-            ):
-                if need in effect.needs and missing:
-                    yield f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
+        yield from lacking(model, measurements)
         if left_open:
             yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"
 

@@ -167,19 +167,37 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
 def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
     """The offer of `base_offset` where the residuals fall by a large factor with it.
 
-    Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing.
+    Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing. What the
+    arm's effects do, by the values in its file, is no part of it.
     """
     spare, m = measurements.positions.size - 2 * (arm.links + 1), len(measurements)
     if not arm.chain.positions_in_plane or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
         return []
+    positions, conditions = measurements.positions, measurements.conditions
+    if arm.effects:
+        each = (Model(one).position(measurements.postures, conditions=conditions) for one in (arm, arm.with_effects()))
+        positions = positions - next(each) + next(each)
     forms = (PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True) for offset in (False, True))
     solvers = (form.solver(measurements.postures, np.ones(m), RANK_TOLERANCE) for form in forms)
-    held, free = (float(solve(measurements.positions[None])[1][0]) for solve in solvers)  # sums of squares [mm^2] left
+    held, free = (float(solve(positions[None])[1][0]) for solve in solvers)  # sums of squares [mm^2] left
     before, after = np.sqrt(held / m), np.sqrt(free / m)
     if before <= rounding(measurements) or not worth_freeing(held, free, 2, spare, FALL**2):
         return []
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']
+
+
+def lacking(model: Model, measurements: Measurements) -> list[str]:
+    """What a model needs of rows that it is to predict, and what is taken where they do not have it."""
+    return [
+        f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
+        for effect in model.effects
+        for need, column, missing, instead in (
+            ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
+            ("time", "order or time_s", measurements.order is None, "the order of the rows"),
+        )
+        if need in effect.needs and missing
+    ]
 
 
 def worth_freeing(held: float, free: float, freed: int, spare: float, factor: float) -> bool:

@@ -12,7 +12,15 @@ from identification.arm import Arm
 from identification.arrays import rows_in_words
 from identification.documents.diagnosis import untested
 from identification.errors import InputError
-from identification.estimation.doubts import another_frame, copied_rows, far_off, flipped, misread, outside_limits
+from identification.estimation.doubts import (
+    another_frame,
+    copied_rows,
+    far_off,
+    flipped,
+    lacking,
+    misread,
+    outside_limits,
+)
 from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.average import averaged, geometry
@@ -120,9 +128,13 @@ def diagnose(
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
     before = base.residuals(measurements)
     # whether the geometry alone predicts better: other rows, by more than chance; or, as the tests are linear and the
-    # average is cut at physical bounds, its own
-    refuted = tests[0].shrinks is False and tests[0].after > tests[0].before
-    if alone := refuted or rms_distance(after[kept]) > rms_distance(before[kept]):
+    # average is cut at physical bounds, its own, as the likeliest noise weighs them
+    alone = tests[0].shrinks is False and tests[0].after > tests[0].before
+    if predicting.specs and not alone:
+        weighted = posterior.noises[posterior.best.noise].rows.pick(kept)
+        with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
+        alone = with_all > without
+    if alone:
         predicting = geometry(base)
         after = predicting.residuals(measurements)
     confirmation = None
@@ -175,6 +187,7 @@ def diagnose(
             *another_frame(library.arm, measurements),
             *outside_limits(library.arm, measurements),
             *([moved] if words else []),
+            *(f"hold-out: {one}" for one in ([] if holdout is None else lacking(predicting.model, holdout))),
             *copies,
         ),
         replication=replications(fitted, measurements.session_names, named.effects),

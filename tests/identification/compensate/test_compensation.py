@@ -265,6 +265,25 @@ def test_the_side_of_the_approach_is_said() -> None:
     assert compensate(arm(), postures=nominal).warnings == []
 
 
+def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() -> None:
+    """A zero that jumped late in the session is off in every command, and the user is told what was taken."""
+    step, growth = EffectSpec("joint_step", 2, {"at": 0.3}), EffectSpec("thermal_growth", None, {})
+    jumped = arm(step, growth, values={"joint_step:2.b": 2e-3, "thermal_growth.a": 1e-4})
+    nominal = np.array([[0.1, 0.2, 0.1, 0.1], [0.2, 0.4, 0.3, 0.2]])
+    found = compensate(jumped, postures=nominal)
+    lengths, offsets = LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets
+    jump = np.array([0.0, 2e-3, 0.0, 0.0])
+    np.testing.assert_allclose(tip(found.commands + jump, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
+    assert found.warnings == [
+        "joint_step:2: of the session of the identification; taken as at its end",
+        "thermal_growth: taken at the mean temperature of the identification",
+    ]
+    given = Conditions(time=np.zeros(2), temperature=np.zeros(2))
+    before = compensate(jumped, postures=nominal, conditions=given)
+    assert before.warnings == []
+    np.testing.assert_allclose(tip(before.commands, lengths, offsets), before.targets, rtol=0, atol=TOLERANCE)
+
+
 NOISE = 0.05  # [mm] of each coordinate
 REFLECTOR = np.array([50.0, 20.0, 30.0])
 CHAIN = chain_of([DHRow(80.0, np.radians(90.0), 300.0), DHRow(400.0, 0.0, 0.0)])

@@ -53,6 +53,16 @@ def test_a_small_offset_of_the_base_and_chance_are_no_other_frame() -> None:
     assert another_frame(arm(), one) == []
 
 
+def test_what_a_known_effect_does_is_no_other_frame() -> None:
+    """Everything moves 1 mm/K along x, 3 K above the mean temperature of the identification: by 3 mm."""
+    moves = arm(EffectSpec("temperature_shift", None, {"v1": 1.0, "v2": 0.0, "v3": 0.0}))
+    measured = replace(data(Model(arm()), plan(30)), temperature=np.full(30, 23.0), reference=20.0)
+    shifted = moved(measured, (3.0, 0.0))
+    assert another_frame(arm(), shifted) != []
+    assert another_frame(moves, shifted) == []
+    assert another_frame(moves, moved(shifted, (3.0, 0.0))) != []
+
+
 def test_a_link_of_another_length_is_implausible() -> None:
     drawn = Arm((260.0, 180.0, 120.0, 30.0))  # the last link is 100 mm long
     found = estimate(Model(drawn), data(Model(arm()), plan(30)))

@@ -359,3 +359,39 @@ def test_effects_of_an_arm_that_sags_with_three_reflectors_at_each_posture() -> 
     assert [finding.name for finding in named.scatter] == ["repeats"]
     # three reads of a posture tell its error from that of a row: 0.03^2 / 0.02^2 = 2.25 on a grid of factors of 4
     assert 0.5 < named.scatter[0].size < 9.0
+
+
+def test_rows_that_err_alike_are_weighed_as_such() -> None:
+    """First-order autoregression, correlation 0.95: least squares has smaller residuals on its own rows, and twice the
+    error of what weighs the rows rightly and is written."""
+    rng = np.random.default_rng(4)
+    exact = replace(TRUTH, sigma=1e-9)
+    run = simulator.session(exact, rng.uniform(-np.pi, np.pi, (60, 3)), rng)
+    data, noise = simulator.measure(exact, run, rng, "white"), 0.1 * rng.normal(size=(60, 2))
+    for k in range(1, 60):
+        noise[k] = 0.95 * noise[k - 1] + np.sqrt(1.0 - 0.95**2) * noise[k]
+    noisy = replace(data, positions=data.positions + noise)
+    arm = replace(ARM, sigma=None)
+    result, plain = diagnose(arm, noisy), identify(Model(arm), noisy)
+    assert result.verdict == "none"
+    assert not any("geometry alone" in note for note in result.notes)
+    weighed, simple = (
+        np.linalg.norm(Model(each).position(data.postures) - data.positions)
+        for each in (result.extended_arm(), replace(arm, calibration=plain.calibration()))
+    )
+    assert weighed < 0.5 * simple
+
+
+def test_a_holdout_without_the_temperature_is_told() -> None:
+    rng = np.random.default_rng(5)
+    data, fresh = measured(None), measured(None, seed=2, m=30)
+    warm, other = rng.uniform(18.0, 24.0, 60), rng.uniform(18.0, 24.0, 30)
+    moved = (
+        replace(each, positions=each.positions + np.outer(kelvin - warm.mean(), [0.2, 0.1]))
+        for each, kelvin in ((data, warm), (fresh, other))
+    )
+    shifted, holdout = (replace(each, temperature=kelvin) for each, kelvin in zip(moved, (warm, other), strict=True))
+    given, missing = (diagnose(ARM, shifted, rows) for rows in (holdout, replace(holdout, temperature=None)))
+    assert given.where == "temperature"
+    assert not any("temperature_C" in note for note in given.warnings)
+    assert any(note.startswith("hold-out: temperature_shift needs the column") for note in missing.warnings)
