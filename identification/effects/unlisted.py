@@ -50,6 +50,11 @@ def slow_waves(place: ca.SX, with_last: bool = False) -> ca.SX:
     return ca.vertcat(*(prod(w[k] for w, k in zip(along, each, strict=True)) / np.dot(each, each) for each in orders))
 
 
+def held(chain: Chain) -> ca.SX | float:
+    """1 where error curves of the arm hold, 0 beyond: nothing says that what was fitted beside them holds there."""
+    return 1.0 if chain.off is None else 1.0 - chain.off
+
+
 # -- of a joint --------------------------------------------------------------------------------------------------------
 def _other_joints(scope: Scope) -> list[float]:
     """Joints that turn, but for its own."""
@@ -60,14 +65,15 @@ def _other_joints(scope: Scope) -> list[float]:
 def _with_other(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
     """Of the other joint's angle, and of both angles: not periodic, as a cable that is wound up."""
     angles = (chain.q[j] / np.pi for j in (self.joint_index, int(self.chosen["other"]) - 1))
-    return ca.dot(slow_waves(ca.vertcat(*angles), with_last=True), values)
+    return held(chain) * ca.dot(slow_waves(ca.vertcat(*angles), with_last=True), values)
 
 
 def _by_approach(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
     """Of the angle and the last move, with another sign by its direction."""
     j = self.joint_index
     move = ca.fabs(chain.q[j] - chain.previous[j])
-    return chain.directions[j] * ca.dot(ca.vertcat(1.0, turning_waves(chain.q[j], [1]), ca.exp(-move)), values)
+    waves = ca.vertcat(1.0, turning_waves(chain.q[j], [1]), ca.exp(-move))
+    return held(chain) * chain.directions[j] * ca.dot(waves, values)
 
 
 def _load_unit(self: Effect, chain: Chain) -> float:
@@ -80,14 +86,14 @@ def _load_unit(self: Effect, chain: Chain) -> float:
 def _by_load(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
     """Of the torque, as a spring, play and friction have it."""
     t = chain.torques[self.joint_index] / _load_unit(self, chain)
-    return ca.dot(ca.vertcat(t, ca.fabs(t), t * ca.fabs(t), ca.sign(t)), values)
+    return held(chain) * ca.dot(ca.vertcat(t, ca.fabs(t), t * ca.fabs(t), ca.sign(t)), values)
 
 
 def _across_the_axis(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
     """(3,) across the axis, by waves of its angle."""
     across = ca.DM(rotation_to_z(self.chain.joints[self.joint_index].axis)[:, :2])
     waves = turning_waves(chain.q[self.joint_index], range(1, SLOW + 1))
-    return ca.mtimes([across, ca.reshape(values, 2, 2 * SLOW), waves])
+    return held(chain) * ca.mtimes([across, ca.reshape(values, 2, 2 * SLOW), waves])
 
 
 of_joint(

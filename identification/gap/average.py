@@ -116,11 +116,13 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
     curves = []
+    beside_curves = [b.label for b in kept if b.effect and b.effect.unlisted and b.effect.joint]  # off with the first
     for (joint, start, stop), functions in of_curves:
         at = np.concatenate([places[label] for label in functions])
         beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
-        parts = np.sum([geometry_of[label] for label in functions], axis=0).tolist()
+        together = [*functions, *(beside_curves if not curves else ())]
+        parts = np.sum([geometry_of[label] for label in together], axis=0).tolist()
         named = zip(library.base.names, parts, strict=True)
         shifted = {name: value for name, value in named if not name.startswith(f"{SESSIONS}.")}
         along = arm.chain.along_base(shifted, plain.parameters.mapping(values), back=True)
