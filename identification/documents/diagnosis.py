@@ -242,7 +242,10 @@ def diagnosis_document(
         headings = ("effect", "session", "fitted there", "P(the same)", "replicates")
         sections.append(Section("Across sessions", [ACROSS_SESSIONS, Sheet(headings, sessions)]))
     sections.append(Section("The gap, before and after", [*gap_parts(data, nominal), picture("gap_figure")]))
-    values = corrected_values(diagnosis.extended_arm(), diagnosis.predicting.calibration)
+    # beside something unknown a fit of the names alone is off by what they take of it
+    best = diagnosis.predicting if data["verdict"] == "unknown" else named
+    undetermined = [p.name for p in best.parameters if np.isnan(p.std)]
+    values = corrected_values(diagnosis.extended_arm(best), best.calibration, unknown=undetermined)
     doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"
     sections.append(corrected_section(title, values, folded=doubted))

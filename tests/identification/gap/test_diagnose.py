@@ -321,7 +321,13 @@ def test_a_bent_instrument_is_unknown_in_the_workspace(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "place"),
-    [("cross_talk", "joint"), ("stick_slip", "joint"), ("warm_offset", "temperature"), ("refraction", "workspace")],
+    [
+        ("cable_pull", "joint"),
+        ("cross_talk", "joint"),
+        ("stick_slip", "joint"),
+        ("warm_offset", "temperature"),
+        ("refraction", "workspace"),
+    ],
 )
 def test_an_error_of_any_form_is_written_at_its_place_and_predicts_other_rows(name: str, place: str) -> None:
     """Physics that the library does not have, 40 standard deviations of the noise: the file that is written, read
