@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from identification.arm import Arm
 from identification.arrays import Array
@@ -36,9 +37,7 @@ def minimal(model: Model, least: float = DISTINCT, rows: Measurements | None = N
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
     arm, parameters = model.arm, model.parameters
-    first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
-    order = [k for kind in first for k in parameters.indices(kind)]
-    sizes = np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
+    order, sizes = ordered(model)
     if rows is None:  # three equations each for some forty parameters
         postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (100, arm.links))
         each = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(arm.chain.tools))]
@@ -51,7 +50,7 @@ def minimal(model: Model, least: float = DISTINCT, rows: Measurements | None = N
 
 def practical(arm: Arm, measurements: Measurements) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
-    measurements hardly determine as drawn; of contacts what the surface that is touched most often shows, at the
+    measurements hardly determine as drawn; of contacts what the surfaces show at the
     postures measured. A planar arm, and a spatial one whose set was chosen, stays as it is."""
     if not arm.chain.redundant:
         return arm
@@ -59,18 +58,49 @@ def practical(arm: Arm, measurements: Measurements) -> Arm:
     placed = placed_model(model, measurements)
     if not instrument.contact:
         return minimal(placed, PRACTICAL).arm
-    if not instrument.own_targets:
-        longest = measurements.rows(max(measurements.session_rows, key=len))
-        shown = minimal(placed_model(model, longest), PRACTICAL, longest)
-        return _fixing(placed, shown.arm.chain.fixed - placed.arm.chain.fixed).arm
-    shown = minimal(placed, PRACTICAL, measurements)
+    if instrument.own_targets:
+        shown = minimal(placed, PRACTICAL, measurements)
+    else:
+        # what they show together, each beside a base of its own: a level surface does not show where axes lie along it
+        bases, others, names = list[Array](), list[Array](), list[str]()
+        for rows in (measurements.rows(index) for index in measurements.session_rows):
+            there = placed_model(model, rows)
+            order, sizes = ordered(there)
+            columns = (
+                there.jacobian(rows.postures, None, rows.conditions).reshape(-1, len(there.names))[:, order] * sizes
+            )
+            count = len(there.parameters.indices(BASE))
+            bases.append(columns[:, :count])
+            others.append(columns[:, count:])
+            names = [there.names[k] for k in order[count:]]
+        tall = np.concatenate(others)
+        # the longest step stays as drawn where nothing shows the size, and what is kept takes its place
+        if longest := longest_step(placed, names):
+            tall[:, names.index(longest)] = 0.0
+        own = sum(base.shape[1] for base in bases)
+        kept = {k - own for k in independent(np.column_stack([block_diag(*bases), tall]), PRACTICAL)}
+        return _fixing(placed, (name for k, name in enumerate(names) if k not in kept)).arm
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
     # next to nothing: the longest step that is a parameter stays as drawn
+    longest = longest_step(shown, shown.names)
+    return _fixing(shown, [longest] if longest else ()).arm
+
+
+def longest_step(model: Model, names: Iterable[str]) -> str | None:
+    """Of these parameters the step along the longest drawn one, where readings do not show the size of the arm."""
     steps: dict[str, float] = {}
-    for j, joint in enumerate(shown.arm.chain.joints if instrument.size_is_open[0] else (), start=1):
+    for j, joint in enumerate(model.arm.chain.joints if model.arm.chain.instrument.size_is_open[0] else (), start=1):
         along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
-        steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in shown.names}
-    return _fixing(shown, [max(steps, key=steps.__getitem__)] if steps else ()).arm
+        steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in names}
+    return max(steps, key=steps.__getitem__, default=None)
+
+
+def ordered(model: Model) -> tuple[list[int], Array]:
+    """Numbers of the geometric parameters, what is kept before what, and what each can be off by."""
+    parameters = model.parameters
+    first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)
+    order = [k for kind in first for k in parameters.indices(kind)]
+    return order, np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
 
 
 def _fixing(model: Model, names: Iterable[str]) -> Model:

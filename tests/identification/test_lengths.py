@@ -136,15 +136,35 @@ def test_contacts_with_planes() -> None:
     assert spectrum(fixed, exact.model.scales, 1e-7).rank == 23
 
 
-def test_a_minimal_set_of_contacts_is_what_the_largest_surface_shows() -> None:
-    """At the postures that touch it: elsewhere a plane would show the arm's size, too."""
+def test_a_minimal_set_of_contacts_is_what_the_surfaces_show() -> None:
+    """At the postures that touch them: elsewhere a plane would show the arm's size, too. The longest step is none of
+    them: where readings do not fit, an arm next to nothing would fit better."""
     generator = np.random.default_rng(7)
     truth, surface = Exponentials(generator), plane(np.array([0.1, 0.2, 1.0]), 200.0)
     other = touching(truth, plane(np.array([1.0, 0.0, 0.0]), 500.0), 30, generator)
     q = np.concatenate([other, touching(truth, surface, 80, generator)])
     data = Measurements(q, np.zeros((110, 1)), session=np.repeat(["a", "b"], [30, 80]))
     arm = Arm(replace(drawing(), instrument=Plane()), sigma=0.01)
-    assert len(Model(practical(arm, data)).names) == 23
+    names = Model(practical(arm, data)).names
+    assert len(names) == 23
+    assert "translation_x:3" not in names
+
+
+@pytest.mark.parametrize("error", [0.0, 1e-3])
+def test_planes_do_not_shrink_the_arm(error: float) -> None:
+    """With nothing hidden, and with an error of joint 3 by the angle of joint 2, which has no name."""
+    generator = np.random.default_rng(1)
+    truth, qs = Exponentials(generator), []
+    for normal, height in (((0.0, 0.0, 1.0), 100.0), ((1.0, 0.02, -0.03), 500.0), ((0.0, 1.0, 0.0), 400.0)):
+        qs.append(touching(truth, plane(np.array(normal), height), 50, generator))
+    q, session = np.concatenate(qs), np.repeat(["a", "b", "c"], 50)
+    q[:, 2] += error * np.cos(q[:, 1]) * np.cos(q[:, 2])
+    arm = Arm(replace(drawing(), instrument=Plane()), sigma=0.02)
+    found = diagnose(arm, Measurements(q, 0.02 * generator.standard_normal((150, 1)), session=session))
+    assert found.verdict == ("unknown" if error else "none")
+    assert found.misfit is not None
+    assert found.misfit.ratio < 5.0
+    assert found.gap.to_json()["rms_after_mm"] < 0.06
 
 
 def test_an_effect_is_named_by_contacts_alone() -> None:
