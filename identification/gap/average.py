@@ -115,7 +115,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
-    curves = []
+    curves = list[Curve]()
     beside_curves = [b.label for b in kept if b.effect and b.effect.unlisted and b.effect.joint]  # off with the first
     for (joint, start, stop), functions in of_curves:
         at = np.concatenate([places[label] for label in functions])

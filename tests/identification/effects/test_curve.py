@@ -160,3 +160,15 @@ def test_bad_files(tmp_path: Path, entry: str, message: str) -> None:
     for name, curve, fault in (("joint_error_curve", None, "no"), ("gear_ratio", CURVE, "a")):
         with pytest.raises(InputError, match=f"{name}:1 has {fault} table of values"):
             build(EffectSpec(name, 1, curve=curve), planar_chain(np.ones(2)))
+
+
+def test_errors_of_any_form_at_joints_hold_where_all_curves_do() -> None:
+    """Of another joint, at joint 2: added where joint 1 is within the angles of its curve, and not beyond them."""
+    values = {"other": 3.0} | {f"v{k}": 1e-3 * k for k in range(1, 7)}
+    curve = EffectSpec("joint_error_curve", 1, curve=ErrorCurve(-0.5, 1.7, VALUES, {"length_error:1": 0.1}))
+    of_both = EffectSpec("two_joint_error", 2, values)
+    with_it, without = (Model(Arm(LENGTHS, effects=(curve, *more))) for more in ((of_both,), ()))
+    postures = np.array([[0.3, 0.4, 0.5], [1.7, -1.0, 2.0], [2.5, 0.4, 0.5], [-1.5, -1.0, 2.0]])
+    moved = np.linalg.norm(with_it.position(postures) - without.position(postures), axis=1)
+    assert np.all(moved[:2] > 0.01)
+    np.testing.assert_array_equal(moved[2:], 0.0)
