@@ -93,7 +93,9 @@ class Sheet:
         )
         table = f"<table>\n{head}<tbody>\n{''.join(f'<tr>{row}</tr>' + chr(10) for row in rows)}</tbody>\n</table>"
         title = f"<h3>{escape(self.title)}</h3>\n" * bool(self.title)
-        return f'{title}<div class="scroll" tabindex="0">{table}</div>\n{html(rest)}' * bool(lines)
+        name = escape(self.title or "table")  # a region that keys scroll is announced by it
+        region = f'<div class="scroll" tabindex="0" role="region" aria-label="{name}">{table}</div>'
+        return f"{title}{region}\n{html(rest)}" * bool(lines)
 
 
 @dataclass(frozen=True)
