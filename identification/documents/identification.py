@@ -333,12 +333,6 @@ def validation_sections(data: Data) -> list[Section]:
     return [*shown, *([Section(f"Validation, block by block, in {unit}", [by_block])] if blocks else [])]
 
 
-# -- commands, in a terminal and on a page -----------------------------------------------------------------------------
-def rows_listed(rows: Sequence[int]) -> str:
-    """`row 3`, `rows 1, 5`; of many the first eight."""
-    return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:8]))}{', ...' if len(rows) > 8 else ''}"
-
-
 # -- armcal effects ----------------------------------------------------------------------------------------------------
 def library_document(entries: Sequence[dict[str, Any]]) -> Document:
     """Name, cause and needs of every effect, by kind."""

@@ -139,7 +139,7 @@ def _moving(
     unit: str,
     places: tuple[str, str],
     count: int,
-    functions: Callable[[Chain], ca.SX],
+    functions: Callable[[Chain, int], ca.SX],
     **more: Any,
 ) -> None:
     """Add an effect that shifts and turns something, each by functions of what holds in a row.
@@ -149,35 +149,30 @@ def _moving(
 
     def moved(self: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift, turn = (widths(self.chain)[place] for place in places)
-        both = ca.mtimes(ca.reshape(values, shift + turn, count), functions(chain))
+        both = ca.mtimes(ca.reshape(values, shift + turn, count), functions(chain, count))
         return both[:shift], both[shift:] / self.reach
 
     formulas = {
         places[0]: lambda self, chain, values: moved(self, chain, values)[0],
         places[1]: lambda self, chain, values: moved(self, chain, values)[1],
     }
-    size = lambda self: count * sum(widths(self.chain)[place] for place in places)  # noqa: E731
-    of_any_form(name, about, lambda self: numbers(size(self), unit), **formulas, **more)
+
+    def counted(self: Effect) -> list[Number]:
+        return numbers(count * sum(widths(self.chain)[place] for place in places), unit)
+
+    of_any_form(name, about, counted, **formulas, **more)
 
 
 BASE, GEOMETRY = ("base_translation", "base_rotation"), ("joint_shifts", "joint_turns")
-of_session = partial(_moving, unit="mm/session", needs=frozenset({"time"}), once=True)
-of_warmth = partial(
-    _moving, unit="mm/K", count=1, functions=lambda chain: chain.temperature, needs=frozenset({"temperature"})
-)
-of_session(
-    "time_shift",
-    "smooth in time: base moves as waves over the session",
-    places=BASE,
-    count=FAST,
-    functions=partial(_in_time, count=FAST),
-)
+TIME, TEMPERATURE = frozenset({"time"}), frozenset({"temperature"})
+of_session = partial(_moving, unit="mm/session", functions=_in_time, needs=TIME, once=True)
+of_warmth = partial(_moving, unit="mm/K", count=1, functions=lambda chain, _: chain.temperature, needs=TEMPERATURE)
+of_session("time_shift", "smooth in time: base moves as waves over the session", places=BASE, count=FAST)
 of_session(
     "time_geometry",
     "geometry that changes in time: every joint moves, as slow waves over the session",
     places=GEOMETRY,
     count=SLOW,
-    functions=partial(_in_time, count=SLOW),
     prior=0.3,
 )
 of_warmth("temperature_shift", "follows the temperature: base moves by v (T - T_mean)", places=BASE)

@@ -90,7 +90,12 @@ def diagnose(
 
     # what predicts best, and what it leaves
     predicting = averaged(posterior, int(kept.sum()) * rows.dimension)
-    after = predicting.residuals(measurements)
+    before, after = base.residuals(measurements), predicting.residuals(measurements)
+    # an average beyond physical bounds is cut there, and may be worse than the geometry in its own rows
+    weighted = posterior.noises[best.noise].rows.pick(kept)
+    with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
+    if alone := bool(predicting.specs) and with_all > without:
+        predicting, after = geometry(base), before
     rank = after[kept].size - predicting.freedom
     repeats = repeat_finding(after, rank, measurements, kept)
     over_sigma = misfit(after, rank, measurements, library.arm.sigma, kept)
@@ -126,17 +131,8 @@ def diagnose(
 
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
-    before = base.residuals(measurements)
-    # whether the geometry alone predicts better: other rows, by more than chance; or, as the tests are linear and the
-    # average is cut at physical bounds, its own, as the likeliest noise weighs them
-    alone = tests[0].shrinks is False and tests[0].after > tests[0].before
-    if predicting.specs and not alone:
-        weighted = posterior.noises[posterior.best.noise].rows.pick(kept)
-        with_all, without = (float(np.linalg.norm(weighted.whiten(left[kept]))) for left in (after, before))
-        alone = with_all > without
-    if alone:
-        predicting = geometry(base)
-        after = predicting.residuals(measurements)
+    if tests[0].shrinks is False and tests[0].after > tests[0].before:  # the geometry is better, by more than chance
+        alone, predicting, after = True, geometry(base), before
     confirmation = None
     if held_out is not None:
         confirmation = held_out.test(base, predicting, measurements, kept, something, more)
