@@ -682,7 +682,7 @@ def demo_files(
     spatial : Six axes and a laser tracker instead of the paper's 4-link arm.
     out : Directory for the files.
     """
-    from doe.demo.run import demo_document, planar, run_demo
+    from doe.demo.run import demo_document, overview_figure, planar, run_demo
     from doe.demo.run import spatial as six_axes
 
     try:
@@ -693,9 +693,9 @@ def demo_files(
         raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
     with interruptible(f"the files in {out} are whole, but not all there"):
         demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
-        document = demo_document(demo)
+        document, picture = demo_document(demo), overview_figure(demo)
         text = page(document, [out / name for name in demo.data["files"]])
-        write_together({out / "report.html": text}, force=True)
+        write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
         files = ", ".join(demo.data["files"])
         look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
         answer = Answer(demo.data, document.plus(look))

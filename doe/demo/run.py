@@ -1,5 +1,5 @@
 """The whole loop on a simulated arm: plan, certificate, measurements, identification, what is still missing, commands
-for the real arm; the paper's 4-link arm, or a six-axis arm before a laser tracker. And its page."""
+for the real arm; the paper's 4-link arm, or a six-axis arm before a laser tracker. And its page and picture."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
 from doe.plan.driving import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report.design import design_verdict, plan_section
+from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm
 from doe.solvers import solve
 from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
 from identification import (
@@ -29,7 +31,7 @@ from identification import (
     rms_distance,
     with_effects,
 )
-from identification.document import Answer, Document, Section, Sheet, number
+from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
 
@@ -96,15 +98,17 @@ def spatial() -> Scenario:
 # -- the loop ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Demo:
-    """What the demo made, of which its page is."""
+    """What the demo made, of which its page and its picture are."""
 
     title: str
     arm: Arm
     design: Design
     moves: Plan  # the design's plan with way-points, if the arm has bodies
+    fresh: Measurements  # random postures that no fit has seen
     identified: Answer
     diagnosed: Answer
-    validated: Answer  # of the named effect refitted, at random postures that no fit has seen
+    validated: Answer  # of the named effect refitted, at `fresh`
+    left: tuple[Array, Array]  # (200, d) [mm] of `fresh`, measured less what `identified` and the refit say
     data: dict[str, Any]  # the JSON object of `armcal demo`
 
 
@@ -192,12 +196,12 @@ def run_demo(
         "files": files,
     }
     validated = validate(named, directory / "fresh.csv")
-    return Demo(scenario.title, arm, design, moves, identified, diagnosed, validated, data)
+    return Demo(scenario.title, arm, design, moves, fresh, identified, diagnosed, validated, (before, after), data)
 
 
 # -- its page ----------------------------------------------------------------------------------------------------------
 def demo_document(demo: Demo) -> Document:
-    """The diagnosis, what was hidden, and the plan."""
+    """The diagnosis, what was hidden, the plan, and its certificate."""
     arm, design, diagnosis, test = demo.arm, demo.design, demo.diagnosed.result, demo.diagnosed.result.confirmation
     gaps, hidden = demo.data["fresh_gap_mm"], demo.data["hidden"]
     # estimates with intervals beside the hidden truth; the last model and its commands against the hidden arm
@@ -226,21 +230,28 @@ def demo_document(demo: Demo) -> Document:
     within = " and the tracker's view" if arm.constraints else ""
     chosen = f"Chosen within the joint limits{within}. {design_verdict(design.to_json())}"
     diagnosed = diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
+    certificate = (
+        "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
+        "the largest d found at each angle of a joint; dots are the plan's postures."
+    )
+    effort = (4096, 61) if arm.chain.planar else (128, 25)
     sections = [
         *diagnosed.parts,
         Section("Against the truth", truth),
         plan_section(arm, demo.moves, lead=chosen, tests={"fresh.csv": demo.validated.result}),
+        Section(
+            "The certificate",
+            [Pictures(lambda: [certificate, certificate_figure(design.problem, design.plan.postures, *effort)])],
+        ),
     ]
     actions = [
         ("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
         ("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
-    sure = optimality_in_words(design.optimality, None if design.bound is None else design.bound.as_dict())
-    good = sure if design.certified_optimal else f"efficiency {design.efficiency:.4f}"
     average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""
     last = f"with {' + '.join(diagnosis.effects)}" if diagnosis.effects else "nothing named"
     summary = (
-        f"A plan of {len(design.plan)} runs ({good}). The RMS error on 200 fresh postures falls "
+        f"A plan of {len(design.plan)} runs ({how_good(design)}). The RMS error on 200 fresh postures falls "
         f"from {gaps['drawing']:.2f} mm (nominal) to {gaps['identified']:.3f} mm (calibrated) and "
         f"{gaps['extended']:.3f} mm ({last} alone{average}); "
         f"measurement noise alone gives {gaps['noise']:.3f} mm. "
@@ -248,3 +259,48 @@ def demo_document(demo: Demo) -> Document:
         f"uncorrected ones by {hidden['targets_as_drawn_mm']:.2f} mm."
     )
     return Document(f"armcal demo: {demo.title}", [*diagnosed.verdict, summary], sections, actions)
+
+
+def how_good(design: Design) -> str:
+    """How sure the plan is, or its efficiency."""
+    sure = optimality_in_words(design.optimality, None if design.bound is None else design.bound.as_dict())
+    return sure if design.certified_optimal and sure else f"efficiency {design.efficiency:.4f}"
+
+
+def overview_figure(demo: Demo) -> Figure:
+    """Plan, gap step by step, and residuals against the joint at fault."""
+    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), demo.arm.chain.projection
+    diagnosis = demo.diagnosed.result
+    places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
+    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=space)
+    draw_arm(axes, demo.arm, postures)
+    within = "in the tracker's view" if space else "within the limits"
+    axes.set_title(f"1. plan: {len(postures)} postures {within},\n{how_good(demo.design)}", fontsize=10)
+
+    # RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names
+    axes = figure.add_subplot(places[1])
+    *heights, noise = (demo.data["fresh_gap_mm"][name] for name in ("drawing", "identified", "extended", "noise"))
+    names = ["drawing", "identified", "effect\nadded"]
+    axes.plot(names, heights, color="0.8", lw=1, zorder=1)
+    axes.scatter(names, heights, color=[LIMIT, BEFORE, AFTER], s=90, zorder=2)
+    for name, height in zip(names, heights, strict=True):
+        axes.annotate(f"{height:.2f} mm", (name, height), (0, 9), textcoords="offset points", ha="center", fontsize=10)
+    axes.axhline(noise, color="k", ls="--", lw=1, zorder=0)
+    axes.set(yscale="log", xlim=(-0.5, 2.5), ylim=(0.57 * noise, 2.4 * heights[0]), ylabel="RMS distance [mm]")
+    axes.text(-0.42, noise * 1.07, f"noise {noise:.2f} mm", fontsize=9)
+    axes.set_title("2. gap between model and reality,\non 200 postures no fit has seen", fontsize=10)
+
+    # residuals turned into the joint angle error they mean, against the joint that the diagnosis names
+    axes = figure.add_subplot(places[2])
+    joint = next((spec.joint for spec in diagnosis.named.specs if spec.joint), 1)
+    postures = demo.fresh.postures
+    levers = design_model(demo.arm).joint_levers(postures, conditions=demo.fresh.conditions)[..., joint - 1]
+    squares = np.sum(levers**2, axis=1)
+    clear = squares > 0.1 * squares.max()  # of shorter levers residuals say little
+    for left, color, name in zip(demo.left, (BEFORE, AFTER), ("identified", "effect added"), strict=True):
+        errors = np.degrees(np.sum(levers * left, axis=1) / squares)[clear]
+        axes.plot(np.degrees(postures[clear, joint - 1]), errors, ".", color=color, ms=4, label=name)
+    axes.set(xlabel=f"joint {joint} [deg]", ylabel="joint angle error [deg]")
+    axes.legend(frameon=False, fontsize=9)
+    axes.set_title(f"3. diagnosis:\n{' + '.join(diagnosis.effects) or diagnosis.verdict}", fontsize=10)
+    return figure

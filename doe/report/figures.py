@@ -1,4 +1,4 @@
-"""Pictures of plans (matplotlib figures; the caller shows or saves them)."""
+"""Pictures of plans and certificates (matplotlib figures; the caller shows or saves them)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from doe.problem.model import PRISMATIC
+from doe.problem.problem import DesignProblem
 from doe.report.scene import side, simplified, trackers
 from identification import Arm, Array, design_model
 
@@ -134,3 +135,40 @@ def outlines(arm: Arm) -> list[tuple[Array, bool]]:
     """Lines (k, d) of what constrains an arm, and whether it keeps out of them: boxes, circles, spheres, cylinders, the
     tracker's cone."""
     return [(line, one.forbidden) for one in arm.constraints for line in one.outlines(arm.dimension)]
+
+
+def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096, steps: int = 61) -> Figure:
+    """The equivalence theorem seen along each joint: the largest d(q) at each value, which must not exceed p.
+
+    For every active joint the value is held at `steps` values while the other joints take `samples` random values,
+    corners of their limits and the plan's own, as far as constraints allow; the line is the largest d found. A plan is
+    optimal where the line touches p and never crosses it.
+    """
+    active, generator = problem.active_joints, np.random.default_rng(0)
+    figure = Figure(figsize=(10.0, 2.9), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(active), sharey=True))
+    prior = problem.prior.per_new_run(len(postures))
+    gradient = problem.criterion.gradient(problem.information(postures))
+    cloud = generator.uniform(problem.lower, problem.upper, (samples, problem.joints))
+    upper = generator.integers(0, 2, (min(samples, 4 * 2 ** len(active)), problem.joints)) == 1
+    others = np.concatenate([cloud, np.where(upper, problem.upper, problem.lower), postures])
+
+    def d(somewhere: Array) -> Array:
+        return prior.sensitivities(problem.scaled_jacobians(somewhere), gradient)
+
+    at_plan = d(postures)
+    for axis, joint in zip(axes, active, strict=True):
+        sliding = problem.model.joint_types[joint] == PRISMATIC
+        unit, factor = ("mm", 1.0) if sliding else ("deg", np.degrees(1.0))
+        values, largest = np.linspace(problem.lower[joint], problem.upper[joint], steps), []
+        for value in values:
+            held = others.copy()
+            held[:, joint] = value
+            largest.append(d(held[problem.feasible(held)]).max(initial=0.0))
+        axis.plot(factor * values, largest, color=AFTER)
+        axis.plot(factor * postures[:, joint], at_plan, ".", color="k", ms=5)
+        axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
+        axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")
+        axis.margins(y=0.12)
+    axes[0].set_ylabel("largest d(q), dashed: p")
+    return figure

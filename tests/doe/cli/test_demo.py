@@ -45,7 +45,7 @@ def test_demo_runs_the_whole_loop(demo: tuple[Folder, Outcome]) -> None:
     folder, done = demo
     assert done.code == 0, done.err
     assert done.data["directory"] == "d"
-    for name in ("arm.toml", "plan.csv", "data.csv", "calibrated.toml", "extended.toml", "report.html"):
+    for name in ("arm.toml", "plan.csv", "data.csv", "calibrated.toml", "extended.toml", "report.html", "overview.png"):
         assert (folder.path / "d" / name).stat().st_size > 0
     assert done.data["design"]["certified_optimal"] is True
     gap, hidden = done.data["fresh_gap_mm"], done.data["hidden"]

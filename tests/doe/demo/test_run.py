@@ -18,6 +18,7 @@ from doe.demo.run import (
     Demo,
     demo_document,
     hidden_arm,
+    overview_figure,
     run_demo,
     spatial,
 )
@@ -79,3 +80,4 @@ def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Pa
     assert len(load_arm(tmp_path / "extended.toml").effects) == 1
     with pytest.warns(UserWarning, match="beside the last axis is assumed"):  # of the plan
         assert "with encoder_eccentricity:2" in str(demo_document(demo))
+    assert [axes.name for axes in overview_figure(demo).axes] == ["3d", "rectilinear", "rectilinear"]
