@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Arm, Calibration, InputError, Measurements, Model, campaign_document, load_arm, load_sessions
+from identification import Arm, Calibration, InputError, Measurements, Model, load_arm, load_sessions
+from identification.campaign import campaign_document
 from identification.document import Document
 from identification.workflow import VERBS, Written, compensate_files, identify_files, validate_files
 
