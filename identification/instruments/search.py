@@ -55,7 +55,7 @@ class Unplaced(NamedTuple):
 
     @property
     def tools(self) -> Array:
-        """(s, 3) places [mm] from which the measured point is looked for: that known, or a cube of 27 around the tip."""
+        """(s, 3) places [mm] from which the measured point is looked for: that known, or 27 in a cube."""
         if self.tool is not None:
             return self.tool[None]
         return np.array(sorted(product((0.0, 1.0, -1.0), repeat=3), key=np.count_nonzero)) * 0.1 * self.reach
