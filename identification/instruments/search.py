@@ -58,7 +58,7 @@ class Unplaced(NamedTuple):
         """(s, 3) places [mm] from which the measured point is looked for: that known, or 27 in a cube."""
         if self.tool is not None:
             return self.tool[None]
-        return np.array(sorted(product((0.0, 1.0, -1.0), repeat=3), key=np.count_nonzero)) * 0.1 * self.reach
+        return np.array(sorted(product((1.0, 0.0, -1.0), repeat=3), key=np.count_nonzero)) * 0.1 * self.reach
 
     @property
     def points(self) -> Array:
