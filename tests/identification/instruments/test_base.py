@@ -97,6 +97,17 @@ def test_a_ball(radius: float) -> None:
     np.testing.assert_allclose(by_base.tool, TOOL, atol=1e-6)
 
 
+def test_a_ball_touched_from_one_side() -> None:
+    """A dozen times within 20 degrees: the surface is reached, not some other minimum."""
+    for seed in range(12, 20):
+        generator = np.random.default_rng(seed)
+        frames, normals = np.tile(np.eye(4), (12, 1, 1)), generator.standard_normal((12, 3))
+        frames[:, :3, :3] = Rotation.from_rotvec(0.2 * generator.standard_normal((12, 3))).as_matrix()
+        places = BASE[:3, 3] + 15.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        frames[:, :3, 3] = places - frames[:, :3, :3] @ TOOL
+        assert Sphere(15.0).place(Unplaced(frames, np.zeros((12, 1)), REACH)).rms < 1e-6
+
+
 def test_registration_is_no_mirror() -> None:
     """Points in a plane fit a mirrored base as well: a rotation must come out."""
     points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [3.0, 1.0, 0.0]])
