@@ -283,7 +283,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         whole: list[int | None] = [] if cls.per_joint == "required" else [None]
         for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
-            if joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles")):
+            slides = joint is not None and cls.of_angle and arm.joint_types[joint - 1] == PRISMATIC
+            if slides or (joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles"))):
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
