@@ -83,17 +83,17 @@ class Block:
         """`name` or `name:joint` of an effect, without the scanned setting; else its place."""
         return self.place if self.spec is None else self.spec.key
 
-    @property
+    @cached_property
     def listed(self) -> bool:
         """Whether it is an effect of the library that can be named."""
         return self.effect is not None and not self.effect.unlisted
 
-    @property
+    @cached_property
     def outside(self) -> bool:
         """Whether it is something outside the library, at a place."""
         return not self.listed and self.row is None
 
-    @property
+    @cached_property
     def row(self) -> int | None:
         """Number from 0 of the single row that it shifts."""
         return int(self.place[4:]) if self.place.startswith("row:") else None
