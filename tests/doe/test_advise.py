@@ -19,7 +19,7 @@ from identification import Arm, Calibration, EffectSpec, InputError, Model, Stat
 from identification.document import Sheet
 from identification.reuse import only
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, problem
-from tests.doe.plan.test_spacing import whole_information
+from tests.doe.plan.test_plan import whole_information
 
 FREE = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
 
