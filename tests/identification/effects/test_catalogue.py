@@ -7,7 +7,6 @@ import inspect
 import re
 import tomllib
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from unittest.mock import patch
@@ -15,10 +14,9 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from identification import Arm, Calibration, EffectSpec, InputError, Measurements, Model, effects, estimate, readonly
+from identification import Arm, EffectSpec, InputError, Measurements, Model, effects, estimate
 from identification.effects import Effect, base, build, formulas, library
 from identification.effects.catalogue import SUPPLY, entry, example
-from identification.files.arm import load_arm, with_calibration, with_effects
 from identification.gap.blocks import hypotheses
 from identification.kinematics.chain import KinematicChain, planar_chain
 
@@ -172,22 +170,6 @@ def test_names_say_the_setting_only_where_they_must_and_all_are_estimated() -> N
     fixed = Model(ARM.with_effects(ripple(1, 20, a=1e-3), ripple(1, 29)))
     assert dict(fixed.fixed) == {f"{PLACES[0]}.a": 1e-3}
     assert fixed.names[6:] == (f"{PLACES[0]}.b", f"{PLACES[2]}.a", f"{PLACES[2]}.b")
-
-
-def test_files_hold_them_all(tmp_path: Path) -> None:
-    names, zeros = Model(ARM).names, readonly(np.zeros(3))
-    values = dict(zip(names[6:], np.linspace(0.001, 0.006, 6), strict=True))
-    arm = replace(ARM, calibration=Calibration.of(zeros, zeros, values, names, readonly(np.diag(np.arange(1.0, 13.0)))))
-    text = with_calibration(with_effects(f"links_mm = {LENGTHS}\n", ARM.effects), arm.calibration)
-    (tmp_path / "arm.toml").write_text(text)
-    again = load_arm(tmp_path / "arm.toml")
-    assert again.effects == arm.effects
-    assert again.calibration is not None
-    assert again.calibration.parameter_names == names
-    assert dict(again.calibration.effects) == pytest.approx(values, rel=1e-14)
-    np.testing.assert_allclose(again.calibration.covariance, arm.calibration.covariance, rtol=1e-14)
-    assert f'"{PLACES[2]}.b_deg" = ' in text
-    assert f'"{PLACES[1]}.a_deg" = ' in text
 
 
 def test_only_the_same_setting_is_not_tried_again() -> None:
