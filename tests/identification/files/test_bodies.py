@@ -17,6 +17,7 @@ from identification.files.bodies import mesh_file
 from identification.files.meshes import read_mesh
 from identification.files.urdf import parse_urdf
 from tests.identification.files.test_arm import CELL, DATA, PLAIN, PLANAR_CELL
+from tests.refusals import refused
 
 TREE = (DATA / "arms/tree.urdf").read_text()
 MESH = '<mesh filename="NAME"/>'
@@ -328,8 +329,4 @@ def test_triangles_are_read(tmp_path: Path) -> None:
 def test_what_is_no_mesh_gets_one_line(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        read_mesh(tmp_path / name)
-    assert str(caught.value).startswith(f"{tmp_path / name}: ")
-    assert said in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refused(read_mesh, tmp_path / name, names=[f"{tmp_path / name}: ", said])
