@@ -115,7 +115,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
 
     looked = [each for each in problem.constraints if isinstance(each, Clearance)]
     if looked or getattr(problem.model, "space", 0) == 3:
-        answer.data["collisions_checked"] = bool(looked)
+        answer.data["collisions_checked"] = any(not each.unseen for each in looked)
         answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
     for clearance in looked if postures is not None else []:
         answer.data["collisions"] = clearance.too_near(postures)
@@ -188,7 +188,7 @@ def design_files(
         )
     signs = () if loaded.counting is None else loaded.counting.sign
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
-    problem = with_approach(problem, approach, signs)
+    problem = with_approach(problem, approach)
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
