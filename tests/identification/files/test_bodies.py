@@ -61,7 +61,6 @@ def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
         ("bracket", [0, 0, 100, 0, 0, 100, 10]),
         ("tip", [400, 0, 50, 400, 0, 150, 20]),
         ("finger", [400, 0, 100, 400, 0, 100, 10]),
-        ("upper", [0, 0, 0, 200, 0, 0, 50]),  # a cylinder with spheres at its ends
     ):
         np.testing.assert_allclose(found[name].capsules, [capsule], atol=1e-9)
 
