@@ -22,7 +22,7 @@ from identification.estimation.result import CorrectedValue, corrected_values, d
 from identification.files.arm import load_arm, with_calibration
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
-from tests.identification.kinematics.test_corrected_dh import UR10, row_of_table
+from tests.identification.kinematics.test_spatial import UR10, row_of_table
 
 HALF = np.pi / 2.0
 CHAIN = chain_of([DHRow(0.0, HALF, 127.3), DHRow(-612.0, 0.0, 0.0), DHRow(0.0, -HALF, 90.0, offset=np.pi)])
