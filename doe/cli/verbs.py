@@ -291,7 +291,7 @@ def score_files(
     figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
     rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
     of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
-    lines.append(f"every criterion, the larger the better: {figures} ({of})")
+    lines.append(f"all criteria (larger is better): {figures} ({of})")
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     lines.append(f"observability indices: {indices}")
     document = design_document(design).plus(*lines, *tables)
