@@ -284,7 +284,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
             slides = joint is not None and arm.joint_types[joint - 1] == PRISMATIC
-            if (slides and (cls.of_angle or cls.unlisted)) or (joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles"))):
+            of_angle = slides and (cls.of_angle or cls.unlisted)
+            if of_angle or (joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles"))):
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
