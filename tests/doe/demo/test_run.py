@@ -26,7 +26,7 @@ from doe.plan.driving import room_of
 from doe.studies.blind.simulator import position, session
 from identification import Model, Plan, load_arm
 from identification.files.urdf import read_urdf
-from tests.doe.plan.test_moves import sampled
+from tests.doe.plan.test_plan import sampled
 
 
 def test_lines_without_errors_are_the_chain_that_is_drawn(tmp_path: Path) -> None:
