@@ -32,16 +32,6 @@ def test_with_a_sigma_the_prior_of_machining_counts() -> None:
     assert problem.objective(POSTURES) == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
 
 
-def test_without_a_sigma_the_design_is_for_a_minimal_set() -> None:
-    problem = six_axis(replace(SIX_AXIS, sigma=None))
-    assert problem.parameters == 27
-    assert not problem.deviations
-    model = minimal(Model(SIX_AXIS))
-    columns = (difference_jacobian(model, POSTURES) / model.scales).reshape(-1, 27)
-    expected = np.linalg.slogdet(columns.T @ columns / len(POSTURES))[1]
-    assert problem.objective(POSTURES) == pytest.approx(expected, abs=1e-5)
-
-
 def test_a_user_may_design_for_a_minimal_set_or_without_a_prior() -> None:
     assert six_axis().parameters == 39
     assert DesignProblem.of(minimal(Model(SIX_AXIS))).parameters == 27
