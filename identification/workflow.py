@@ -226,12 +226,12 @@ def check_files(
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")
     inspection = inspect(loaded, measurements)
-    answer = Answer(inspection.to_json(), inspection.document(str(arm), str(data)), inspection)
+    lines = list[str]()
     for clearance in bodies:
-        answer.data["collisions"] = clearance.too_near(measurements.postures)
-        doubt = ["Collisions: not told of rows that seem to be read wrongly."] if answer.data["better_reading"] else []
-        answer.document = answer.document.plus(*(doubt or clearance.in_words(measurements.postures)))
-    return answer
+        inspection.data["collisions"] = clearance.too_near(measurements.postures)
+        wrong = inspection.data["better_reading"] and "Collisions: not told of rows that seem to be read wrongly."
+        lines += [wrong] if wrong else clearance.in_words(measurements.postures)
+    return Answer(inspection.to_json(), inspection.document(str(arm), str(data)).plus(*lines), inspection)
 
 
 @VERBS.declare("armcal simulate arm.toml plan.csv --truth truth.toml --out data.csv")

@@ -115,7 +115,7 @@ def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None
 
     looked = [each for each in problem.constraints if isinstance(each, Clearance)]
     if looked or getattr(problem.model, "space", 0) == 3:
-        answer.data["collisions_checked"] = bool(looked)
+        answer.data["collisions_checked"] = any(not each.unseen for each in looked)
         answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
     for clearance in looked if postures is not None else []:
         answer.data["collisions"] = clearance.too_near(postures)

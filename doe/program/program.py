@@ -1,9 +1,9 @@
 """A plan as a program of the robot's controller: move to each posture, wait, pause for the measurement; drive through
 way-points. One template a language beside this file, or a user's own.
 
-Joints are written as the controller counts them, as the columns of a plan are. A move starts and ends at rest; where
-times are given (ROS, and the estimated duration) its joints follow 10 s^3 - 15 s^4 + 6 s^5 of their way, which is 15/8
-as fast at its fastest as on average and stops without a jerk.
+Joints are written as the controller counts them, as the columns of a plan are. A move starts and ends at rest. Where
+times are given (ROS) joints follow 10 s^3 - 15 s^4 + 6 s^5 of their way, 15/8 as fast at its fastest as on average;
+other controllers speed up evenly to the speed v that is asked for and slow down so: it takes v/a more than at v.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from doe.problem.constraints import constraints_of
 from identification import Arm, InputError, Plan
 
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
+RAMP = 0.3  # [s] from rest to full speed, of common arms; --robot ur is asked for 1.4 rad/s^2
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
 # robot -> template, units of angles and lengths, fewest joints, most of the arm and of all; a UR controller knows six
 LANGUAGES = {
@@ -106,15 +107,18 @@ def program(
     first = np.nan_to_num(np.abs(columns[0] - ends), nan=360.0).max(axis=0)
     ways = np.abs(np.vstack([first, np.diff(columns, axis=0)]))
     fastest = np.where(slides, FULL_SPEED[1], FULL_SPEED[0]) * speed / 100.0
-    moving = np.maximum(15.0 / 8.0 * (ways / fastest).max(axis=1), 0.5)  # no controller knows a move without duration
+    moving = (ways / fastest).max(axis=1)  # [s] without speeding up
+    if robot == "ros":
+        moving = np.maximum(15.0 / 8.0 * moving, 0.5)  # no move without duration
+    else:  # KUKA's acceleration is that share of its full one, too; a short way ends before the speed is reached
+        ramp = {"ur": speed / 100.0 * np.radians(FULL_SPEED[0]) / 1.4, "kuka": RAMP}.get(robot, speed / 100.0 * RAMP)
+        moving = np.where(moving > ramp, moving + ramp, 2.0 * np.sqrt(moving * ramp))
     left = np.cumsum(moving + settle * ~via)
     arrivals, departures = (np.ceil(1000.0 * each).astype(int).tolist() for each in (left - settle * ~via, left))
     units, runs = [length if slide else angle for slide in slides], np.where(via, 0, np.cumsum(~via)).tolist()
     order = [*range(n)] if n <= of_arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
-    inner, outer = (
-        order[:of_arm],
-        order[of_arm:],
-    )  # external: of more than six those that slide, or turn after the sixth
+    # external: of more than six those that slide, or turn after the sixth
+    inner, outer = order[:of_arm], order[of_arm:]
     labels = [f"run {run}" if run else "via" for run in runs]
     doubts = {move["row"] - 1: f", may collide: {' and '.join(move['bodies'])}" for move in not_free}
     texts = [[decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)] for row in columns]

@@ -19,7 +19,7 @@ from identification.effects.base import _LIBRARY, Effect, Scope, Setting, regist
 from identification.effects.chain import Chain, widths
 from identification.errors import InputError, close_names, nearest, suggestion
 from identification.kinematics.chain import KinematicChain
-from identification.kinematics.parameters import Parameter
+from identification.kinematics.parameters import PRISMATIC, Parameter
 from identification.running import additions
 
 
@@ -82,6 +82,8 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
         raise InputError(f"effects: {spec.name} is of the whole arm, joint = {joint} is not allowed")
     if joint is not None and not cls.first_joint <= joint <= len(chain):
         raise InputError(f"effects: {spec.name} at joint {joint}, {allowed}")
+    if joint is not None and cls.of_angle and chain.joint_types[joint - 1] == PRISMATIC:
+        raise InputError(f"effects: {spec.name} at joint {joint}, which slides, allowed: at joints that turn")
     chosen: dict[str, int | float] = {}
     for name, setting in cls.settings.items():
         value = spec.values.get(name)

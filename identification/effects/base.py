@@ -146,6 +146,7 @@ class Effect:
     numbers: ClassVar[Any] = ()  # the parameters, in the order in which formulas receive their values, or a method
     per_joint: ClassVar[str] = "none"  # `required`, `optional` or `none`: whether it is given for a single joint
     first_joint: ClassVar[int] = 1  # lowest joint (from 1) that can have it
+    of_angle: ClassVar[bool] = False  # a function of an angle, which sliding joints have not
     # of arm or data: gravity, distance (measured ones), directions, temperature, time, session, past
     needs: ClassVar[frozenset[str]] = frozenset()
     family: ClassVar[str] = ""  # rivals for the same physical cause, which `diagnose` may merge; its name by default

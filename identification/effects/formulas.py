@@ -31,6 +31,7 @@ of_gravity = partial(add_effect, needs=frozenset({"gravity"}), family="gravity")
 of_load = partial(add_effect, needs=frozenset({"gravity"}), through="gravity", prior=RARE)
 of_time = partial(add_effect, needs=frozenset({"time"}))
 of_joint = partial(add_effect, per_joint="required")
+of_turning_joint = partial(of_joint, of_angle=True)
 
 
 def each(shorts: Iterable[str], *more: Any) -> list[Number]:
@@ -65,13 +66,13 @@ of_gravity(
         values * (chain.torques[self.joint_index] if self.joint else chain.torques)
     ),
 )
-of_joint(
+of_turning_joint(
     "encoder_eccentricity",
     "encoder disc off centre, once per turn: a cos q_j + b sin q_j",
     each("ab", "rad", 5e-4, LEVER),  # typical: 20 um of eccentricity on a ring of 40 mm radius
     joint_angles=lambda self, chain, values: _wave(1, chain.q[self.joint_index], values),
 )
-of_joint(
+of_turning_joint(
     "encoder_second_harmonic",
     "encoder disc tilted or oval, twice per turn: a cos 2 q_j + b sin 2 q_j",
     each("ab", "rad", 2e-4, LEVER),  # typical: ovality of 8 um on 40 mm radius
@@ -89,7 +90,7 @@ def _ripple_orders(scope: Scope) -> list[float]:
     return orders
 
 
-of_joint(
+of_turning_joint(
     "transmission_ripple",
     "gear ripple, k times per turn: a cos k q_j + b sin k q_j, of gear teeth or a flex-spline",
     each("ab", "rad", 1e-4, LEVER),  # typical: strain-wave gears, 1 arcmin from peak to peak, over sqrt(2) for a and b
@@ -258,7 +259,7 @@ def _wound_up(effect: Effect, chain: Chain) -> ca.SX:
     return wind_up
 
 
-of_joint(
+of_turning_joint(
     "joint_hysteresis",
     "friction winds the gear up, with a memory of earlier motions: b times the wind-up, which follows the motion "
     "within -1..1",
@@ -324,7 +325,7 @@ of_gravity(
 )
 # in complex numbers x + iy in the frame before the joint moves, z along the axis. A shift by (a + ib) exp(+i q_j) turns
 # with the link and is an error of its geometry; every runout once per turn is a sum of the two
-of_joint(
+of_turning_joint(
     "axis_runout",
     "axis runs out of true once per turn: shifted by (a + ib) exp(-i q_j) across itself",
     each("ab", "mm", 3e-3),  # typical: runout of such bearings 5 to 15 um from peak to peak

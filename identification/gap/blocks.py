@@ -83,17 +83,17 @@ class Block:
         """`name` or `name:joint` of an effect, without the scanned setting; else its place."""
         return self.place if self.spec is None else self.spec.key
 
-    @property
+    @cached_property
     def listed(self) -> bool:
         """Whether it is an effect of the library that can be named."""
         return self.effect is not None and not self.effect.unlisted
 
-    @property
+    @cached_property
     def outside(self) -> bool:
         """Whether it is something outside the library, at a place."""
         return not self.listed and self.row is None
 
-    @property
+    @cached_property
     def row(self) -> int | None:
         """Number from 0 of the single row that it shifts."""
         return int(self.place[4:]) if self.place.startswith("row:") else None
@@ -283,7 +283,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         whole: list[int | None] = [] if cls.per_joint == "required" else [None]
         for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
-            if joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles")):
+            slides = joint is not None and cls.of_angle and arm.joint_types[joint - 1] == PRISMATIC
+            if slides or (joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles"))):
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)

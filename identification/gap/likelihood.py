@@ -171,6 +171,16 @@ class State:
     @cached_property
     def factor(self) -> Array:
         """(k, k) lower Cholesky factor of G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
+        if "larger" in self.known:  # rows below those taken out take up their columns: L L^T + E E^T = R^T R
+            whole, out = self.known["larger"]
+            first, below = out.start, len(whole) - out.stop
+            factor = np.zeros((first + below,) * 2, order="F")
+            factor[:first, :first], factor[first:, :first] = whole[:first, :first], whole[out.stop :, :first]
+            if below:
+                under = whole[out.stop :]
+                root = lapack.dtpqrt(0, min(below, 32), under[:, out.stop :].T, under[:, out].T)[0]
+                factor[first:, first:] = (root * np.sign(np.diag(root))[:, None]).T
+            return factor
         inner = self.products.gram[np.ix_(self.places, self.places)]
         inner[np.diag_indices(len(inner))] += self.sizes**-2.0
         return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.pairs else inner
@@ -243,6 +253,7 @@ class State:
         inner, taken = np.linalg.inv(part[:, out]), part @ self.products.gram[self.places]
         left = self._moved(self.left, -inner @ self.mean[out], taken, inner @ taken)
         known = {"squares": self.squares + float(self.mean[out] @ inner @ self.mean[out]), "left": left}
+        known["larger"] = self.factor, out
         return State(self.products, self.pairs[:number] + self.pairs[number + 1 :], known)
 
     def beside(self, pair: tuple[int, int] | None) -> State:

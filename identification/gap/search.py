@@ -34,6 +34,7 @@ SPREAD = 1.5  # prior: octaves by which sizes differ from the common one; those 
 STRAY = 0.2  # prior: share of blocks whose size has nothing to do with the others', such as a wrong payload
 NEGLIGIBLE = 0.01  # effort: share of the probability in blocks that the walk leaves out, and of a set not listed
 MOVES = 700  # effort: of the walk
+RECENT = 64  # effort: sets that the walk remembers, as it mostly returns to a few
 MOST = 10  # effort: pairs of blocks, candidates, and explanations cross-validated
 CREDIBLE = 0.9  # convention: probability of the credible set
 LEAST = 1e-5  # numerical: probability of a set that is kept
@@ -151,9 +152,12 @@ class Search:
         """The sets that matter, likeliest first, and draws of sets (one for each tenth of a set that was moved), from a
         set to start from."""
         state, steps, visits, draws = top, dict[Key, Array](), Counter[Key](), Counter[Key]()
+        recent = {top.key: top}
         for move in range(MOVES):
-            taken = int(generator.integers(len(state.key) + 1))
-            left = state.without(state.blocks[taken] if taken < len(state.key) else None)
+            taken, key = int(generator.integers(len(state.key) + 1)), state.key
+            left = recent.get(key[:taken] + key[taken + 1 :])
+            if left is None:
+                left = state.without(key[taken][0])
             if left.key not in steps:
                 stay = -np.log(len(left.key) + 1) if np.isfinite(self.log_prior(left.blocks)) else -np.inf
                 steps[left.key] = softmax(np.append(self._each(left).ravel() - np.log(len(left.key) + 2), stay))
@@ -162,7 +166,10 @@ class Search:
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
             if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
-                state = left.beside(pair)
+                state = recent[key] if key in recent else left.beside(pair)
+            if len(recent) > RECENT:
+                recent.clear()
+            recent |= {left.key: left, state.key: state}
             if move % max(len(key) // 10, 1) == 0:
                 draws[key] += 1
         # the sets from the probabilities with which each was drawn, whatever its sizes; and of those drawn with theirs
@@ -237,17 +244,17 @@ class Explanation:
     noise: int
     probability: float
 
-    @property
+    @cached_property
     def effects(self) -> tuple[Block, ...]:
         """Its effects of the library."""
         return tuple(b for b in self.blocks if b.listed)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Sorted keys of its effects."""
         return tuple(sorted(b.key for b in self.effects))
 
-    @property
+    @cached_property
     def outside(self) -> tuple[Block, ...]:
         """Its blocks outside the library."""
         return tuple(b for b in self.blocks if b.outside)

@@ -66,7 +66,8 @@ class Inspection(Documented):
         parts: list[Any] = [*(f"  - {sentence}" for sentence in self.problems), *self.parts]
         if self.problems:
             return Document("Inspection", ["Fix these first:"], parts)
-        verdict = f"No problems found in these data{', but they are few for a fit' if self.few else ''}."
+        near = "besides the collisions below " * bool(self.data.get("collisions"))
+        verdict = f"No problems {near}found in these data{', but they are few for a fit' * self.few}."
         then = f"armcal identify {arm} {rows} --out calibrated.toml, then armcal diagnose {arm} {rows}"
         return Document("Inspection", [verdict], [*parts, f"Next: {then}"])
 

@@ -12,6 +12,7 @@ squares wins. Starts are random bases, or what the instrument makes of each t: t
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import casadi as ca
@@ -54,10 +55,10 @@ class Unplaced(NamedTuple):
 
     @property
     def tools(self) -> Array:
-        """(s, 3) places [mm] from which the measured point is looked for: that known, or 7 around the tip."""
+        """(s, 3) places [mm] from which the measured point is looked for: that known, or 27 in a cube."""
         if self.tool is not None:
             return self.tool[None]
-        return np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 0.1 * self.reach
+        return np.array(sorted(product((1.0, 0.0, -1.0), repeat=3), key=np.count_nonzero)) * 0.1 * self.reach
 
     @property
     def points(self) -> Array:
@@ -103,7 +104,8 @@ def searched(instrument: Instrument, rows: Unplaced, bases: Array) -> Placement:
     whole, sample = slice(None), slice(None, None, max(len(rows.frames) // 30, 1))
     stages = [(sample, 0, 100), (sample, 15, 5)] if len(starts) > 100 else []
     chosen = np.arange(len(starts))
-    for part, steps, count in (*stages, (whole, 2, 5), (whole, 60, 1)):
+    # of few rows, which mislead, every start is followed to its end
+    for part, steps, count in (*stages, (whole, 2, max(5, 1000 // len(rows.frames))), (whole, 60, 1)):
         left = followed(chosen, part, steps)
         chosen = chosen[np.argsort(left, kind="stable")[:count]]
         if part is whole and np.min(left) > rows.hopeless:
@@ -155,7 +157,7 @@ def placed(rows: Unplaced) -> Placement:
         tool = np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames)
     elif tool is None:
         p, turn, y = (a - a.mean(axis=0) for a in (frames[:, :3, 3], frames[:, :3, :3], measured))
-        m, tools = len(p), rows.tools
+        m, tools = len(p), rows.tools[:7]
         points, turns = y.T @ p / m, np.einsum("mk,mij->kij", y, turn) / m  # of y p^T (3, 3), of y_k R (3, 3, 3)
         # of R^T p, of R^T R
         along, gram = np.einsum("mji,mj->i", turn, p) / m, np.einsum("mji,mjk->ik", turn, turn) / m

@@ -31,18 +31,21 @@ def six_axis(arm: Arm = SIX_AXIS, **changes: Any) -> DesignProblem:
 
 def difference_jacobian(model: Model, postures: Array, tool: Array = REFLECTOR) -> Array:
     """(m, 3, p) of one measured point, by central differences of products of exponentials."""
-    found = np.zeros((len(postures), 3, len(model.names)))
+    found, chain = np.zeros((len(postures), 3, len(model.names))), model.arm.chain
     for row, q in enumerate(postures):
         for k, name in enumerate(model.names):
             if not name.startswith("tool") or name.startswith("tool[1]"):
-                up, down = (tip_by_exponentials(CHAIN, q, {name: sign * STEP}, tool) for sign in (1.0, -1.0))
+                up, down = (tip_by_exponentials(chain, q, {name: sign * STEP}, tool) for sign in (1.0, -1.0))
                 found[row, :, k] = (up - down) / (2.0 * STEP)
     return found
 
 
-def difference_information(problem: DesignProblem, model: Model, postures: Array) -> Array:
+def difference_information(problem: DesignProblem, model: Model, postures: Array, shares: Array | None = None) -> Array:
     """(p, p) of a plan per run, in scaled parameters, with the prior that the problem has."""
-    scaled = (difference_jacobian(model, postures) / model.scales).reshape(-1, len(model.names))
+    rows = difference_jacobian(model, postures) / model.scales
+    if shares is not None:
+        rows = rows * np.sqrt(len(postures) * shares)[:, None, None]
+    scaled = rows.reshape(-1, len(model.names))
     sizes = np.array([problem.deviations.get(name, np.inf) for name in model.names])
     prior = np.diag((float(model.sigma or 0.0) / (model.scales * sizes)) ** 2)
     return (scaled.T @ scaled + prior) / len(postures)

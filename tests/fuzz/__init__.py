@@ -1,1 +1,1 @@
-"""The fuzz: random files and command lines, and what is promised of every outcome (`python -m tests.fuzz --help`)."""
+"""The fuzz: random files and command lines, and what is promised of every outcome."""

@@ -1,14 +1,17 @@
-"""A few hundred random inputs: files, and commands that take little time. Many more: `python -m tests.fuzz`."""
+"""A few hundred random inputs: files, and commands that take little time; every verb: `pytest -m slow tests/fuzz`, as
+many inputs as the profile says, and with `--hypothesis-show-statistics` a table of what became of them."""
 
 from __future__ import annotations
 
+import signal
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
 from doe.studies.monte_carlo import Study
@@ -64,15 +67,39 @@ def test_files(tmp_path_factory: pytest.TempPathFactory, name: str, data: st.Dat
     refused_or_read(READERS[name], folder / name, 3 if kind in ("limited", "sliding", "urdf") else 2)
 
 
+def keeps_every_promise(case: Case, folder: Path) -> None:
+    """See `judge`."""
+    folder.mkdir()
+    prepare(case, folder)
+    with cut_after(60):
+        outcome = run_here(case, folder)
+    event(f"{case.verb}: {'help' if outcome.out.startswith('Usage: ') else f'exit code {outcome.code}'}")
+    assert broken(case, outcome, folder) is None, (case.words, outcome)
+
+
+@contextmanager
+def cut_after(seconds: int) -> Iterator[None]:
+    """Ends what takes longer as Ctrl-C does."""
+    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
 @few(15)
 @given(case=cases(QUICK))
 def test_quick_commands(tmp_path_factory: pytest.TempPathFactory, case: Case) -> None:
-    """Each keeps every promise: see `judge`."""
-    folder = tmp_path_factory.mktemp("home") / "work"
-    folder.mkdir()
-    prepare(case, folder)
-    outcome = run_here(case, folder)
-    assert broken(case, outcome, folder) is None, (case.words, outcome)
+    keeps_every_promise(case, tmp_path_factory.mktemp("home") / "work")
+
+
+@pytest.mark.slow
+@few(settings.default.max_examples)  # type: ignore[union-attr]
+@given(case=cases())
+def test_commands(tmp_path_factory: pytest.TempPathFactory, case: Case) -> None:
+    keeps_every_promise(case, tmp_path_factory.mktemp("home") / "work")
 
 
 GOOD = "armcal: arm.toml: no such file, allowed: an existing one\n"

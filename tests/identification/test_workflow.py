@@ -1,4 +1,5 @@
-"""The verbs of identification as functions of Python: files in, files out, and the result behind the answer."""
+"""The verbs of identification as functions of Python: files in, files out, and the result behind the answer; and files
+of a campaign as one document, without the plans that another package adds."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from identification import Arm, Calibration, InputError, Measurements, Model, load_arm, load_sessions
+from identification.campaign import campaign_document
 from identification.document import Document
 from identification.workflow import VERBS, Written, compensate_files, identify_files, validate_files
 
@@ -18,10 +20,11 @@ REAL = Arm(LENGTHS, calibration=Calibration.of([1.0, -2.0], [0.01, -0.02]))
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """An arm, and 30 exact measurements of another."""
+    """An arm, and twice 30 exact measurements of another."""
     (tmp_path / "arm.toml").write_text(f"links_mm = {LENGTHS}\n")
-    q = np.random.default_rng(1).uniform(-2.0, 2.0, (30, 2))
-    (tmp_path / "data.csv").write_text(Measurements(q, Model(REAL).position(q)).to_frame().write_csv())
+    for name, seed in (("data", 1), ("other", 2)):
+        q = np.random.default_rng(seed).uniform(-2.0, 2.0, (30, 2))
+        (tmp_path / f"{name}.csv").write_text(Measurements(q, Model(REAL).position(q)).to_frame().write_csv())
     (tmp_path / "targets.csv").write_text("x_mm,y_mm\n400,100\n")
     return tmp_path
 
@@ -86,3 +89,23 @@ def test_every_verb_says_what_it_is_for() -> None:
                 everywhere = "seed progress page constraints force package_dir"
                 provided = parameter.name in everywhere.split()
                 assert provided == (f"\n{parameter.name} : " not in text), (name, parameter.name)
+
+
+def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> None:
+    names = [folder / name for name in ("arm.toml", "calibrated.toml", "data.csv", "other.csv")]
+    identify_files(names[0], names[2], out=Written(names[1]))
+    document, kinds = campaign_document(names)
+    assert [*kinds.values()] == ["arm", "arm with a calibration", "measurements", "measurements"]
+    assert document.verdict[0].startswith(f"On 30 rows of {names[3]}, {names[1]} takes")
+    assert "more than 99.9 % of the error is removed" in document.verdict[0]
+    assert any("compensate" in action.command for action in document.actions)
+    assert "length of link 1" in str(document)
+
+
+def test_a_plan_is_read_and_what_is_no_table_of_the_arm_is_one_line(folder: Path) -> None:
+    (folder / "plan.csv").write_text("run,q1_deg,q2_deg\n1,10,20\n")
+    assert campaign_document([folder / "arm.toml", folder / "plan.csv"])[0].verdict[0].endswith("plan.csv has 1 runs.")
+    (folder / "plan.csv").write_text("a,b\n1,10\n")
+    with pytest.raises(InputError, match="q1_deg") as refused:
+        campaign_document([folder / "arm.toml", folder / "plan.csv"])
+    assert "\n" not in str(refused.value)

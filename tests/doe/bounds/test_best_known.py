@@ -10,10 +10,9 @@ import pytest
 from doe import DesignProblem, solve
 from doe.bounds.best_known import best_design, best_known_bound, bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import Bound
-from doe.bounds.column_generation import relax
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
 from doe.criteria import A
-from identification import Arm, EffectSpec, Model
+from identification import Arm, Model
 from identification.workspace import WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET
 from tests.doe.arms import problem as of
@@ -31,16 +30,6 @@ def test_a_bound_that_is_beaten_is_found_again_and_equals_the_closed_form() -> N
     bound = bound_that_holds(problem, wrong, design.plan.postures, design.value)
     assert bound.value == pytest.approx(closed_form_log_det(problem), abs=1e-6)
     assert bound.value >= design.value - 1e-9
-
-
-def test_with_a_fast_ripple_no_design_is_better_than_its_bound() -> None:
-    """The bound is numerical here: neither a plan nor optimal weights on many random postures may exceed it."""
-    problem = DesignProblem.of(Model(BOX.with_effects(EffectSpec("transmission_ripple", 2, {"k": 23.0}))))
-    bound = best_known_bound(problem, 12)
-    assert not bound.rigorous
-    assert solve(problem, 12, "exchange", starts=10, bound=bound).value <= bound.value + 1e-8
-    some = np.random.default_rng(0).uniform(problem.lower, problem.upper, (5_000, 3))
-    assert relax(problem, some).value <= bound.value + 1e-8
 
 
 def test_constraints_and_lists_lower_the_closed_form() -> None:

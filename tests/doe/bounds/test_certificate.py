@@ -11,10 +11,8 @@ import pytest
 from doe import DesignProblem
 from doe.bounds.certificate import ApproximateDesign
 from doe.bounds.column_generation import CandidateSet
-from doe.bounds.planar_theorem import closed_form_log_det
 from identification import Array, Plan, Status
-from tests.doe.arms import ECCENTRICITY, FOUR, problem
-from tests.doe.bounds.test_planar_theorem import factorial
+from tests.doe.arms import FOUR, problem
 
 FACTORIAL = Plan(np.radians([[0, a, b, c] for a in (-90, 90) for b in (-90, 60) for c in (-90, 90)]), np.full(8, 0.125))
 AXES = [np.linspace(a, b, 5) for a, b in zip(FOUR.lower[1:], FOUR.upper[1:], strict=True)]
@@ -27,30 +25,6 @@ def judged(case: DesignProblem, plan: Plan, candidates: Array, status: Status = 
     gradient = case.criterion.gradient(case.information(plan.postures, plan.weights))
     largest = float(CandidateSet(case, candidates, prior).sensitivities(gradient).max())
     return ApproximateDesign(case, prior, plan, None, largest, len(candidates), True, status, "done", "by hand", 0.5)
-
-
-def test_gap_is_zero_at_the_optimum() -> None:
-    case, plan = problem(FOUR), Plan(factorial(FOUR, offset=False))
-    candidates = np.random.default_rng(1).uniform(FOUR.lower, FOUR.upper, (5000, 4))
-    assert judged(case, plan, candidates).gap <= 1e-12  # d <= p everywhere
-    found = judged(case, plan, np.vstack([candidates, plan.postures]))
-    assert found.gap == pytest.approx(0.0, abs=1e-12)
-    assert found.upper == pytest.approx(closed_form_log_det(case), abs=1e-12)
-    assert found.value == pytest.approx(closed_form_log_det(case), abs=1e-12)
-    assert found.efficiency_lower_bound == pytest.approx(1.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_bound_of_any_design_holds_for_every_other(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    case, kept = problem(FOUR, ECCENTRICITY), generator.uniform(FOUR.lower, FOUR.upper, (7, 4))
-    candidates = generator.uniform(FOUR.lower, FOUR.upper, (60, 4))
-    for each in (case, problem(FOUR, kept=kept)):
-        bound = judged(each, Plan(candidates[:10]), candidates).upper
-        for _ in range(200):
-            assert each.objective(candidates[generator.integers(60, size=10)]) <= bound
-            if each is case:
-                assert each.objective(candidates, generator.dirichlet(np.full(60, 0.2))) <= bound
 
 
 @pytest.mark.parametrize("smallest", [1.0, 0.0])

@@ -39,6 +39,8 @@ def test_simulated_data_are_fine(folder: Folder) -> None:
     limits = [line.split()[3:5] for line in text.splitlines() if line.split()[5:6] == ["deg"]]
     assert limits == [["none", "none"], ["-120.00", "120.00"], ["-100.00", "60.00"], ["-90.00", "90.00"]]
     assert "armcal identify arm.toml data.csv --out" in text
+    folder.write("wide.toml", ARM.replace("links_mm", "link_width_mm = 150.0\nlinks_mm", 1))
+    assert "No problems besides the collisions below found" in folder.armcal("check wide.toml data.csv").out
 
 
 @pytest.mark.parametrize(

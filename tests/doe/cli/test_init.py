@@ -14,9 +14,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from doe.problem.constraints import constraints_of
+from doe import DesignProblem
+from doe.cli.verbs import with_collisions
 from identification import InputError, Model, load_arm, load_measurements
 from identification.arm import LENGTH_RANGE
+from identification.document import Answer
 from identification.files.arm import arm_from_tables
 from identification.files.csv import read_table
 from identification.files.first_files import dh_files, planar_files, urdf_files
@@ -191,7 +193,10 @@ def test_meshes_of_bodies_are_copied(folder: Folder) -> None:
     assert cell is not None
     with pytest.warns(UserWarning, match=r"meshes of left are not found"):
         assert [body.name for body in cell.bodies] == ["arm", "hand"]
-    [clearance] = constraints_of(Model(arm))
+    with pytest.warns(UserWarning, match="beside the last axis is assumed"):
+        problem = DesignProblem.of(Model(arm))
+    assert with_collisions(Answer({}), problem).data["collisions_checked"] is False
+    [clearance] = problem.constraints
     assert clearance.in_words(np.zeros((1, 1)))[-1] == "Not looked at, since their meshes are not found: left."
     folder.said("init --urdf cell/r.urdf --tip-link tcp --out cell --force")
     again = folder.said("init --urdf package/urdf/r.urdf --package-dir given --tip-link tcp --out new")

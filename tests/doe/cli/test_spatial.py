@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,14 +15,14 @@ import pytest
 from doe import DesignProblem
 from doe.cli.verbs import with_collisions
 from doe.problem.clearance import COLLISIONS
-from identification import PRISMATIC, Model, estimate, load_arm, load_measurements, rms_distance
+from identification import Model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer
 from identification.files.urdf import read_urdf
-from identification.kinematics.chain import KinematicChain
 from identification.kinematics.corrected import corrected
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, rotation_about
 from tests.doe.cli.conftest import ARM as PLANAR
 from tests.doe.cli.conftest import Folder, table
+from tests.identification.kinematics.test_spatial import places_by_exponentials
 
 DATA = Path(__file__).parents[2] / "data"
 ARM = """\
@@ -76,21 +77,6 @@ def spatial(folder: Folder) -> Folder:
     return folder
 
 
-def tip(chain: KinematicChain, q: np.ndarray) -> np.ndarray:
-    """(4, 4) pose of the tip in the base, by plain products."""
-    found = np.eye(4)
-    for joint, x in zip(chain.joints, q, strict=True):
-        found = found @ joint.origin @ moved(joint, x)
-    return found @ chain.end
-
-
-def moved(joint: object, x: float) -> np.ndarray:
-    """(4, 4) what a joint does at x [rad, mm]."""
-    sliding = joint.type == PRISMATIC  # type: ignore[attr-defined]
-    axis = joint.axis  # type: ignore[attr-defined]
-    return pose(axis * x) if sliding else pose(rotation=rotation_about(axis, x))
-
-
 def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
     found = spatial.said(f"{IDENTIFY} --urdf corrected.urdf")
     assert set(found) >= {"base", "tools", "geometry", "joint_offsets"}
@@ -102,10 +88,10 @@ def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
     postures = np.random.default_rng(9).uniform(arm.lower, arm.upper, (50, 6))
     assert rms_distance(Model(arm).position(postures) - Model(truth).position(postures)) < 0.05
     # the URDF file is the calibrated chain, to 1e-9 mm, for pinocchio too, and nothing else of it has changed
-    real = corrected(arm.chain, arm.calibration.values)
+    real = replace(corrected(arm.chain, arm.calibration.values), base=np.eye(4))
     written = read_urdf(spatial.path / "corrected.urdf").chain("world", "tool0")
     for q in postures[:10]:
-        np.testing.assert_allclose(tip(written, q), tip(real, q), atol=1e-9)
+        np.testing.assert_allclose(*(places_by_exponentials(each, q, {})[-1] for each in (written, real)), atol=1e-9)
     if find_spec("pinocchio"):
         pinocchio = import_module("pinocchio")
         model = pinocchio.buildModelFromUrdf(str(spatial.path / "corrected.urdf"))
@@ -113,7 +99,8 @@ def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
         for q in postures[:10]:
             placed = [q[0] / 1000.0, np.cos(q[1]), np.sin(q[1]), *q[2:]]  # metres; a continuous joint is a unit circle
             pinocchio.framesForwardKinematics(model, data, np.array(placed))
-            np.testing.assert_allclose(tip(real, q)[:3, 3], 1000.0 * data.oMf[frame].translation, atol=1e-9)
+            tip = places_by_exponentials(real, q, {})[-1]
+            np.testing.assert_allclose(tip[:3, 3], 1000.0 * data.oMf[frame].translation, atol=1e-9)
     before, after = (
         spatial.read(name).replace(" />", "/>").splitlines() for name in ("six_axis.urdf", "corrected.urdf")
     )
@@ -125,7 +112,10 @@ def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
         place = [row[f"{axis}_mm"] for axis in "xyz"]
         turn = from_roll_pitch_yaw(*np.radians([row[f"{name}_deg"] for name in ("roll", "pitch", "yaw")]))
         value = offset["value"] if offset["unit"] == "mm" else np.radians(offset["value"])
-        np.testing.assert_allclose(pose(place, turn) @ moved(joint, value), joint.origin, atol=1e-9)
+        motion = (
+            pose(joint.axis * value) if offset["unit"] == "mm" else pose(rotation=rotation_about(joint.axis, value))
+        )
+        np.testing.assert_allclose(pose(place, turn) @ motion, joint.origin, atol=1e-9)
 
 
 def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:

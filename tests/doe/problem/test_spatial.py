@@ -10,8 +10,10 @@ import pytest
 
 from doe import DesignProblem, solve
 from doe.bounds.certificate import Bound
+from doe.bounds.column_generation import continuous_design
+from doe.plan.spacing import too_near
 from doe.problem.uncertain import tip_jacobians
-from identification import Arm, ArmModel, InputError, Model, with_points
+from identification import PRISMATIC, Arm, ArmModel, Array, DHRow, InputError, Model, chain_of, with_points
 from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
 from identification.model.minimal import minimal
@@ -133,3 +135,38 @@ def test_contacts_at_an_unknown_place_have_no_plans() -> None:
     arm = Arm(replace(CHAIN, instrument=Sphere(20.0)))
     with pytest.raises(InputError, match="kind sphere without center_mm: where it is touched is not known"):
         DesignProblem.of(Model(arm))
+
+
+# -- a joint that slides -----------------------------------------------------------------------------------------------
+ROWS = [DHRow(40.0, np.pi / 2, 300.0), DHRow(0.0, np.pi / 2, 200.0), DHRow(0.0, 0.0, 150.0), DHRow(30.0, 0.0, 50.0)]
+ROWS = [replace(row, limits=(-2.0, 1.5)) for row in ROWS]
+ROWS[2] = replace(ROWS[2], type=PRISMATIC, limits=(0.0, 400.0))
+SLIDE = Arm(replace(chain_of(ROWS), tools={"1": REFLECTOR}, settled=frozenset({"base"})), sigma=0.1)
+SLIDING = DesignProblem.of(minimal(Model(SLIDE)), deviations={})
+
+
+def sensitivities(postures: Array, best: Array) -> Array:
+    """(m,) tr(M^-1 B^T B) of each posture, by differences."""
+    blocks = difference_jacobian(SLIDING.model, postures) / SLIDING.model.parameters.scales  # type: ignore[arg-type]
+    return np.einsum("mdp,pq,mdq->m", blocks, np.linalg.inv(best), blocks)
+
+
+def test_plans_of_a_joint_that_slides() -> None:
+    """The equivalence theorem of Kiefer and Wolfowitz over all postures, and a plan below that bound; postures are kept
+    apart in the unit of each joint: one degree is 1/360 of the range of the one that slides."""
+    p, generator = SLIDING.parameters, np.random.default_rng(7)
+    best = continuous_design(SLIDING)
+    matrix = difference_information(SLIDING, SLIDING.model, best.plan.postures, best.plan.shares)  # type: ignore[arg-type]
+    assert best.value == pytest.approx(np.linalg.slogdet(matrix)[1], abs=1e-5)
+    np.testing.assert_allclose(sensitivities(best.plan.postures, matrix), p, atol=1e-3)
+    anyhow = generator.uniform(SLIDING.lower, SLIDING.upper, (50, 4))
+    assert sensitivities(anyhow, matrix).max() <= p + 1e-4
+    assert not best.bound.rigorous  # a sliding joint's positions are no trigonometric polynomial
+    design = solve(SLIDING, 8, "exchange", starts=3, seed=1, bound=best.bound)
+    assert not len(too_near(SLIDING, design.plan.postures))
+    plans = generator.uniform(SLIDING.lower, SLIDING.upper, (100, 8, 4))
+    assert max(map(SLIDING.objective, plans)) < design.value < best.bound.value
+    base = 0.5 * (SLIDING.lower + SLIDING.upper)
+    for share, near in ((0.9, True), (1.1, False)):
+        other = base + share * 400.0 / 360.0 * np.eye(4)[2]
+        assert bool(len(too_near(SLIDING, np.array([base, other])))) is near

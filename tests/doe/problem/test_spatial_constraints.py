@@ -1,4 +1,4 @@
-"""Constraints of space against brute force: points along links from products of Denavit-Hartenberg matrices."""
+"""Constraints of space against brute force: points along links from products of exponentials."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from doe import DesignProblem, solve
-from doe.bounds.certificate import Bound
 from doe.problem.constraints import LINK_RADIUS, _distance, constraints_of
-from doe.problem.postures import random_postures
-from identification import Array, DHRow, Model
+from identification import Array, Model
 from identification.instruments import Distance
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
-from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
-from tests.identification.kinematics.test_spatial import printed
+from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS
+from tests.identification.kinematics.test_spatial import places_by_exponentials, tip_by_exponentials
 
-ROWS = [DHRow(a, np.radians(alpha), d) for a, alpha, d in TABLE]
 BOX = WorkspaceBox((-900.0, 1000.0), (-1000.0, 900.0), (50.0, 1200.0))
 SPHERE = KeepOutCircle((500.0, 300.0, 400.0), 250.0)
 PILLAR = KeepOutCylinder((-500.0, 400.0, 100.0), (-450.0, 500.0, 800.0), 230.0)
@@ -34,18 +30,10 @@ POSTURES = np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (600, 6))
 SHARES = np.linspace(0.0, 1.0, 401)[:, None]
 
 
-def frames(posture: Array) -> list[Array]:
-    """Base, joints after the first, flange."""
-    found = [np.eye(4)]
-    for row, q in zip(ROWS, posture, strict=True):
-        found.append(found[-1] @ printed(row, q))
-    return found
-
-
 def links(posture: Array) -> list[Array]:
     """Per link, points along it: from joint to joint (the first two are both at the base), and to the reflector."""
-    places = [frame[:3, 3] for frame in frames(posture)]
-    places = [places[0], *places[:6], (frames(posture)[-1] @ np.r_[REFLECTOR, 1.0])[:3]]
+    places = [frame[:3, 3] for frame in places_by_exponentials(CHAIN, posture, {})[:-1]]
+    places.append(tip_by_exponentials(CHAIN, posture, {}, REFLECTOR))
     return [a + SHARES * (b - a) for a, b in pairwise(places)]
 
 
@@ -92,7 +80,7 @@ def seen(posture: Array) -> list[float]:
     view = every[-1][-1] - tracker
     distance, unit = np.linalg.norm(view), view / np.linalg.norm(view)
     axis = np.subtract(SIGHT.toward, tracker) / np.linalg.norm(np.subtract(SIGHT.toward, tracker))
-    looks = frames(posture)[-1][:3, :3] @ np.array(FACING)
+    looks = places_by_exponentials(CHAIN, posture, {})[-1][:3, :3] @ np.array(FACING)
     reach = SIGHT.reach or (0.0, np.inf)
     found = [SIGHT.half_angle - np.arccos(unit @ axis), distance - reach[0], reach[1] - distance]
     found.append(SIGHT.acceptance - np.arccos(-unit @ looks))
@@ -115,14 +103,6 @@ def test_line_of_sight() -> None:
     assert (margins[:, 4:] < 0).any()
 
 
-def test_margins_have_derivatives() -> None:
-    for constraint in MADE:
-        walls = replace(DesignProblem.of(Model(ARM)), constraints=(constraint,)).walls
-        values, slopes = walls.first(POSTURES)
-        np.testing.assert_allclose(values, constraint.margin(POSTURES), atol=1e-9)
-        assert np.all(np.isfinite(slopes))
-
-
 def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
     """min |a + s (b - a) - c - t (d - c)| over 0 <= s, t <= 1, by scipy; of parallel, crossing, empty segments too."""
     ends = np.random.default_rng(3).normal(size=(4, 80, 3)) * 500.0
@@ -136,15 +116,3 @@ def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
         best = lsq_linear(np.column_stack([b - a, c - d]), c - a, (0.0, 1.0), method="bvls", tol=1e-15)
         assert own == pytest.approx(np.sqrt(2.0 * best.cost), abs=1e-5)
     assert (found[20:25] < 1e-6).all()
-
-
-def test_plans_keep_them() -> None:
-    """Judged by points along the links and by `seen`."""
-    problem = DesignProblem.of(Model(ARM))
-    plan = solve(problem, 14, "exchange", starts=2, seconds=2.0, bound=Bound(np.inf, "continuous"))
-    for posture in [*plan.plan.postures, *random_postures(problem, 5, np.random.default_rng(1))]:
-        every = links(posture)
-        assert min(np.linalg.norm(points - SPHERE.center, axis=1).min() for points in every) >= SPHERE.radius
-        assert not any(inside_pillar(points).any() for points in every)
-        assert min(seen(posture)) > -1e-9
-        assert 50.0 <= every[-1][-1][2] <= 1200.0

@@ -201,6 +201,16 @@ def test_times_are_those_of_a_polynomial_that_keeps_the_speed() -> None:
     assert read_ros(made.text)[1] == []  # without settling there is no rest
 
 
+@pytest.mark.parametrize(("robot", "acceleration"), {"ur": 80.214, "abb": 400.0, "kuka": 120.0, "fanuc": 400.0}.items())
+def test_estimated_times_are_those_of_even_acceleration_to_the_speed(robot: str, acceleration: float) -> None:
+    """[deg/s^2] of the slowest joint, integrated in steps: what is left of half the way once the speed is reached."""
+    arrivals = [move["seconds"] for move in program(LIMITED, PLAN, robot, speed=30, settle=0.0).moves]
+    for row in range(1, 5):
+        half, t = np.degrees(np.abs(POSTURES[row] - POSTURES[row - 1])).max() / 2, np.linspace(0.0, 10.0, 100_001)
+        gone = np.cumsum(np.minimum(acceleration * t, 36.0)) * 1e-4
+        assert arrivals[row] - arrivals[row - 1] == pytest.approx(2.0 * np.interp(half, gone, t), abs=3e-3)
+
+
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
     [(1e-9, 6, "0.0"), (-1e-9, 6, "0.0"), (-0.1234567, 6, "-0.123457"), (1e7, 6, "10000000.0"), (30.0, 6, "30.0")],

@@ -78,24 +78,6 @@ def test_cells_pool_blocks_as_if_there_were_none() -> None:
     assert said == ["1 cells, 0 fits", "a: 1 of 1 cells failed: no arm"]
 
 
-def test_optimal_plan_has_the_deviations_of_equation_25() -> None:
-    m, replications = 20, 20_000
-    found = paper(runs=[m], replications=replications)["cells"]
-    orientation = np.degrees(0.1 / np.sqrt(m) / (LENGTHS + ERRORS))
-    joint = np.sqrt(orientation**2 + np.r_[0.0, orientation[:-1] ** 2])  # dq_j = dtheta_j - dtheta_(j-1)
-    expected = np.r_[np.full(4, 0.1 / np.sqrt(m)), joint, orientation]
-    np.testing.assert_allclose(found["expected_std"].to_numpy(), expected, rtol=1e-9)
-    # 12 deviations, 12 means and 12 coverages from one fixed seed: 4.5 standard errors fail by chance in 1 of 4,000
-    std_error = expected / np.sqrt(2 * replications)
-    assert np.all(np.abs(found["std"].to_numpy() - expected) < 4.5 * std_error)
-    # the estimate of a length |u| is high by sigma^2 / (2 m l), 1e-6 mm: nothing here
-    assert np.all(np.abs(found["mean_error"].to_numpy()) < 4.5 * expected / np.sqrt(replications))
-    assert np.all(np.abs(found["coverage"].to_numpy() - 0.95) < 4.5 * np.sqrt(0.95 * 0.05 / replications))
-    # residuals have 2m - 2n degrees of freedom, summed over x and y
-    assert found["rms_mm"][0] == pytest.approx(0.1 * np.sqrt((2 * m - 8) / m), rel=0.01)
-    assert found["fits"].to_list() == [replications] * 12
-
-
 def test_random_plans_are_new_for_each_hundred_replications() -> None:
     """Two plans: each cell's fits against separate complex solutions of the same draws."""
     result = paper(["random"], runs=[6], sigma_mm=[0.2], replications=130, seed=3)

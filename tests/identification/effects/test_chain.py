@@ -12,6 +12,7 @@ from identification import PRISMATIC, Arm, Conditions, EffectSpec, Gravity, Inpu
 from identification.conditions import condition_columns
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock
+from identification.gap.blocks import hypotheses
 from identification.kinematics.chain import DHRow, chain_of
 
 LENGTHS, MASSES, CENTERS = np.array([400.0, 300.0]), np.array([5.0, 3.0]), np.array([0.5, 0.4])
@@ -52,6 +53,11 @@ def test_what_a_sliding_joint_is_off_by_is_a_length() -> None:
     assert keys == ["c_rad_per_N_m", "c_mm_per_N", "b_deg", "b_mm"]
     every = build(EffectSpec("joint_compliance"), slider).parameters
     assert [p.file_unit for p in every] == ["rad/(N m)", "mm/N"]
+    for name in ("encoder_eccentricity", "transmission_ripple", "joint_hysteresis", "axis_runout"):
+        with pytest.raises(InputError, match=f"{name} at joint 2, which slides, allowed: at joints that turn"):
+            build(EffectSpec(name, 2), slider)
+    members = hypotheses(Arm(slider, sigma=0.05), frozenset()).members
+    assert {b.spec.name for b in members if b.spec and b.spec.joint == 2} >= {"gear_ratio"}
 
 
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))

@@ -8,6 +8,7 @@ import pytest
 from identification import PRISMATIC, InputError
 from identification.kinematics.chain import MODIFIED, STANDARD, DHRow, chain_of
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
+from tests.identification.kinematics.test_spatial import places_by_exponentials
 
 HALF = np.pi / 2.0
 CRAIG = [
@@ -46,14 +47,6 @@ def row_of_table(theta: float, d: float, a: float, alpha: float, beta: float = 0
     return np.linalg.multi_dot([*map(elementary, "zZXxy", (theta, d, a, alpha, beta))])
 
 
-def tip(chain: object, q: np.ndarray) -> np.ndarray:
-    """Origins and turns about z, one after the other."""
-    at = np.eye(4)
-    for joint, angle in zip(chain.joints, q, strict=True):  # type: ignore[attr-defined]
-        at = at @ joint.origin @ elementary("z", angle)
-    return at @ chain.end  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize(("rows", "convention"), [(UR10, STANDARD), (CRAIG, MODIFIED)])
 def test_the_table_puts_the_tip_where_the_chain_does(rows: list[DHRow], convention: str) -> None:
     generator = np.random.default_rng(3)
@@ -66,7 +59,7 @@ def test_the_table_puts_the_tip_where_the_chain_does(rows: list[DHRow], conventi
         at = first @ elementary("z", q[0])
         for link, angle in zip(links, q[1:], strict=True):
             at = at @ row_of_table(*link[:4], link.beta or 0.0) @ elementary("z", angle)
-        np.testing.assert_allclose(at @ last, tip(real, q), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(at @ last, places_by_exponentials(real, q, {})[-1], rtol=0, atol=1e-9)
     # errors of machining size move no number by more than a few of them: nothing explodes
     for link, nominal in zip(links, drawn, strict=True):
         assert abs(link.d - nominal.d) < 15.0

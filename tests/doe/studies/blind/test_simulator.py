@@ -45,32 +45,48 @@ IN_PLANE: dict[str, tuple[Any, Any]] = {
 
 
 LOADS = ("payload_error", "gravity_tilt")  # show through compliance only
+OF_ARM = (*cells.OF_ARM, "thermal_transient", "base_step", *LOADS)
+
+
+def planar() -> tuple[TrueArm, RowConditions]:
+    """Under gravity that is not along an axis, and with another payload in each row."""
+    rng = np.random.default_rng(1)
+    truth = replace(random_truth(rng, 3), gravity=np.array([1.5, -9.6, 0.0]))
+    run = session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng)
+    return truth, replace(run, payload=rng.uniform(0.0, 10.0, 40))
+
+
+def agree(truth: TrueArm, run: RowConditions, names: list[str], *known: EffectSpec) -> None:
+    """Each effect at joint 2 if it is one of a joint: to 1e-9 mm, rounding of sums of some 1000 mm."""
+    joints = [None if name in OF_ARM else 2 for name in names]
+    specs = [EffectSpec(name.rstrip("*"), j, IN_PLANE[name][1]) for name, j in zip(names, joints, strict=True)]
+    drawn = [(name.rstrip("*"), j, IN_PLANE[name][0]) for name, j in zip(names, joints, strict=True)]
+    truth = replace(truth, effects=drawn)
+    arm = Arm(
+        truth.lengths,
+        gravity=Gravity(truth.gravity[:2], truth.masses, np.full(3, truth.center), truth.payload),
+        effects=(*known, *specs),
+        calibration=Calibration.of(truth.links[:, 0] - truth.lengths, truth.offsets),
+    )
+    conditions = Conditions(run.payload, run.warm, run.t, run.s, past=past_from_order(run.q))
+    expected = simulator.position(truth, run)
+    np.testing.assert_allclose(Model(arm).position(run.q, None, conditions), expected, atol=1e-9)
+    assert np.abs(expected - simulator.position(replace(truth, effects=[]), run)).max() > 0.01
 
 
 @pytest.mark.parametrize("name", IN_PLANE)
 def test_two_implementations_agree_in_the_plane(name: str) -> None:
-    rng = np.random.default_rng(1)
-    truth = random_truth(rng, 3)
-    run = session(truth, rng.uniform(-np.pi, np.pi, (40, 3)), rng)
-    joint = None if name in (*cells.OF_ARM, "thermal_transient", "base_step", *LOADS) else 2
-    theirs, ours = IN_PLANE[name]
-    c = 1e-5 * np.arange(1.0, 4.0) if name in LOADS else np.zeros(3)
+    truth, run = planar()
+    if name not in LOADS:
+        agree(truth, run, [name])
+        return
+    c = 1e-5 * np.arange(1.0, 4.0)
     known = EffectSpec("joint_compliance", None, {f"c{j}": value for j, value in enumerate(c, 1)})
-    truth = replace(truth, effects=[(name.rstrip("*"), joint, theirs)])
-    if name in LOADS:
-        truth = replace(truth, modelled=[("joint_compliance", None, {"c": c})])
-    arm = Arm(
-        truth.lengths,
-        gravity=Gravity(np.array([0.0, -simulator.G]), truth.masses, np.full(3, truth.center), truth.payload),
-        effects=(*((known,) if c.any() else ()), EffectSpec(name.rstrip("*"), joint, ours)),
-        calibration=Calibration.of(truth.links[:, 0] - truth.lengths, truth.offsets),
-    )
-    conditions = Conditions(run.payload, run.warm, run.t, run.s, past=past_from_order(run.q))
-    position = Model(arm).position(run.q, None, conditions)
-    expected = simulator.position(truth, run)
-    # 1e-9 mm: rounding of sums of some 1000 mm; every effect moves the tip by more than 0.01 mm
-    np.testing.assert_allclose(position, expected, atol=1e-9)
-    assert np.abs(expected - simulator.position(replace(truth, effects=[]), run)).max() > 0.01
+    agree(replace(truth, modelled=[("joint_compliance", None, {"c": c})]), run, [name], known)
+
+
+def test_all_effects_together_agree_in_the_plane() -> None:
+    agree(*planar(), [name for name in IN_PLANE if name not in (*LOADS, "joint_compliance*")])
 
 
 def test_a_leaning_axis_seen_in_the_plane() -> None:
