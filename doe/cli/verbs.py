@@ -188,7 +188,7 @@ def design_files(
         )
     signs = () if loaded.counting is None else loaded.counting.sign
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
-    problem = with_approach(problem, approach, signs)
+    problem = with_approach(problem, approach)
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
