@@ -321,6 +321,8 @@ def test_measured_positions_are_reached(near: bool) -> None:
     assert found.to_json()["tolerance_mm"] == found.tolerance
     (said,) = (warning for warning in found.warnings if "missed by" in warning)
     assert said.startswith(f"30 of the targets reached are missed by {found.errors.max():.2g} mm at most")
+    several = replace(arm, chain=replace(arm.chain, tools={"1": REFLECTOR, "B": np.zeros(3)}))
+    assert "targets are where measured point 1 goes, not B" in compensate(several, positions, q).warnings
 
 
 def test_targets_off_the_surface_are_not() -> None:
