@@ -172,7 +172,7 @@ def another_frame(model: Model, measurements: Measurements) -> list[str]:
     # eq. 1 is linear in the links, and in the base: the triangle of their columns and what the arm as it is leaves
     residual = (measurements.positions - model.position(q, conditions=measurements.conditions)) @ [1.0, 1j]
     columns = np.column_stack([np.exp(1j * np.cumsum(q, axis=1)), np.ones(m), residual])
-    (_, beside_links), (_, left) = np.linalg.qr(columns, mode="r")[-2:, -2:]
+    (_, beside_links), (_, left) = np.asarray(np.linalg.qr(columns, mode="r"))[-2:, -2:]
     free = abs(left) ** 2  # sum of squares [mm^2] that is left, and that of a base which is held
     held = free + abs(beside_links) ** 2
     before, after = np.sqrt(held / m), np.sqrt(free / m)
