@@ -109,7 +109,7 @@ def compensate(
     assumed = [f"targets are where measured point {tip} goes, not {', '.join(others)}"] if others else []
     if where.time is None and (once := [effect.key for effect in model.effects if effect.once]):
         where = replace(where, time=np.full(len(goals), 0.5))
-        assumed.append(f"{', '.join(once)}: of the session of the identification; taken as at its end")
+        assumed.append(f"{', '.join(once)}: the value at the end of the session of the identification is used")
     if where.temperature is None and (warm := [e.key for e in model.effects if "temperature" in e.needs]):
         mean = identified(arm).get("mean_temperature_C")
         at = "" if mean is None else f", {float(mean):.1f} deg C"

@@ -187,6 +187,7 @@ def design_files(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
         )
     signs = () if loaded.counting is None else loaded.counting.sign
+    progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach)
     if criterion.robust and solver in (None, "exchange"):
@@ -201,7 +202,7 @@ def design_files(
     else:
         design = solve(problem, runs, progress=progress, **effort)
         extra = [*missing_lines(design)]
-    end = process_time() + MOVES
+    end = process_time() + min(MOVES, seconds or MOVES)
 
     def late() -> bool:
         progress(0, None, f"free moves, at most {max(end - process_time(), 0.0):.0f} s left")
@@ -290,7 +291,7 @@ def score_files(
     figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
     rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
     of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
-    lines.append(f"every criterion, the larger the better: {figures} ({of})")
+    lines.append(f"all criteria (larger is better): {figures} ({of})")
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     lines.append(f"observability indices: {indices}")
     document = design_document(design).plus(*lines, *tables)

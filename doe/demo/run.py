@@ -20,17 +20,7 @@ from doe.report.design import design_verdict, plan_section
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm
 from doe.solvers import solve
 from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
-from identification import (
-    Arm,
-    Array,
-    Measurements,
-    Plan,
-    Progress,
-    design_model,
-    load_arm,
-    rms_distance,
-    with_effects,
-)
+from identification import Arm, Array, Measurements, Plan, Progress, design_model, load_arm, rms_distance, with_effects
 from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written
@@ -215,9 +205,9 @@ def demo_document(demo: Demo) -> Document:
         for row in hidden["parameters"]
     ]
     misses = {
-        "last model: where the tip is, at the fresh postures": "model_error_mm",
-        f"hidden arm from {hidden['targets_reached']} targets, sent there as drawn": "targets_as_drawn_mm",
-        "... sent there with the corrected commands": "targets_corrected_mm",
+        "last model: position of the tip at the fresh postures": "model_error_mm",
+        f"hidden arm sent to {hidden['targets_reached']} targets by the drawing": "targets_as_drawn_mm",
+        "... with the corrected commands": "targets_corrected_mm",
     }
     truth: list[Any] = [
         "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only.",

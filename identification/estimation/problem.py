@@ -392,7 +392,7 @@ class Contradiction(NamedTuple):
         """In words;  without_prior : parameters without a prior."""
         before = f"{self.prior:.4g} +- {self.prior_std:.2g} {self.unit} in the earlier calibration"
         by_each = f"{self.name} is {before}, {self.value:.4g} +- {self.std:.2g} by these measurements"
-        instead = f" (or instead {', '.join(self.instead)}: they do not tell)" if self.instead else ""
+        instead = f" (or instead {', '.join(self.instead)}: these rows cannot tell which)" if self.instead else ""
         words = [self.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
         sentence = f"the measurements contradict the prior: {by_each}{instead} (others as there)"
         do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"

@@ -275,7 +275,7 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     jump = np.array([0.0, 2e-3, 0.0, 0.0])
     np.testing.assert_allclose(tip(found.commands + jump, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
     assert found.warnings == [
-        "joint_step:2: of the session of the identification; taken as at its end",
+        "joint_step:2: the value at the end of the session of the identification is used",
         "thermal_growth: taken at the mean temperature of the identification",
     ]
     given = Conditions(time=np.zeros(2), temperature=np.zeros(2))
