@@ -105,10 +105,11 @@ def compensate(
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
     limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
     boxes = [limits] if nominal is not None or np.array_equal(familiar, limits) else [familiar, limits]
-    where, assumed = replace(conditions or Conditions(), orientation=turned), list[str]()
+    where, (tip, *others) = replace(conditions or Conditions(), orientation=turned), arm.chain.tools
+    assumed = [f"targets are where measured point {tip} goes, not {', '.join(others)}"] if others else []
     if where.time is None and (once := [effect.key for effect in model.effects if effect.once]):
         where = replace(where, time=np.full(len(goals), 0.5))
-        assumed.append(f"{', '.join(once)}: of the session of the identification; taken as at its end")
+        assumed.append(f"{', '.join(once)}: the value at the end of the session of the identification is used")
     if where.temperature is None and (warm := [e.key for e in model.effects if "temperature" in e.needs]):
         mean = identified(arm).get("mean_temperature_C")
         at = "" if mean is None else f", {float(mean):.1f} deg C"

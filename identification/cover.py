@@ -12,14 +12,15 @@ by L-BFGS with a growing weight, from one capsule for each of 1, 2, 4 .. parts o
 nearly as good as any. Then those points of the surface are added that stick out most, and in the end radii grow until
 every face is contained.
 
-Boxes are those of a grid: the one that contains the body is cut where that leaves out most, again and again.
+The box around the surface is parted in two where that leaves out most, again and again. Boxes may be hollow: what is
+joined to something outside is not inside without crossing the surface.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, distance_transform_edt
+from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize
 
 from identification.arrays import Array
@@ -173,56 +174,43 @@ def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Arr
 # -- boxes -------------------------------------------------------------------------------------------------------------
 def boxes_around(triangles: Array, place: Array | None = None, most: int = 32) -> Array:
     """(k, 15) centers, rotation matrices and half sizes of at most `most` boxes, along the axes of the triangles, that
-    contain the triangles (t, 3, 3) and what they enclose.
+    contain the triangles (t, 3, 3).
 
     place : (4, 4) pose of the frame of the triangles in that of the boxes; None: the same
     """
-    low, size = triangles.min(axis=(0, 1)), np.ptp(triangles, axis=(0, 1))
-    cell = max(float(size.max()), 1.0) / 64
+    cell = max(float(np.ptp(triangles, axis=(0, 1)).max()), 1.0) / 64
     faces = cut(triangles, 0.5 * cell)
-    shape = np.maximum(np.ceil(size / cell - 1e-6), 1.0).astype(int)
-    ends = faces.min(axis=1), faces.max(axis=1)
-    first, last = (np.minimum(((each - low) / cell).astype(int), shape - 1) for each in ends)
-    touched = np.zeros(shape, dtype=bool)
-    for corner in np.ndindex(2, 2, 2):  # a face has no part in cells but those of the box around it, of two a side
-        touched[tuple(np.where(corner, last, first).T)] = True
-    parts = [np.argwhere(binary_fill_holes(touched))]
-    cuts = [best_cut(parts[0])]
+    grid = np.floor((faces.mean(axis=1) - triangles.min(axis=(0, 1))) / cell).astype(int)
+    _, number = np.unique(grid @ [1 << 20, 1 << 10, 1], return_inverse=True)
+    ends = np.tile([[[np.inf], [-np.inf]]], (number.max() + 1, 1, 3))  # (f, 2, 3) of boxes around all faces of a cell
+    np.minimum.at(ends[:, 0], number, faces.min(axis=1))
+    np.maximum.at(ends[:, 1], number, faces.max(axis=1))
+    parts, cuts = [ends], [best_cut(ends, cell)]
     while len(parts) < most:
         k = max(range(len(cuts)), key=lambda k: cuts[k][0])
         saved, halves = cuts[k]
-        if saved < 0.01 * sum(np.prod(np.ptp(part, axis=0) + 1) for part in parts):
+        if saved < 0.01 * sum(volumes(part, cell)[-1] for part in parts):
             break
-        parts[k : k + 1], cuts[k : k + 1] = halves, [best_cut(half) for half in halves]
-    owner = np.full(shape, -1)
-    for k, part in enumerate(parts):
-        owner[tuple(part.T)] = k
-    own = owner[tuple(first.T)]
+        parts[k : k + 1], cuts[k : k + 1] = halves, [best_cut(half, cell) for half in halves]
     turn, origin = (np.eye(3), np.zeros(3)) if place is None else (place[:3, :3], place[:3, 3])
-    boxes = []
-    for k, part in enumerate(parts):  # around whole faces, and whole cells that no face is in
-        enclosed = part[~touched[tuple(part.T)]]
-        start = np.concatenate([ends[0][own == k], low + cell * enclosed]).min(axis=0)
-        end = np.concatenate([ends[1][own == k], low + cell * (enclosed + 1)]).max(axis=0)
-        middle, half = 0.5 * (start + end), np.maximum(0.5 * (end - start), 1e-3)
-        boxes.append(np.r_[turn @ middle + origin, turn.ravel(), half])
-    return np.array(boxes)
+    low, high = np.array([[part[:, 0].min(axis=0), part[:, 1].max(axis=0)] for part in parts]).swapaxes(0, 1)
+    turns = np.tile(turn.ravel(), (len(parts), 1))
+    return np.hstack([0.5 * (low + high) @ turn.T + origin, turns, np.maximum(0.5 * (high - low), 1e-3)])
 
 
-def best_cut(cells: Index) -> tuple[int, list[Index]]:
-    """Cells of their range that the best cut of cells (n, 3) in two leaves out, and the two."""
+def volumes(ends: Array, thinnest: float) -> Array:
+    """(f,) volumes of the boxes around the first 1 .. f of boxes with ends (f, 2, 3), where none counts as thinner."""
+    size = np.maximum.accumulate(ends[:, 1]) - np.minimum.accumulate(ends[:, 0])
+    return np.asarray(np.maximum(size, thinnest).prod(axis=1))
 
-    def volumes(ordered: Index) -> Index:  # of the ranges of the first 1 .. n
-        longest = np.maximum.accumulate(ordered) - np.minimum.accumulate(ordered) + 1
-        return np.asarray(longest.prod(axis=1))
 
-    best, halves = 0, list[Index]()
-    for axis in range(3):
-        ordered = cells[np.argsort(cells[:, axis], kind="stable")]
-        both = volumes(ordered)[:-1] + volumes(ordered[::-1])[-2::-1]
-        between = np.flatnonzero(np.diff(ordered[:, axis]))
-        saved = int(np.prod(np.ptp(cells, axis=0) + 1)) - both[between]
-        if len(between) and saved.max() > best:
-            at = int(between[saved.argmax()]) + 1
-            best, halves = int(saved.max()), [ordered[:at], ordered[at:]]
+def best_cut(ends: Array, thinnest: float) -> tuple[float, list[Array]]:
+    """The volume that the best cut of boxes with ends (f, 2, 3) in two saves, and the two."""
+    whole, best, halves = volumes(ends, thinnest)[-1], 0.0, list[Array]()
+    for axis in range(3) if len(ends) > 1 else ():
+        ordered = ends[np.argsort(ends[:, :, axis].sum(axis=1), kind="stable")]
+        saved = whole - volumes(ordered, thinnest)[:-1] - volumes(ordered[::-1], thinnest)[-2::-1]
+        if saved.max() > best:
+            at = int(saved.argmax()) + 1
+            best, halves = float(saved.max()), [ordered[:at], ordered[at:]]
     return best, halves

@@ -157,7 +157,7 @@ class Validation(Documented):
             yield far
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
-            yield f"{', '.join(once)}: of the session of the identification only; taken as at its end, in all rows"
+            yield f"{', '.join(once)}: the value at the end of the session of the identification is used in all rows"
         yield from lacking(model, measurements)
         if left_open:
             yield "the postures do not determine everything that is refitted; what they leave open stays as in the file"

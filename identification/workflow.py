@@ -229,7 +229,7 @@ def check_files(
     lines = list[str]()
     for clearance in bodies:
         inspection.data["collisions"] = clearance.too_near(measurements.postures)
-        wrong = inspection.data["better_reading"] and "Collisions: not told of rows that seem to be read wrongly."
+        wrong = inspection.data["better_reading"] and "Collisions: not looked at, since rows seem to be read wrongly."
         lines += [wrong] if wrong else clearance.in_words(measurements.postures)
     return Answer(inspection.to_json(), inspection.document(str(arm), str(data)).plus(*lines), inspection)
 

@@ -188,7 +188,7 @@ def design_files(
         )
     signs = () if loaded.counting is None else loaded.counting.sign
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
-    problem = with_approach(problem, approach, signs)
+    problem = with_approach(problem, approach)
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
@@ -290,7 +290,7 @@ def score_files(
     figures = ", ".join(f"{name} {'-' if value is None else format(value, '.5g')}" for name, value in values.items())
     rms = "" if (error := data["workspace_error_mm"]) is None else f", {in_a_sentence(error)} mm RMS"
     of = f"I: the tip over the workspace{rms}; Ds: what is in mm"
-    lines.append(f"every criterion, the larger the better: {figures} ({of})")
+    lines.append(f"all criteria (larger is better): {figures} ({of})")
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     lines.append(f"observability indices: {indices}")
     document = design_document(design).plus(*lines, *tables)

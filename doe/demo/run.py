@@ -215,9 +215,9 @@ def demo_document(demo: Demo) -> Document:
         for row in hidden["parameters"]
     ]
     misses = {
-        "last model: where the tip is, at the fresh postures": "model_error_mm",
-        f"hidden arm from {hidden['targets_reached']} targets, sent there as drawn": "targets_as_drawn_mm",
-        "... sent there with the corrected commands": "targets_corrected_mm",
+        "last model: position of the tip at the fresh postures": "model_error_mm",
+        f"hidden arm sent to {hidden['targets_reached']} targets by the drawing": "targets_as_drawn_mm",
+        "... with the corrected commands": "targets_corrected_mm",
     }
     truth: list[Any] = [
         "The named effect refitted (sigma from the arm file), beside what was hidden: fits saw the measurements only.",

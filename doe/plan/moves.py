@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from doe.plan.plan import shortest_path
+from doe.problem.problem import Stop, never
 from identification import Array
 
 Numbers = NDArray[np.intp]
@@ -94,95 +95,92 @@ class Route(NamedTuple):
 
 
 class Roadmap:
-    """Postures, and moves between them that nothing is known to be in the way of.
+    """Nodes (M, n), and the moves between them that nothing is known to be in the way of.
 
-    nodes : (M, n), the plan's postures first;  aims : (m,) nodes by which these are approached, or themselves
-    length : (M, M) [rad] of the moves of a node and a later one, inf of those that are seen to collide, NaN where
-        nobody has looked;  proven : (M, M) whether they are proven to be free
+    length : (M, M) [rad] of the moves of a node and a later one, inf where there is none;  proven : (M, M) which of
+        them are proven to be free
     """
 
-    def __init__(self, room: Room, postures: Array, entries: Array) -> None:
+    def __init__(self, room: Room) -> None:
         self.room, self.nodes = room, np.empty((0, len(room.units)))
         self.length, self.proven = np.empty((0, 0)), np.empty((0, 0), dtype=bool)
-        self.starts, entered = self.add(postures), np.flatnonzero(~np.isnan(entries[:, 0]))
-        self.aims = self.starts.copy()
-        self.aims[entered] = self.add(entries[entered])
-        self.proven[self.starts, self.aims] = True
-        self.length[self.starts, self.aims] = room.travel(postures, self.nodes[self.aims]) + 1e-9
 
-    def add(self, nodes: Array) -> Numbers:
-        """Numbers of new nodes (k, n), without a move to them."""
+    def add(self, nodes: Array, neighbors: int, *moves: Numbers) -> None:
+        """More nodes (k, n), with moves to so many of the nearest, from those that have them among their nearest, and
+        from nodes (e,) to others (e,), unless a few places on the way collide."""
         old, new = len(self.nodes), (0, len(nodes))
-        self.nodes = np.concatenate([self.nodes, nodes])
-        self.length, self.proven = np.pad(self.length, new, constant_values=np.nan), np.pad(self.proven, new)
-        return np.arange(old, len(self.nodes))
+        self.nodes, self.proven = np.concatenate([self.nodes, nodes]), np.pad(self.proven, new)
+        self.length = np.pad(self.length, new, constant_values=np.inf)
+        apart = self.room.travel(self.nodes[:, None], self.nodes) + 1e-9
+        near = apart <= np.sort(apart, axis=1)[:, : neighbors + 1].max(axis=1, initial=0.0)[:, None]
+        near[moves or ([], [])] = True
+        low, high = np.nonzero(np.triu(near | near.T, 1))
+        low, high = low[high >= old], high[high >= old]
+        free = self.room.free(self.nodes[low], self.nodes[high], levels=2)
+        self.length[low, high] = np.where(free, apart[low, high], np.inf)
 
-    def connect(self, *pairs: tuple[Numbers, Numbers], levels: int | None = 2) -> None:
-        """Looks for moves between nodes (e,) and others, of which nobody has looked.
-
-        levels : as `Room.free` has them; None: proves those that are known, or forgets them
-        """
-        low, high = np.unique(np.sort(np.concatenate([np.stack(each) for each in pairs], axis=1), axis=0), axis=1)
-        wanted = (low < high) & (np.isnan(self.length[low, high]) if levels else ~self.proven[low, high])
-        low, high = low[wanted], high[wanted]
-        starts, ends = self.nodes[low], self.nodes[high]
-        good = self.room.free(starts, ends, levels)
-        self.length[low, high] = np.where(good, self.room.travel(starts, ends) + 1e-9, np.inf)
-        self.proven[low, high] = good & (levels is None)
-
-    def shortest(self, keep_order: bool) -> tuple[Numbers, list[list[int]], Numbers]:
-        """The shortest route whose moves are all proven: its order, the nodes of each of the m - 1 steps, and which of
-        the m no way leads to from most of the others."""
+    def shortest(self, aims: Numbers, keep_order: bool, stop: Stop) -> tuple[Numbers, list[list[int]], Numbers]:
+        """The shortest route whose moves are all proven through the first m nodes, each by its aim (m,): its order, the
+        nodes of each of the m - 1 steps, and which of the m no way leads to from most of the others."""
         from scipy.sparse.csgraph import dijkstra
 
-        order = self.starts
+        order = np.arange(len(aims))
         while True:
             # (m, M) of the shortest ways to every node, and the nodes before it
-            length, before = dijkstra(self.length, directed=False, indices=self.starts, return_predecessors=True)
-            cost = length[:, self.aims]
+            length, before = dijkstra(self.length, directed=False, indices=range(len(aims)), return_predecessors=True)
+            cost = length[:, aims]
             reached = np.isfinite(cost)
             if not keep_order:
                 cost = np.where(reached, cost, 1.0 + 2.0 * cost[reached].sum())  # more than any order
                 order = shortest_path(np.maximum(cost, cost.T))
-                if np.any(self.aims != self.starts) and order[0] > order[-1]:  # which way round it is gone matters
-                    order = order[::-1]
             ways = []
             for one, other in pairwise(order.tolist()):
-                way = [int(self.aims[other])]
+                way = [int(aims[other])]
                 while reached[one, other] and way[-1] != one:
                     way.append(int(before[one, way[-1]]))
                 ways.append(way[::-1] if reached[one, other] else [one, way[0]])
-            one, other = np.sort(
-                np.array([pair for way in ways for pair in pairwise(way)], dtype=int).reshape(-1, 2), axis=1
-            ).T
-            left = np.isfinite(self.length[one, other]) & ~self.proven[one, other]
-            if not left.any():
+            moves = np.array([pair for way in ways for pair in pairwise(way)], dtype=int).reshape(-1, 2)
+            low, high = np.unique(np.sort(moves, axis=1), axis=0).T
+            doubtful = np.isfinite(self.length[low, high]) & ~self.proven[low, high]
+            if not doubtful.any() or stop():
                 label = reached.argmax(axis=1)
                 return order, ways, np.flatnonzero(label != np.bincount(label).argmax())
-            self.connect((one[left], other[left]), levels=None)
+            low, high = low[doubtful], high[doubtful]
+            self.proven[low, high] = free = self.room.free(self.nodes[low], self.nodes[high])
+            self.length[low[~free], high[~free]] = np.inf
 
 
-def route(postures: Array, room: Room, entries: Array | None = None, keep_order: bool = False, seed: int = 0) -> Route:
+def route(
+    postures: Array,
+    room: Room,
+    entries: Array | None = None,
+    keep_order: bool = False,
+    seed: int = 0,
+    stop: Stop = never,
+) -> Route:
     """The shortest order of postures (m, n) with free moves, with way-points where there is no other.
 
     entries : (m, n) from which each is approached, as the last way-point; None, or NaN: from anywhere
     keep_order : the postures stay in their order
+    stop : ends the search; moves that are left unproven then may collide
 
     The map gets random nodes if straight moves are much longer than with nothing in the way, and again, from a wider
     and wider space, as long as some posture is not reached.
     """
     spread, rounds, neighbors = 200, 4, 12  # effort: random nodes at once, how often, and moves that are tried of each
-    m, generator = len(postures), np.random.default_rng(seed)
-    entries = np.full_like(postures, np.nan) if entries is None else entries
-    road = Roadmap(room, postures, entries)
-    starts, aims = road.starts, road.aims
-    road.connect((starts[:-1], aims[1:]) if keep_order else (np.repeat(starts, m), np.tile(aims, m)))
+    generator, rows = np.random.default_rng(seed), np.arange(len(postures))
+    entries = postures[:0] if entries is None else np.where(np.isnan(entries), postures, entries)
+    road, aims = Roadmap(room), rows + len(entries)
+    everywhere = neighbors if keep_order else 2 * len(rows)
+    road.add(np.concatenate([postures, entries]), everywhere, rows[:-1], aims[1:])
+    road.proven[rows, aims] = True
+    road.length[rows, aims] = room.travel(postures, road.nodes[aims]) + 1e-9
     ideal = room.travel(postures[:, None], road.nodes[aims])
-    around = starts if keep_order else shortest_path(np.maximum(ideal, ideal.T))
+    around = rows if keep_order else shortest_path(np.maximum(ideal, ideal.T))
     enough = 1.1 * ideal[around[:-1], around[1:]].sum()
-    order, ways, missing = road.shortest(keep_order)
+    order, ways, missing = road.shortest(aims, keep_order, stop)
     for beyond in 0.3 * 3.0 ** np.arange(rounds):  # [rad] the postures
-        if not len(missing) and sum(room.length(road.nodes[way]) for way in ways) <= enough:
+        if stop() or (not len(missing) and sum(room.length(road.nodes[way]) for way in ways) <= enough):
             break
         enough = np.inf
         low = np.maximum(postures.min(axis=0) - beyond * room.units, room.lower)
@@ -190,23 +188,24 @@ def route(postures: Array, room: Room, entries: Array | None = None, keep_order:
         drawn = generator.uniform(low, high, (spread, len(low)))
         about = road.nodes[generator.choice(missing if len(missing) else aims, spread)]
         drawn[::2] = (about + 0.3 * generator.random((spread, 1)) * (drawn - about))[::2]
-        fresh = np.r_[road.add(drawn[np.all(room.margin(drawn) >= 0.0, axis=1)]), starts, aims]
-        apart = room.travel(road.nodes[fresh][:, None], road.nodes)
-        nearest = np.argsort(apart, axis=1, kind="stable")[:, 1 : neighbors + 1]
-        road.connect((np.repeat(fresh, nearest.shape[1]), nearest.ravel()))
-        order, ways, missing = road.shortest(keep_order)
-    for share in (0.7, 0.7, 0.5, 0.5):  # of the way from a bend to the straight line
-        bends = [way[k - 1 : k + 2] for way in ways for k in range(1, len(way) - 1)]
-        if not bends:
-            break
-        before, here, after = np.array(bends).T
-        straight = 0.5 * (road.nodes[before] + road.nodes[after])
-        new = road.add(road.nodes[here] + share * (straight - road.nodes[here]))
-        road.connect((before, new), (new, after), (before, after), (new[:-1], new[1:]), (new, here))
-        order, ways, missing = road.shortest(keep_order)
-    steps = [[int(aims[order[0]])], *(way[1:] for way in ways)]
-    steps = [step if step[-1] == row else [*step, row] for step, row in zip(steps, order.tolist(), strict=True)]
-    return Route(order, [road.nodes[step] for step in steps], sorted(missing.tolist()))
+        road.add(drawn[np.all(room.margin(drawn) >= 0.0, axis=1)], neighbors)
+        order, ways, missing = road.shortest(aims, keep_order, stop)
+    steps = [road.nodes[aims[order[:1]]], *(tightened(road.nodes[way], room)[1:] for way in ways)]
+    alike = np.all(road.nodes[aims] == postures, axis=1)
+    steps = [step if alike[row] else np.vstack([step, postures[row]]) for step, row in zip(steps, order, strict=True)]
+    return Route(order, steps, sorted(missing.tolist()))
+
+
+def tightened(way: Array, room: Room) -> Array:
+    """A way (v, n) with its bends nearer to straight lines, or without them, as far as the moves stay free."""
+    for share in (1.0, 0.7, 0.5):  # of the way from a bend to the straight line
+        for bend in range(len(way) - 2, 0, -1):
+            first, here, last = way[bend - 1 : bend + 2]
+            nearer = here + share * (0.5 * (first + last) - here)
+            if room.free(np.array([first, nearer]), np.array([nearer, last])).all():
+                way[bend] = nearer
+                way = np.delete(way, bend, axis=0) if share == 1.0 else way
+    return way
 
 
 def approaches(postures: Array, senses: Array, room: Room, generator: np.random.Generator, tries: int = 40) -> Array:

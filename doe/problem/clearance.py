@@ -107,7 +107,7 @@ class Clearance:
         """(k, n) how much at most the distance of each pair changes by a unit of each joint [mm/rad, 1].
 
         For a joint between two bodies it is the length of the stretched arm from there to the farthest point of the
-        outer one. A joint that moves both or neither changes nothing, except that a line of sight ends in the tracker.
+        outer one; a joint that moves both or neither changes nothing. Lines of sight, which no move keeps, have none.
         """
         at_limits = np.stack([self.model.lower, self.model.upper])
         origins = self.model.joint_frames(at_limits)[:, :, :3, 3]
@@ -116,12 +116,9 @@ class Clearance:
         size = np.pad(np.linalg.norm(self._ends, axis=2), ((0, 0), (0, len(self._boxes))))
         far = np.max(along[self._frames] + size + self._radii, axis=0)
         lengths = np.where(turns(self.model), np.maximum(far[:, None] - along[1:-1], 0.0), 1.0)
-        lengths = np.where(joints <= self._frames[1, :, None], lengths, 0.0)  # (K + boxes, n)
-        first, second = self._pieces[:, 1:].T
-        sight = (self._frames[0, first] != self._frames[1, first])[:, None]
-        between = joints > self._frames[1, second, None]
-        most = np.where(between | sight, lengths[first], 0.0) + sight * lengths[second]
-        return np.asarray(np.maximum.reduceat(most, self._starts, axis=0))
+        (_, first), (_, second) = self._frames[:, self._pieces[:, 1:].T].swapaxes(0, 1)
+        between = (joints > second[:, None]) & (joints <= first[:, None])
+        return np.asarray(np.maximum.reduceat(between * lengths[self._pieces[:, 1]], self._starts, axis=0))
 
     # -- distances -----------------------------------------------------------------------------------------------------
     def margin(self, postures: Array) -> Array:

@@ -1,7 +1,7 @@
 """What a design needs of a model, and what a model may offer besides. Nothing else of any model is known in `doe`.
 
 A model is a function of a posture and of p parameters that gives d measured coordinates. `DesignModel` is all that
-`solve`, `relax`, `score` and `advise` ask for; tests/doe/problem/test_model.py has one of ten lines that is no robot.
+`solve`, `relax`, `score` and `advise` ask for; tests/doe/problem/test_problem.py has one of ten lines that is no robot.
 `Offers` are members that only some questions need. The model of an arm has them all (`identification.for_design`).
 
 n joints, m postures; mm and rad, or whatever units the parameters say.

@@ -23,13 +23,13 @@ from identification import Arm, InputError, Plan
 FULL_SPEED = (120.0, 1000.0)  # [deg/s, mm/s] what 100 % of the speed is taken for: every axis of common arms does that
 RAMP = 0.3  # [s] from rest to full speed, of common arms; --robot ur is asked for 1.4 rad/s^2
 SPECIAL = re.compile(r"[^ -~]|[\"\\{}\[\];]")  # what a comment, a string or a name in some language cannot have
-# robot -> template, units of angles and lengths, fewest joints, most of the arm and of all; a UR controller knows six
+# robot -> template, units of angles and lengths, fewest and most joints; a UR controller knows six
 LANGUAGES = {
-    "ur": ("ur.script.j2", "rad", "m", 6, 6, 6),
-    "abb": ("abb.mod.j2", "deg", "mm", 1, 6, 12),
-    "kuka": ("kuka.src.j2", "deg", "mm", 1, 6, 12),
-    "fanuc": ("fanuc.ls.j2", "deg", "mm", 1, 6, 9),
-    "ros": ("ros.yaml.j2", "rad", "m", 1, 99, 99),
+    "ur": ("ur.script.j2", "rad", "m", 6, 6),
+    "abb": ("abb.mod.j2", "deg", "mm", 1, 6),
+    "kuka": ("kuka.src.j2", "deg", "mm", 1, 6),
+    "fanuc": ("fanuc.ls.j2", "deg", "mm", 1, 6),
+    "ros": ("ros.yaml.j2", "rad", "m", 1, 99),
 }
 # of [deg] and [mm], and digits: to 1e-7 deg and 1e-6 mm nothing is lost, and no exponent is needed
 UNITS = {"rad": (np.radians(1.0), 9), "deg": (1.0, 6), "m": (1e-3, 9), "mm": (1.0, 6)}
@@ -74,7 +74,7 @@ def program(
     from jinja2 import PackageLoader, StrictUndefined, TemplateError
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
-    (file, angle, length, least, of_arm, most), n = LANGUAGES[robot], arm.links
+    (file, angle, length, least, most), n = LANGUAGES[robot], arm.links
     if not least <= n <= most:
         allowed = f"{least} to {most}" if least < most else least
         raise InputError(f"--robot {robot}: {n} joints, allowed: {allowed}")
@@ -116,22 +116,18 @@ def program(
     left = np.cumsum(moving + settle * ~via)
     arrivals, departures = (np.ceil(1000.0 * each).astype(int).tolist() for each in (left - settle * ~via, left))
     units, runs = [length if slide else angle for slide in slides], np.where(via, 0, np.cumsum(~via)).tolist()
-    order = [*range(n)] if n <= of_arm else np.argsort(slides, kind="stable").tolist()  # a rail is no axis 1
-    # external: of more than six those that slide, or turn after the sixth
-    inner, outer = order[:of_arm], order[of_arm:]
     labels = [f"run {run}" if run else "via" for run in runs]
     doubts = {move["row"] - 1: f", may collide: {' and '.join(move['bodies'])}" for move in not_free}
     texts = [[decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)] for row in columns]
     moves = [
         {
             "run": run,  # number of the measurement there, 0 at a way-point
-            "joints": [text[j] for j in inner],
-            "external": [text[j] for j in outer],
+            "joints": joints,
             "arrival": arrivals[k],  # [ms] from the start
             "departure": departures[k],  # after settling
             "comment": labels[k] + SPECIAL.sub("?", doubts.get(k, "")),
         }
-        for k, (run, text) in enumerate(zip(runs, texts, strict=True))
+        for k, (run, joints) in enumerate(zip(runs, texts, strict=True))
     ]
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
@@ -145,8 +141,7 @@ def program(
         "joint_speed": decimal(FULL_SPEED[0] * speed / 100.0, UNITS[angle][0], 6),
         "settle": decimal(settle, 1.0, 3),
         "names": [SPECIAL.sub("_", joint.name) or f"joint_{j}" for j, joint in enumerate(arm.chain.joints, 1)],
-        "units": [units[j] for j in inner],
-        "external_units": [units[j] for j in outer],
+        "units": units,
         "postures": [  # what the pendant shows, for a dry run
             f"{k:3d} {label:8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
             for k, (label, row) in enumerate(zip(labels, columns, strict=True), start=1)

@@ -24,7 +24,7 @@ COMPARED: Columns = {
     "hits": ("hits", ""),
     "time\n[s]": ("seconds", ".2g"),
     "to hit\n[s]": ("seconds_to_hit", ".2g"),
-    "wrong": ("not_correct", ""),
+    "failed": ("not_correct", ""),
 }
 ESTIMATED: Columns = {
     "parameter": ("parameter", ""),
@@ -66,7 +66,7 @@ def comparison_parts(rows: pl.DataFrame) -> list[Any]:
         "{}, {}, {} runs, {}: {} x {}: {}", "arm", "criterion", "runs", "label", "len", "status", "error"
     )
     lines = kinds.select(sentence).to_series().to_list()
-    return [*parts, *lines[:10], *([f"and {len(lines) - 10} more; the rows have all"] if len(lines) > 10 else [])]
+    return [*parts, *lines[:10], *([f"and {len(lines) - 10} more; the rows have them all"] if len(lines) > 10 else [])]
 
 
 # -- armcal study STUDY.toml -------------------------------------------------------------------------------------------

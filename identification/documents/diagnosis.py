@@ -48,8 +48,8 @@ SCATTER = {  # kind of a finding -> what it is, before its size
 }
 NOISE_FROM = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}
 ABOUT_GAP = (
-    "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: {}; on "
-    "rows that no fit has seen: what the model predicts. A smaller gap alone does not prove a name."
+    "RMS distance between model and measurement, before as armcal identify leaves it. Expected on the data: less than "
+    "{}, some of which a fit follows; on others what the model predicts. A smaller gap alone does not prove a name."
 )
 ACROSS_SESSIONS = (
     "Every session has a base of its own, everything else is shared. Fitted there: the effect's values from this "
@@ -296,12 +296,12 @@ def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
     """How far model and measurements are apart, before and after: on the data, less outliers, and on rows that no fit
     has seen, and whether the model holds there."""
     gap, rows, out, unit = data["gap"], data["rows"], data["outlier_rows"], data.get("reading_unit", "mm")
-    noise = "the noise, which is not known"
+    noise, below = "the noise, which is not known", ""
     if (floor := gap["noise_floor_mm"]) is not None:
+        below = f"< {number(floor)}"
         noise = f"the noise floor {number(floor)} {unit}, from {NOISE_FROM[gap['noise_floor_from']]}"
     counted = f"{rows - len(out)} of {rows}" if out else str(rows)
-    figures = (number(gap[key]) for key in ("rms_before_mm", "rms_after_mm", "noise_floor_mm"))
-    shown, sentences = [["the data", counted, *figures, ""]], []
+    shown, sentences = [["the data", counted, number(gap["rms_before_mm"]), number(gap["rms_after_mm"]), below, ""]], []
     for test in tests_of(data):
         answer, sentence = holds_in_words(test, unit)
         figures = (number(test[key]) for key in ("before_mm", "after_mm", "predicted_mm"))

@@ -189,7 +189,8 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool =
     listed = [row for row in rows if row.std is not None or row.parameter is None or "." not in row.name]
     held = len(rows) - len(listed)
     rows = listed if held > MOST_HELD else rows
-    weak, framed = sum(row.weak for row in rows), any(row.name.startswith("joint ") for row in rows)
+    frames = [row for row in rows if row.name.startswith("joint ")]
+    weak, framed = sum(row.weak for row in rows), bool(frames)
     notes = {
         f"And {held} parameters of effects without intervals; the file has them.": held > MOST_HELD,
         "Zeros: add to the zero of the joint (real = reading + this), or subtract it from every command.": any(
@@ -198,6 +199,8 @@ def corrected_section(title: str, rows: Sequence[CorrectedValue], folded: bool =
         "Zero of joint 1 and base_offset: where the arm stands; type them into the controller only if the measurements "
         "are in the controller's own frame.": any(row.parameter == "base_offset.x0" for row in rows),
         "Frames: origin of the joint in the frame of the joint before, as in a URDF file; --urdf writes it.": framed,
+        "rx, ry, rz of a joint, where its pitch is near 90 deg: how its frame is turned from the drawing about its own "
+        "axes.": any(row.name.endswith((" rx", " ry", " rz")) for row in frames),
         "These values belong together: enter all of them.": framed,
         # not all that can be off is estimated
         "Numbers not listed stay as drawn, and the intervals are of a fit that holds them there.": framed

@@ -373,7 +373,7 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
 
 # -- an earlier calibration that the measurements contradict -----------------------------------------------------------
 class Contradiction(NamedTuple):
-    """A parameter in file units: as the earlier calibration has it, and as the fit does without that prior of it.
+    """A parameter in file units, given the others as the earlier calibration has them: there, and by the measurements.
 
     instead : parameters that would explain the measurements as well
     """
@@ -390,7 +390,7 @@ class Contradiction(NamedTuple):
         """In words;  without_prior : parameters without a prior."""
         before = f"{self.prior:.4g} +- {self.prior_std:.2g} {self.unit} in the earlier calibration"
         by_each = f"{self.name} is {before}, {self.value:.4g} +- {self.std:.2g} by these measurements"
-        instead = f" (or instead {', '.join(self.instead)}: they do not tell)" if self.instead else ""
+        instead = f" (or instead {', '.join(self.instead)}: these rows cannot tell which)" if self.instead else ""
         words = [self.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
         sentence = f"the measurements contradict the prior: {by_each}{instead} (others as there)"
         do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
@@ -403,8 +403,10 @@ def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | No
     """The parameter whose prior, an earlier calibration, the measurements contradict most clearly; None: none.
 
     The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
-    Errors of one parameter look like errors of others, so that of several the others are told once it is free. Its
-    value is that of the fit without its prior, from the one with it, since an error of degrees is not linear.
+    Errors of one parameter look like errors of others, so that of several the others are told once it is free; a zero
+    of a joint before a frame that looks the same. Its change d since then is one more unknown, in prior rows
+    F^-1 (x - m - d e), and the fit without its prior gives it, from the one with it, since an error of degrees is not
+    linear.
 
     x : (p,) of the fit with the whole prior
     """
@@ -418,19 +420,22 @@ def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | No
     if freedom < 1.0 or noise <= 1e-12:  # [mm] data without any
         return None
     drops, earlier = released_drops(replace(problem, noise=noise), x), prior.earlier
-    name = max(drops, key=drops.__getitem__)
-    less = np.array([drops[name], *(drops[name] - drop for drop in drops.values())])
+    less = max(drops.values()) - np.array([0.0, *drops.values()])
     p_least, *p_less = chdtrc(1.0, less) if np.isinf(freedom) else fdtrc(1.0, freedom, less)
     if p_least * len(drops) >= 0.01:
         return None
+    alike = [name for name, p in zip(drops, p_less, strict=True) if p > 0.05]
+    name = max(alike, key=lambda each: (each.startswith(JOINT_OFFSET), drops[each]))
     posed = replace(problem, prior=prior.released({name}, model.prior), noise=noise)
     x = posed.minimized(x[None]).parameters[0]
     covariance = noise**2 * spectrum(posed.linearized(x)[1], model.scales, prior=posed.prior_rows).covariance
-    p, variance = model.parameters[k := model.names.index(name)], np.asarray(earlier.about({name}).covariance)[0, 0]
-    figures = earlier.values[name], np.sqrt(variance), x[k], np.sqrt(covariance[k, k])
+    p, rows = model.parameters[k := model.names.index(name)], prior.rows(model.parameters)
+    precision = rows[:, k] @ rows  # (p,) of the prior, about this parameter
+    change, now = precision / precision[k], earlier.values[name]
+    value = now + change @ (x - prior.center(model.parameters))
+    figures = now, precision[k] ** -0.5, value, np.sqrt(change @ covariance @ change)
     before, before_std, value, std = (float(figure * p.to_file) for figure in figures)
-    instead = tuple(other for other, least in zip(drops, p_less, strict=True) if least > 0.05 and other != name)
-    return Contradiction(name, p.file_unit, before, before_std, value, std, instead)
+    return Contradiction(name, p.file_unit, before, before_std, value, std, tuple(n for n in alike if n != name))
 
 
 def released_drops(problem: Problem, x: Array) -> dict[str, float]:

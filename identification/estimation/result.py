@@ -398,9 +398,10 @@ def corrected_values(
         steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
         slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
         for (place, key), value in corrected_tables.items():
-            meaning, nominal = "measured point in the frame of the tip", None
+            turned_about, nominal = ", turned about its own x, y and z axis", None
+            meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
             if place == "base":
-                meaning = "pose of the base for the instrument, turned about its own x, y and z axis"
+                meaning = f"pose of the base for the instrument{turned_about}"
             if place.startswith("joint "):
                 j = int(place.removeprefix("joint "))
                 frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME

@@ -44,15 +44,8 @@ def covered(name: str, joint: int, shapes: Sequence[Shape], reach: float, foot: 
             state = f"body {name} is {long:.4g} mm long beside an arm that reaches {reach:.4g} mm, like {unit}"
             raise InputError(f"{shape.file}: {state}, allowed: another unit or scale")
     drawn = [own @ s.place[:3, :3].T + s.place[:3, 3] for s, own in zip(shapes, triangles, strict=True)]
-    # exact are spheres, capsules, and a cylinder with spheres at both ends, as URDF has capsules
-    exact = {k: shape.capsule for k, shape in enumerate(shapes) if shape.kind in ("sphere", "capsule")}
-    for k in (k for k, shape in enumerate(shapes) if shape.kind == "cylinder"):
-        start, end, radius = np.split(shapes[k].capsule, [3, 6])
-        balls = [[j for j in exact if np.allclose(exact[j], [*c, *c, *radius], 0.0, 0.1)] for c in (start, end)]
-        if all(balls):
-            exact = {j: exact[j] for j in exact if j not in balls[0] + balls[1]} | {k: shapes[k].capsule}
-    rest = [k for k, shape in enumerate(shapes) if k not in exact and shape.kind not in ("sphere", "capsule")]
-    capsules, boxes = np.array([exact[k] for k in sorted(exact)]).reshape(-1, 7), np.empty((0, 15))
+    capsules = np.reshape([shape.capsule for shape in shapes if shape.kind in ("sphere", "capsule")], (-1, 7))
+    rest, boxes = [k for k, own in enumerate(triangles) if len(own)], np.empty((0, 15))
     if rest:
         solid = np.concatenate([drawn[k] for k in rest])
         size = np.ptp(solid, axis=(0, 1))

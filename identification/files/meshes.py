@@ -96,7 +96,7 @@ class Shape(ByValue):
 
     @property
     def capsule(self) -> Array:
-        """(7,) of a sphere or capsule; of a cylinder that which has its ends as centers."""
+        """(7,) of a sphere or capsule."""
         half = self.place[:3, 2] * 0.5 * self.size[1:].sum()
         return np.r_[self.place[:3, 3] - half, self.place[:3, 3] + half, self.size[0]]
 

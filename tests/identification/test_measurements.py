@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification import InputError
 from identification.conditions import REMEMBERED, condition_columns, past_from_order
 from identification.measurements import (
     BYTES,
@@ -22,6 +21,7 @@ from identification.measurements import (
     row_digests,
     shared_rows,
 )
+from tests.refusals import refused
 
 
 @given(st.integers(0, 2**32), st.integers(1, 15), st.booleans())
@@ -78,10 +78,7 @@ def changed(values: np.ndarray, row: int, value: float) -> np.ndarray:
     ],
 )
 def test_what_no_session_can_be_is_one_line(given: dict, sentence: str) -> None:
-    with pytest.raises(InputError) as caught:
-        Measurements(**{"postures": Q, "positions": X, **given})
-    assert sentence in str(caught.value)
-    assert "\n" not in str(caught.value)
+    refused(lambda: Measurements(**{"postures": Q, "positions": X, **given}), names=[sentence])
 
 
 def test_lists_are_measurements_too_and_nothing_can_be_written_to() -> None:

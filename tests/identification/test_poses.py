@@ -78,22 +78,6 @@ def test_without_measurements_the_jacobian_is_the_angular_velocity() -> None:
         np.testing.assert_allclose(model.jacobian(q)[:, 3:, k], SCALE * vectors / step, atol=2e-3)  # SCALE 1e-6
 
 
-def test_intervals_cover() -> None:
-    """Predicted points and orientations of 3 hidden arms, 95 % intervals of 30 parameters each: 90 free numbers."""
-    generator, inside = np.random.default_rng(5), []
-    sizes = Model(SIX).prior
-    for _ in range(3):
-        hidden = {name: size * generator.standard_normal() for name, size in sizes.items()}
-        truth = replace(SIX, calibration=Calibration(hidden | HIDDEN))
-        data = simulate(truth, generator.uniform(-2.5, 2.5, (30, 6)), generator)
-        found = estimate(Model(SIX), data, sigma="given")
-        fresh = simulate(truth, generator.uniform(-2.5, 2.5, (50, 6)), generator, sigma=1e-9)
-        position, jacobian = found.model.linearize(fresh.postures, found.parameters, fresh.conditions)
-        deviations = np.sqrt(np.einsum("mdp,pq,mdq->md", jacobian, found.covariance, jacobian))
-        inside.append(np.abs(fresh.positions - position) < 1.96 * deviations)
-    assert 0.9 < np.mean(inside) < 0.99
-
-
 # -- files -------------------------------------------------------------------------------------------------------------
 ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha):.12g}\nd_mm = {d}\n" for a, alpha, d in TABLE[:5])
 TEXT = f'kind = "spatial"\n{ROWS}[measurement]\nsigma_mm = 0.05\nsigma_deg = 0.01\n'

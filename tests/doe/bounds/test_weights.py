@@ -45,20 +45,6 @@ def random_jacobians(generator: np.random.Generator, k: int, d: int, p: int) -> 
     return generator.standard_normal((k, d, p))
 
 
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10_000), p=st.integers(2, 6), d=st.integers(1, 3))
-def test_equivalence_theorem(seed: int, p: int, d: int) -> None:
-    """max d = p over the postures, and d = p wherever there is weight (Kiefer and Wolfowitz, several coordinates)."""
-    jacobians = random_jacobians(np.random.default_rng(seed), 4 * p, d, p)
-    weights = interior_point_weights(jacobians, D(), PriorInformation())[0]
-    information = np.einsum("k,kda,kdb->ab", weights, jacobians, jacobians)
-    d_values = np.einsum("kda,ab,kdb->k", jacobians, np.linalg.inv(information), jacobians)
-    assert weights.sum() == pytest.approx(1.0, abs=1e-14)
-    assert weights.min() >= 0.0
-    assert d_values.max() <= p + 1e-9
-    assert d_values[weights > 1e-6] == pytest.approx(p, abs=1e-6)
-
-
 def test_a_part_of_the_runs_is_fixed() -> None:
     """With a fixed offset the multiplicative algorithm (Silvey, Titterington, Torsney) is the oracle."""
     generator = np.random.default_rng(4)

@@ -24,7 +24,7 @@ from identification.files.csv import read_table
 from identification.files.first_files import dh_files, planar_files, urdf_files
 from identification.files.urdf import read_urdf
 from tests.doe.cli.conftest import Folder
-from tests.identification.files.test_meshes import FACES, binary
+from tests.identification.files.test_bodies import FACES, binary
 from tests.small_arm import MASSES, urdf
 
 URDF = Path(__file__).parents[2] / "data/spatial/six_axis.urdf"

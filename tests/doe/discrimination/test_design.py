@@ -176,23 +176,6 @@ def test_the_best_of_all_plans_of_a_small_list() -> None:
     assert found.wrong == pytest.approx(min(1.0, *(state.wrong(plan) for plan in allowed)), rel=1e-9)
 
 
-def test_no_number_of_periods_hides_behind_another_on_joints_that_turn_all_the_way() -> None:
-    arm = Arm([260.0, 180.0, 120.0], sigma=0.1)
-    runs = 30
-    found = discrimination_design(DesignProblem.of(Model(arm)), arm, runs)
-    regular = 2.0 * np.pi * np.arange(runs) / runs
-    for joint in range(1, 3):
-        q = found.design.plan.postures[:, joint]
-        for low in (1, 2):  # k = 29 or 31 against 1, 28 or 32 against 2: the same on 30 equal steps
-            assert np.abs(np.mean(np.exp(1j * runs * regular))) == pytest.approx(1.0)
-            columns = np.column_stack([np.cos(low * q), np.sin(low * q)])
-            for high in (runs - low, runs + low):
-                ripple = np.cos(high * q)
-                left = ripple - columns @ np.linalg.lstsq(columns, ripple, rcond=None)[0]
-                assert np.linalg.norm(left) > 0.5 * np.linalg.norm(ripple)
-    assert found.relative_efficiency >= 0.95
-
-
 def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock that goes on by 10 ms with every look: one second is a hundred looks, the swaps alone take more;
     another second is that of the order of measurement."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, pairwise, permutations
 from pathlib import Path
 
@@ -11,8 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from doe import solve
 from doe.plan.plan import shortest_path
-from identification import InputError, Plan
+from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
+from identification import Arm, Array, Plan
+from tests.doe.arms import FOUR, OFFSET, problem
+from tests.refusals import refused
 
 
 def load(tmp_path: Path, text: str, links: int | None = None) -> Plan:
@@ -54,12 +59,7 @@ def test_reading(tmp_path: Path) -> None:
     ],
 )
 def test_bad_input_gets_one_line(tmp_path: Path, text: str, parts: list[str]) -> None:
-    with pytest.raises(InputError) as caught:
-        load(tmp_path, text)
-    message = str(caught.value)
-    assert "\n" not in message
-    missing = [part for part in ["plan.csv: ", *parts] if part not in message]
-    assert not missing, f"{missing} not in {message!r}"
+    refused(load, tmp_path, text, names=["plan.csv: ", *parts])
 
 
 @st.composite
@@ -109,3 +109,106 @@ def test_long_plans_have_no_exchange_left_and_gain() -> None:
     for i, k in combinations(range(1, 60), 2):
         other = np.vstack([found[:i], found[i:k][::-1], found[k:]])
         assert by_hand(other) >= by_hand(found) - 1e-9
+
+
+# -- postures apart ----------------------------------------------------------------------------------------------------
+NARROW = Arm([200.0, 150.0], np.radians([-40, -50]), np.radians([40, 60]))
+
+
+def smallest_gap(postures: np.ndarray) -> float:
+    return min(np.abs(a - b).max() for k, a in enumerate(postures) for b in postures[:k])
+
+
+def test_repeats_are_moved_apart_at_little_loss() -> None:
+    case = problem(NARROW, OFFSET)
+    corners = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
+    plan = np.vstack([corners, corners])
+    assert len(too_near(case, plan)) == 4
+    apart = separated(case, plan)
+    assert smallest_gap(apart) >= np.radians(1.0) * (1 - 1e-9)
+    assert np.all((apart >= case.lower) & (apart <= case.upper))
+    assert case.objective(plan) > case.objective(apart) > case.objective(plan) - 0.1
+    np.testing.assert_array_equal(separated(case, apart), apart)
+
+
+@pytest.mark.parametrize("solver", ["exchange", "ipopt"])
+def test_plans_have_repeats_only_when_asked_for(solver: str) -> None:
+    """On two joints, eight runs want the four corners twice."""
+    apart = solve(problem(NARROW, OFFSET), 8, solver, starts=10)
+    assert smallest_gap(apart.plan.postures) >= np.radians(1.0) * (1 - 1e-9)
+    repeated = solve(problem(NARROW, OFFSET, minimum_distance=0.0), 8, solver, starts=10)
+    assert repeated.value > apart.value
+    wide = solve(problem(NARROW, OFFSET, minimum_distance=np.radians(25.0)), 8, solver, starts=10)
+    assert smallest_gap(wide.plan.postures) >= np.radians(25.0) * (1 - 1e-9)
+    assert wide.value < apart.value
+
+
+def test_a_free_joint_sets_postures_apart() -> None:
+    case = problem(FOUR)
+    assert distance_to_keep(case) == 0.0
+    tied = problem(NARROW, OFFSET)  # a base offset: every joint plays a part
+    assert distance_to_keep(tied) == tied.minimum_distance
+    design = solve(case, 16)
+    assert smallest_gap(design.plan.postures) >= np.radians(360 / 16) * (1 - 1e-9)
+
+
+def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> None:
+    """Joint 1 turns by 3.5 deg: three alike postures may stay, the others are moved in the joints that matter."""
+    arm = Arm(FOUR.lengths, np.r_[0.0, FOUR.lower[1:]], np.r_[np.radians(3.5), FOUR.upper[1:]])
+    case = problem(arm)
+    spread = spread_free_joints(case, np.tile((arm.lower + arm.upper) / 2, (5, 1)), np.random.default_rng(0))
+    assert too_near(case, spread).tolist() == [3, 4]
+    apart = separated(case, spread)
+    assert smallest_gap(apart) >= np.radians(1.0) * (1 - 1e-9)
+    assert np.all((apart >= arm.lower) & (apart <= arm.upper))
+
+
+def test_measured_postures_are_not_repeated() -> None:
+    kept = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
+    design = solve(problem(NARROW, OFFSET, kept=kept), 4, starts=10)
+    assert smallest_gap(np.vstack([design.plan.postures, kept])) >= np.radians(1.0) * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("rows", [150, 400])
+def test_repeats_are_those_of_all_pairs(rows: int) -> None:
+    case = problem(NARROW, OFFSET, kept=np.zeros((3, 2)))
+    plan = np.random.default_rng(0).uniform(case.lower, case.upper, (rows, 2))
+    plan[5] = 0.0
+    every = np.concatenate([case.kept, plan])
+    near = [k for k in range(rows) if np.abs(every[: 3 + k] - plan[k]).max(axis=1).min() < np.radians(1.0)]
+    assert too_near(case, plan).tolist() == near
+
+
+# -- additions ---------------------------------------------------------------------------------------------------------
+def whole_information(lengths: Array, postures: Array) -> Array:
+    """(2n, 2n) sum of B^T B: a link moves the tip by exp(i theta), a joint all links from it on across themselves."""
+    links = np.exp(1j * np.cumsum(postures, axis=1))
+    levers = 1j * np.cumsum((links * lengths)[:, ::-1], axis=1)[:, ::-1] / lengths
+    columns = np.concatenate([links, levers], axis=1)
+    return (columns.conj().T @ columns).real
+
+
+def test_the_posture_that_adds_most() -> None:
+    """log det gains log det(I + B M^-1 B^T): no posture of a fine grid gains more."""
+    case = problem(FOUR)
+    generator = np.random.default_rng(1)
+    plan = generator.uniform(FOUR.lower, FOUR.upper, (6, 4))
+    longer = with_additions(case, plan, 1, generator)
+    assert np.array_equal(longer[:6], plan)
+    grid = np.stack(np.meshgrid(*(np.linspace(a, b, 25) for a, b in zip(FOUR.lower[1:], FOUR.upper[1:], strict=True))))
+    places = np.column_stack([np.zeros(25**3), grid.reshape(3, -1).T])
+    now = np.linalg.slogdet(whole_information(np.array(FOUR.lengths), longer))[1]
+    best = max(
+        np.linalg.slogdet(whole_information(np.array(FOUR.lengths), np.vstack([plan, one])))[1] for one in places[::3]
+    )
+    assert now >= best - 1e-3
+
+
+def test_of_a_list_each_posture_once() -> None:
+    choices = np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (8, 4))
+    case = problem(FOUR, choices=choices)
+    generator = np.random.default_rng(0)
+    longer = with_additions(case, choices[:6], 2, generator)
+    assert len(np.unique(longer, axis=0)) == 8
+    assert with_additions(case, choices[:6], 3, generator) is None
+    assert with_additions(replace(case, minimum_distance=0.0), choices[:6], 3, generator) is not None

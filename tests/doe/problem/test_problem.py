@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from itertools import product
+from itertools import combinations, product
+from types import MappingProxyType
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from doe import DesignProblem, score_plan, solve
+from doe.advise import advise
+from doe.bounds.column_generation import relax
+from doe.discrimination.t_optimal import RivalPredictions
+from doe.plan.accuracy import TipErrors
 from doe.problem.constraints import Expression
+from doe.problem.model import REQUIRED
 from doe.problem.postures import grid, listed_candidates, well_spread
 from doe.problem.problem import PriorInformation
-from identification import InputError
+from doe.problem.uncertain import robust_problem
+from identification import Array, InputError, Measurements, Parameter, ParameterSet, diagnose, estimate, vectorize
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 
 
@@ -112,3 +122,167 @@ def test_bad_input() -> None:
         listed_candidates(case, np.full((2, 4), 3.1))
     with pytest.raises(InputError, match="0 of "):
         grid(problem(FOUR, constraints=(above(9.0),)), 3)
+
+
+# -- models that are no arm --------------------------------------------------------------------------------------------
+class Sine:
+    """y = a sin(q + b) + c q, of one joint; c is there for `terms` = 3 only."""
+
+    dimension, joint_types, sigma = 1, ("revolute",), 0.5
+    lower, upper = np.array([-1.0]), np.array([2.0])
+    prior: Mapping[str, float] = MappingProxyType({})
+
+    def __init__(self, terms: int = 2) -> None:
+        every = [Parameter("a", "mm", kind="size"), Parameter("b", "rad", scale=100.0, kind="phase")]
+        every.append(Parameter("c", "mm/session"))
+        self.parameters, self.values = ParameterSet(every[:terms]), np.array([100.0, 0.2, 0.0])[:terms]
+
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        return p[0] * ca.sin(q + p[1]) + (p[2] * q if p.numel() > 2 else 0.0)
+
+
+SINE = DesignProblem.of(Sine(), minimum_distance=0.0)
+FINE = np.linspace(-1.0, 2.0, 3001)
+
+
+def rows(q: Array, terms: int = 2) -> Array:
+    """(m, terms) sensitivities per mm at the tip, by hand."""
+    return np.stack([np.sin(q + 0.2), np.cos(q + 0.2), q], axis=-1)[..., :terms]
+
+
+def log_det(q: Array) -> float:
+    return float(np.linalg.slogdet(rows(q).T @ rows(q) / len(q))[1])
+
+
+def test_a_plan_of_a_sine_is_the_best_of_all_pairs() -> None:
+    """Points whose double angles sum to zero, such as two a quarter of a turn apart: log det = -2 log 2."""
+    design = solve(SINE, 4, seed=1)
+    assert design.certified_optimal
+    assert design.value == pytest.approx(-2.0 * np.log(2.0), abs=1e-9)
+    assert design.value == pytest.approx(log_det(design.plan.postures[:, 0]), abs=1e-9)
+    assert max(log_det(np.array(pair)) for pair in combinations(FINE[::20], 2)) <= design.value + 1e-9
+    assert design.to_json()["table_1_max_residual"] is None
+    np.testing.assert_allclose(design.deviations.values * [1.0, 100.0], 0.5 / np.sqrt(2.0), rtol=1e-6)
+
+
+def test_relaxation_advice_and_score_of_a_sine() -> None:
+    weights = relax(SINE, FINE[:, None])
+    assert weights.value == pytest.approx(-2.0 * np.log(2.0), abs=1e-6)
+    advice = advise(SINE, [2, 3, 4, 8], target=0.3)
+    assert advice.efficient_runs() == (2, 3, 4, 8)  # three points 60 degrees apart are as good
+    assert len(advice.smallest.plan) == 8  # 0.5 sqrt(2 / 4) = 0.35, 0.5 sqrt(2 / 8) = 0.25
+    scored = score_plan(SINE, np.array([[0.0], [0.1]]))
+    assert scored.efficiency == pytest.approx(np.exp((log_det(np.array([0.0, 0.1])) + 2.0 * np.log(2.0)) / 2.0))
+
+
+def test_the_next_posture_tells_a_sine_from_one_with_a_slope() -> None:
+    """Both fitted to five postures near zero; the noncentrality of a posture by a refit of the rival with it."""
+    first = np.linspace(-0.3, 0.3, 5)
+    line = Sine(3)
+    line.values = np.array([100.0, 0.2, 1.5])
+    problems = DesignProblem.of(Sine()), DesignProblem.of(line)
+    scales = [np.array([1.0, 100.0]), np.array([1.0, 100.0, 1.0])]
+    covariances = [
+        0.25 * np.linalg.inv(rows(first, p).T @ rows(first, p)) / np.outer(s, s)
+        for p, s in zip((2, 3), scales, strict=True)
+    ]
+    shown = [problem.scaled_jacobians(FINE[:, None]) * s for problem, s in zip(problems, scales, strict=True)]
+    roots = [np.linalg.cholesky(covariance) for covariance in covariances]
+    places = np.array([np.zeros((len(FINE), 1)), 1.5 * FINE[:, None]]) / 0.5
+    jacobians = [jacobian @ root / 0.5 for jacobian, root in zip(shown, roots, strict=True)]
+    rivals = RivalPredictions(np.full(2, 0.5), np.zeros((2, 2)), places, jacobians)
+    chosen = rivals.best_beside([])
+    delta = 1.5 * FINE
+    spread = 0.25 + np.einsum("kp,pq,kq->k", rows(FINE), covariances[0] * np.outer(scales[0], scales[0]), rows(FINE))
+    np.testing.assert_allclose(rivals.noncentrality([])[1][1, 0], delta**2 / spread, rtol=1e-9)
+    assert abs(FINE[chosen]) > 0.5
+
+
+def test_a_member_that_is_missing_is_named() -> None:
+    for name in REQUIRED:
+        members = {each: getattr(Sine(), each) for each in REQUIRED if each != name}
+        with pytest.raises(InputError, match=rf"^model: Less, allowed: one with {name} and all of"):
+            DesignProblem.of(type("Less", (), members)())
+    with pytest.raises(InputError, match=r"^robust: Sine has no missing_effects"):
+        robust_problem(SINE)
+    with pytest.raises(InputError, match=r"^constraints: Walled has no space"):
+        DesignProblem.of(type("Walled", (Sine,), {"constraints": ["a wall"]})())
+    assert TipErrors.of(SINE) is None
+
+
+class FiveBar:
+    """Two motors at (0, 0) and (BASE, 0) turn links of 200 mm; two links of 300 mm join their ends at the tip, which is
+    measured. Errors of the four lengths and of the two encoders are to be found."""
+
+    dimension, joint_types, sigma, base = 2, ("revolute",) * 2, 0.05, 150.0
+    lengths = np.array([200.0, 200.0, 300.0, 300.0])
+    lower, upper = np.radians([100.0, 0.0]), np.radians([180.0, 80.0])
+    prior: Mapping[str, float] = MappingProxyType({})
+    parameters = ParameterSet(
+        [Parameter(f"length_error:{k}", "mm", kind="length") for k in range(1, 5)]
+        + [Parameter(f"joint_offset:{k}", "rad", scale=200.0, kind="joint_offset", joint=k) for k in (1, 2)]
+    )
+    values = np.zeros(6)
+
+    def symbolic_position(self, q: ca.SX, p: ca.SX) -> ca.SX:
+        lengths, angles = ca.DM(self.lengths) + p[:4], q + p[4:]
+        left = lengths[0] * ca.vertcat(ca.cos(angles[0]), ca.sin(angles[0]))
+        right = lengths[1] * ca.vertcat(ca.cos(angles[1]), ca.sin(angles[1])) + ca.DM([self.base, 0.0])
+        across, gap = right - left, ca.norm_2(right - left)
+        along = (lengths[2] ** 2 - lengths[3] ** 2 + gap**2) / (2.0 * gap)
+        height = ca.sqrt(lengths[2] ** 2 - along**2)
+        unit = across / gap
+        return left + along * unit + height * ca.vertcat(-unit[1], unit[0])
+
+    # what a fit asks for besides
+    names, scales, joints, reach, closed_form, effects = parameters.names, parameters.scales, 2, 500.0, None, ()
+
+    def linearize(
+        self, postures: Array, parameters: Array | None = None, conditions: object = None
+    ) -> tuple[Array, Array]:
+        q, p = ca.SX.sym("q", 2), ca.SX.sym("p", 6)
+        tip = self.symbolic_position(q, p)
+        values = self.values if parameters is None else np.asarray(parameters, dtype=float)
+        evaluated = vectorize(ca.Function("five_bar", [q, p], [tip, ca.jacobian(tip, p)]))(
+            postures, values[..., None, :]
+        )
+        return evaluated[0][..., 0], evaluated[1]
+
+    def position(self, postures: Array, parameters: Array | None = None, conditions: object = None) -> Array:
+        return self.linearize(postures, parameters)[0]
+
+    def jacobian(self, postures: Array, parameters: Array | None = None, conditions: object = None) -> Array:
+        return self.linearize(postures, parameters)[1]
+
+
+def five_bar_tip(q: Array, values: Array) -> Array:
+    """(m, 2) by rotating the triangle of the two long links about the left elbow, law of cosines."""
+    a, b, c, d = np.array(FiveBar.lengths) + values[:4]
+    left = a * np.exp(1j * (q[:, 0] + values[4]))
+    right = FiveBar.base + b * np.exp(1j * (q[:, 1] + values[5]))
+    gap = np.abs(right - left)
+    opening = np.arccos((c**2 + gap**2 - d**2) / (2.0 * c * gap))
+    tip = left + c * np.exp(1j * (np.angle(right - left) + opening))
+    return np.stack([tip.real, tip.imag], axis=1)
+
+
+def test_a_five_bar_linkage_is_designed_identified_and_refused_a_diagnosis() -> None:
+    problem, generator = DesignProblem.of(FiveBar()), np.random.default_rng(0)
+    design = solve(problem, 8, seed=0, starts=20)
+    at_random = generator.uniform(problem.lower, problem.upper, (200, 8, 2))
+    step = 1e-5 / FiveBar.scales
+    columns = [
+        (five_bar_tip(design.plan.postures, s) - five_bar_tip(design.plan.postures, -s)).ravel() / 2e-5
+        for s in np.diag(step)
+    ]
+    information = np.array(columns) @ np.array(columns).T / 8.0
+    assert design.value == pytest.approx(np.linalg.slogdet(information)[1], abs=1e-4)
+    assert design.value > max(problem.objective(plan) for plan in at_random)
+    assert design.bound.value >= design.value
+    truth = np.array([0.5, -0.3, 0.4, 0.2, 0.003, -0.002])
+    exact = five_bar_tip(design.plan.postures, truth)
+    data = Measurements(design.plan.postures, exact + 0.05 * generator.standard_normal(exact.shape))
+    fit = estimate(FiveBar(), data)  # type: ignore[arg-type]
+    assert np.all(np.abs(fit.parameters - truth) < 4.0 * design.deviations.values)
+    with pytest.raises(InputError, match=r"^arm: FiveBar, allowed: an Arm"):
+        diagnose(FiveBar(), data)  # type: ignore[arg-type]

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from doe import DesignProblem, solve
-from doe.bounds.certificate import Bound
 from doe.problem.constraints import LINK_RADIUS, _distance, constraints_of
-from doe.problem.postures import random_postures
 from identification import Array, Model
 from identification.instruments import Distance
 from identification.workspace import KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
@@ -106,14 +103,6 @@ def test_line_of_sight() -> None:
     assert (margins[:, 4:] < 0).any()
 
 
-def test_margins_have_derivatives() -> None:
-    for constraint in MADE:
-        walls = replace(DesignProblem.of(Model(ARM)), constraints=(constraint,)).walls
-        values, slopes = walls.first(POSTURES)
-        np.testing.assert_allclose(values, constraint.margin(POSTURES), atol=1e-9)
-        assert np.all(np.isfinite(slopes))
-
-
 def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
     """min |a + s (b - a) - c - t (d - c)| over 0 <= s, t <= 1, by scipy; of parallel, crossing, empty segments too."""
     ends = np.random.default_rng(3).normal(size=(4, 80, 3)) * 500.0
@@ -127,15 +116,3 @@ def test_distance_of_segments_is_a_bounded_least_squares_problem() -> None:
         best = lsq_linear(np.column_stack([b - a, c - d]), c - a, (0.0, 1.0), method="bvls", tol=1e-15)
         assert own == pytest.approx(np.sqrt(2.0 * best.cost), abs=1e-5)
     assert (found[20:25] < 1e-6).all()
-
-
-def test_plans_keep_them() -> None:
-    """Judged by points along the links and by `seen`."""
-    problem = DesignProblem.of(Model(ARM))
-    plan = solve(problem, 14, "exchange", starts=2, seconds=2.0, bound=Bound(np.inf, "continuous"))
-    for posture in [*plan.plan.postures, *random_postures(problem, 5, np.random.default_rng(1))]:
-        every = links(posture)
-        assert min(np.linalg.norm(points - SPHERE.center, axis=1).min() for points in every) >= SPHERE.radius
-        assert not any(inside_pillar(points).any() for points in every)
-        assert min(seen(posture)) > -1e-9
-        assert 50.0 <= every[-1][-1][2] <= 1200.0

@@ -12,9 +12,8 @@ from doe import DesignProblem, score, solve
 from doe.bounds.best_known import best_known_bound
 from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
 from doe.criteria import A, D
-from doe.problem.uncertain import average_error, missing_effects, robust_problem, with_choices, workspace
+from doe.problem.uncertain import missing_effects, robust_problem, with_choices, workspace
 from identification import Arm, Array, Conditions, DHRow, InputError, Model, chain_of
-from identification.estimation.problem import Problem
 
 LENGTHS = np.array([300.0, 200.0])
 ARM_ROBUST = Arm(LENGTHS, np.radians([-170, -100]), np.radians([170, 100]), 0.1)
@@ -70,29 +69,6 @@ def test_a_and_the_expected_deviations_are_those_of_the_posterior() -> None:
     scaled = np.diag(covariance) * CASE.model.parameters.scales[order] ** 2
     assert design.value == pytest.approx(-scaled.sum() * len(POSTURES) / 0.1**2, rel=1e-6)
     assert design.deviations.values[order] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
-
-
-def test_i_is_the_error_of_simulated_arms_drawn_from_the_prior() -> None:
-    """400 arms with effects of the prior, measured and fitted with it; sqrt(-Phi sigma^2 / m) is their RMS tip error.
-
-    The mean square of 400 arms has a standard error of at most sqrt(2 / 400) = 7 % (one direction dominating): alert at
-    two, fail at four.
-    """
-    generator, count, model = np.random.default_rng(11), 400, Model(missing_effects(PLAIN, NAMES).arm)
-    prior = missing_effects(PLAIN, NAMES).prior
-    deviations = model.parameters.vector(prior.deviations, default=0.0)
-    deviations[:4] = [1.0, 1.0, 5e-3, 5e-3]  # the geometry may be anything
-    truth = deviations * generator.standard_normal((count, 12))
-    clean = model.position(POSTURES, truth)
-    data = clean + 0.1 * generator.standard_normal(clean.shape)
-    told = Problem(model, POSTURES, Conditions(), data, np.full(6, 100.0), prior=prior)
-    fitted = told.minimized(np.zeros((count, 12)))
-    poses = workspace(PLAIN)[:200]
-    missed = model.position(poses, fitted.parameters) - model.position(poses, truth)
-    simulated = float(np.mean(np.sum(missed**2, axis=-1)))
-    case = replace(CASE, criterion=average_error(CASE, poses))
-    promised = -case.objective(POSTURES) * 0.1**2 / len(POSTURES)
-    assert simulated == pytest.approx(promised, rel=4.0 * np.sqrt(2.0 / count))
 
 
 @pytest.mark.parametrize("criterion", [None, D()])

@@ -63,7 +63,7 @@ def read_kuka(text: str) -> tuple[np.ndarray, list[tuple[int, int]], list[float]
     assert re.fullmatch(r"DEF [A-Za-z]\w{0,23}\( \)", lines[0])
     assert lines[-1] == "END"
     grammar = {
-        "move": rf"PTP {{([AE][1-6] {NUMBER}(?:, [AE][1-6] {NUMBER})*)}}",
+        "move": rf"PTP {{(A[1-6] {NUMBER}(?:, A[1-6] {NUMBER})*)}}",
         "wait": rf"WAIT SEC ({NUMBER})",
         "run": r"RUN (\d+)",
         "pause": r"HALT",
@@ -71,8 +71,7 @@ def read_kuka(text: str) -> tuple[np.ndarray, list[tuple[int, int]], list[float]
     }
     for line in lines:
         if line.startswith("PTP"):
-            n = len(re.findall(r"[AE]\d", line))
-            assert re.findall(r"[AE]\d", line) == [f"A{j}" if j < 7 else f"E{j - 6}" for j in range(1, n + 1)]
+            assert re.findall(r"A(\d)", line) == [*map(str, range(1, 1 + line.count("A")))]
     return read_lines(lines[1:-1], grammar)
 
 
@@ -86,7 +85,7 @@ def read_fanuc(text: str) -> tuple[np.ndarray, list[tuple[int, int]], list[float
         lines.append(match[2])
     places = {}
     for block in re.findall(r"P\[\d+\]{.*?};\n", rest, re.DOTALL):
-        axes = r"((?:\t[JE]\d = -?\d+\.\d+ (?:deg|mm),?\n)+)"
+        axes = r"((?:\tJ\d = -?\d+\.\d+ (?:deg|mm),?\n)+)"
         match = re.fullmatch(rf"P\[(\d+)\]{{\n   GP1:\n\tUF : 0, UT : 1,\n{axes}}};\n", block)
         rows = match[2].splitlines()
         assert [row.endswith(",") for row in rows] == [True] * (len(rows) - 1) + [False]
@@ -156,24 +155,6 @@ def test_a_program_says_what_the_plan_says(robot: str) -> None:
     assert waits == [1.5] * 3
     assert made.text.isascii()
     assert made.text.count("via") >= 2
-
-
-@pytest.mark.parametrize("robot", [name for name in LANGUAGES if name != "ur"])
-def test_a_rail_is_an_external_axis_whatever_its_place_in_the_chain(robot: str) -> None:
-    arm = Arm(chain_of([RAIL, *SIX]), sigma=0.05)
-    rail = np.array([[-512.25], [730.125]])
-    made = program(arm, Plan(np.hstack([rail, POSTURES[:2]]), via=VIA[:2]), robot)
-    postures, *_ = READERS[robot](made.text)
-    in_file = np.hstack([rail * 1e-3, POSTURES[:2]])
-    if robot != "ros":
-        in_file = np.hstack([np.degrees(POSTURES[:2]), rail])
-        external = 6 + {"abb": 5}.get(robot, 0)
-        assert postures.shape[1] in (7, external + 2 * (robot == "abb"))
-        if robot == "abb":
-            assert made.text.count("9E9") == 2 * 5
-            postures = postures[:, :7]
-    np.testing.assert_allclose(postures, in_file, rtol=0.0, atol=1e-6)
-    assert made.units == ("mm", *["deg"] * 6)
 
 
 def test_joints_are_written_as_the_controller_counts_them() -> None:
@@ -258,7 +239,7 @@ def test_an_arm_that_the_controller_does_not_know() -> None:
     rail = Arm(chain_of([RAIL, *SIX[1:]]), sigma=0.05)
     assert "joint 1 slides" in refusal(rail, "ur")
     ten = Arm(chain_of([*SIX, *SIX[:4]]), sigma=0.05)
-    assert "10 joints, allowed: 1 to 9" in refusal(ten, "fanuc", postures=np.zeros((5, 10)))
+    assert "10 joints, allowed: 1 to 6" in refusal(ten, "fanuc", postures=np.zeros((5, 10)))
     assert "allowed: 0 to 300" in refusal(LIMITED, "kuka", settle=float("nan"))
 
 
@@ -275,14 +256,14 @@ def test_no_row_beyond_the_limits_of_the_controller() -> None:
 # -- a template of one's own -------------------------------------------------------------------------------------------
 def test_a_template_of_ones_own_knows_what_is_documented(tmp_path: Path) -> None:
     text = """{% for m in moves if m.run %}RUN {{ m.run }} {{ m.joints|join(" ") }}
-{% endfor %}{{ name }} {{ robot }} {{ speed }} {{ settle }} {{ units|length }}{{ external_units|length }}
+{% endfor %}{{ name }} {{ robot }} {{ speed }} {{ settle }} {{ units|length }}
 {{- postures|length }}"""
     (tmp_path / "mine.j2").write_text(text)
     made: Program = program(LIMITED, PLAN, "abb", speed=7, template=tmp_path / "mine.j2")
     lines = made.text.splitlines()
     assert [line.split()[1] for line in lines[:3]] == ["1", "2", "3"]
     np.testing.assert_allclose(numbers(lines[2]), np.degrees(POSTURES[4]), atol=1e-6)
-    assert lines[3] == "armcal abb 7 2.0 605"
+    assert lines[3] == "armcal abb 7 2.0 65"
 
 
 BROKEN = {

@@ -54,15 +54,6 @@ def test_few_starts_end_exactly_at_an_optimal_plan_of_the_grid() -> None:
     assert design.value == pytest.approx(4.0 * np.log(np.sin(np.radians(80.0))), abs=1e-12)
 
 
-def test_measured_postures_count() -> None:
-    kept = np.tile((FOUR.lower + FOUR.upper) / 2, (10, 1))
-    case = problem(FOUR, kept=kept)
-    assert case.fewest_runs == 1  # 8 unknowns, 20 equations there: but all of one posture
-    design = solve(case, 4, "exchange", starts=50, bound=Bound(np.inf, "grid"))
-    jacobians = case.scaled_jacobians(np.vstack([design.plan.postures, kept])).reshape(28, 8)
-    assert design.log_det == pytest.approx(np.linalg.slogdet(jacobians.T @ jacobians / 14)[1])
-
-
 # -- of a list ---------------------------------------------------------------------------------------------------------
 LIST = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (18, 4))
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from doe import DesignProblem
 from doe.bounds.planar_theorem import closed_form_log_det
-from doe.solvers import Analytic, solve
-from doe.solvers.solver import Budget
+from doe.solvers import solve
 from identification import Arm, EffectSpec, JobError, Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
 from tests.doe.bounds.test_planar_theorem import complex_log_det
@@ -27,15 +26,6 @@ def test_without_limits_any_number_of_runs_is_optimal_without_a_solver(links: in
     for runs in (links + 1, 3 * links):
         with_offset = solve(problem(arm, OFFSET), runs)
         assert abs(complex_log_det(with_offset.plan.postures, offset=True)) < 1e-8
-
-
-@pytest.mark.parametrize(("arm", "runs"), [(FOUR, 8), (FOUR, 12), (FOUR, 16), (FIVE, 16), (SIX, 32), (SIX, 64)])
-def test_with_limits(arm: Arm, runs: int) -> None:
-    offers = Analytic().offers(problem(arm), runs, np.random.default_rng(0), Budget(5))
-    for _, offer in zip(range(5), offers, strict=False):
-        assert np.all(offer.postures >= arm.lower)
-        assert np.all(offer.postures <= arm.upper)
-        assert complex_log_det(offer.postures) == pytest.approx(closed_form_log_det(problem(arm)), abs=1e-12)
 
 
 def smallest_gap(postures: np.ndarray) -> float:

@@ -275,7 +275,7 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     jump = np.array([0.0, 2e-3, 0.0, 0.0])
     np.testing.assert_allclose(tip(found.commands + jump, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
     assert found.warnings == [
-        "joint_step:2: of the session of the identification; taken as at its end",
+        "joint_step:2: the value at the end of the session of the identification is used",
         "thermal_growth: taken at the mean temperature of the identification",
     ]
     given = Conditions(time=np.zeros(2), temperature=np.zeros(2))
@@ -321,6 +321,8 @@ def test_measured_positions_are_reached(near: bool) -> None:
     assert found.to_json()["tolerance_mm"] == found.tolerance
     (said,) = (warning for warning in found.warnings if "missed by" in warning)
     assert said.startswith(f"30 of the targets reached are missed by {found.errors.max():.2g} mm at most")
+    several = replace(arm, chain=replace(arm.chain, tools={"1": REFLECTOR, "B": np.zeros(3)}))
+    assert "targets are where measured point 1 goes, not B" in compensate(several, positions, q).warnings
 
 
 def test_targets_off_the_surface_are_not() -> None:

@@ -14,7 +14,7 @@ from identification import Arm, Calibration, EffectSpec, InputError, Measurement
 from identification.compensate import compensate
 from identification.effects import build
 from identification.error_curve import ErrorCurve
-from identification.files.arm import load_arm, with_calibration, with_effects
+from identification.files.arm import load_arm, with_effects
 from identification.simulate import simulate
 from identification.validate import validate
 
@@ -76,19 +76,6 @@ def test_model_is_the_plain_one_at_the_real_angles() -> None:
     assert model.names == plain.names
     for with_curve, without in zip(model.linearize(Q, values), plain.linearize(_turned(Q), values), strict=True):
         np.testing.assert_allclose(with_curve, without, rtol=0, atol=1e-10)
-
-
-def test_round_trip_through_files(tmp_path: Path) -> None:
-    calibration = Calibration.of([0.1, 0.2, 0.3], [1e-3, 2e-3, 3e-3], {"base_offset.x0": 0.5, "base_offset.y0": 0.1})
-    text = with_calibration(with_effects("links_mm = [300.0, 200.0, 150.0]  # mine\n", ARM.effects), calibration)
-    (path := tmp_path / "arm.toml").write_text(text)
-    again = load_arm(path).effects[0]
-    assert again.key == SPEC.key
-    np.testing.assert_allclose(again.curve.values, CURVE.values, atol=1e-17)
-    assert (again.curve.start, again.curve.stop) == pytest.approx((CURVE.start, CURVE.stop), abs=1e-15)
-    assert "# mine" in text
-    assert "values_deg = [0.0, 0.0073" in text
-    assert with_effects(text, ARM.effects) == text  # it has them already
 
 
 def test_geometry_that_belongs_to_the_curve(tmp_path: Path) -> None:

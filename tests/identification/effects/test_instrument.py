@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification import Arm, Calibration, EffectSpec, InputError, Measurements, Model, diagnose, estimate
-from identification.instruments import TRACKER, Distance, Sphere
+from identification import PRISMATIC, Arm, Calibration, EffectSpec, InputError, Measurements, Model, diagnose, estimate
+from identification.instruments import TRACKER, Distance, Instrument, Sphere
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose
 from identification.model.placed import in_own_frame, tip_jacobian
+from identification.simulate import simulate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.exponentials import Exponentials, drawing
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
@@ -66,3 +68,77 @@ def test_it_is_refused_where_no_distances_are_measured() -> None:
             estimate(Model(arm), Measurements(Q, np.ones((40, width))))
     with pytest.raises(InputError, match="length_offset is of spatial arms"):
         _ = Model(Arm(np.array([300.0, 200.0]), effects=(OFFSET,))).effects
+
+
+# -- scatter -----------------------------------------------------------------------------------------------------------
+ARM = Arm([300.0, 200.0, 150.0], sigma=0.1)
+POSTURES = np.random.default_rng(1).uniform(-np.pi, np.pi, (4000, 3))
+EXACT = Model(ARM).position(POSTURES)
+
+
+def errors(name: str = "", joint: int | None = None, sigma: float | None = None, **values: float) -> np.ndarray:
+    """(m, 2) of an arm with this effect, or none."""
+    arm = ARM.with_effects(*([EffectSpec(name, joint, values)] if name else []))
+    np.testing.assert_array_equal(Model(arm).position(POSTURES), EXACT)  # the model ignores it
+    assert Model(arm).names == Model(ARM).names
+    return simulate(arm, POSTURES, np.random.default_rng(2), sigma=sigma).positions - EXACT
+
+
+def test_joint_noise_moves_the_tip_about_its_joint() -> None:
+    moved = errors("joint_noise", 2, sigma=0.0, std=1e-3)
+    arm = EXACT - 300.0 * np.column_stack([np.cos(POSTURES[:, 0]), np.sin(POSTURES[:, 0])])
+    across = (moved[:, 1] * arm[:, 0] - moved[:, 0] * arm[:, 1]) / np.sum(arm**2, axis=1)
+    # 4000 draws: relative standard error of a deviation 1.1 %
+    assert np.std(across) == pytest.approx(1e-3, rel=0.05)
+    np.testing.assert_allclose(np.sum(moved * arm, axis=1), 0.0, atol=1e-6)
+
+
+def test_reach_and_time_noise_scale_the_errors() -> None:
+    reach = np.linalg.norm(EXACT, axis=1)[:, None] / 650.0
+    np.testing.assert_allclose(errors("reach_noise", g=3.0), errors() * np.sqrt(1 + 9 * reach**2), atol=1e-10)
+    growth = np.exp(1.5 * np.linspace(-0.5, 0.5, 4000))[:, None]
+    np.testing.assert_allclose(errors("time_noise", g=1.5), errors() * growth, atol=1e-10)
+
+
+def test_serial_correlation_keeps_the_variance() -> None:
+    rows = errors("serial_correlation", rho=0.7)
+    lag = np.sum(rows[1:] * rows[:-1]) / np.sum(rows**2)
+    # 8000 numbers: standard error of the correlation 0.008, of the deviation (effective number 2700) 1.4 %
+    assert lag == pytest.approx(0.7, abs=0.04)
+    assert np.std(rows) == pytest.approx(0.1, rel=0.06)
+
+
+ELBOW = (
+    Joint("j1", pose((0.0, 0.0, 400.0)), np.array([0.0, 0.0, 1.0])),
+    Joint("j2", pose((100.0, 0.0, 0.0)), np.array([0.0, 1.0, 0.0]), PRISMATIC, 0.0, 300.0),
+    Joint("j3", pose((0.0, 0.0, 200.0)), np.array([0.0, 1.0, 0.0])),
+)
+ONE, TWO = {"1": np.array([60.0, 0.0, 50.0])}, {"1": np.zeros(3), "2": np.array([0.0, 700.0, 0.0])}
+SETTINGS = np.random.default_rng(4).uniform([-3.0, 0.0, -1.0], [3.0, 300.0, 1.0], (1000, 3))
+
+
+@pytest.mark.parametrize(
+    ("tools", "angle_scale", "instrument"),
+    [(ONE, None, TRACKER), (TWO, None, TRACKER), (ONE, 500.0, TRACKER), (TWO, 500.0, TRACKER), (ONE, None, Distance())],
+    ids=["a point", "two points", "a pose", "two poses", "a length"],
+)
+def test_outliers_have_their_size_and_share_and_point_anywhere(
+    tools: dict[str, np.ndarray], angle_scale: float | None, instrument: Instrument
+) -> None:
+    """Of the arm that slides: `size` standard deviations each, the mean of their directions zero and of the squares of
+    each coordinate 1/3; orientations are not moved; a length is too long or too short."""
+    chain = KinematicChain(ELBOW, np.eye(4), tools=tools, angle_scale=angle_scale, instrument=instrument)
+    arm = Arm(chain, sigma=0.1)
+    noisy = arm.with_effects(EffectSpec("outliers", None, {"share": 0.5, "size": 20.0}))
+    exact, far = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))
+    width = 1 if instrument is not TRACKER else 3
+    moved_by = (far.positions - exact.positions)[:, :width]
+    size = np.linalg.norm(moved_by, axis=1)
+    off = size > 1e-9
+    assert off.sum() == len(size) // 2
+    np.testing.assert_allclose(size[off], 2.0, rtol=1e-9)
+    # 500 directions or more: standard errors of a mean .026 (of a sign .045), of a mean square .013
+    np.testing.assert_allclose(moved_by[off].mean(axis=0) / 2.0, 0.0, atol=0.1 if width == 3 else 0.18)
+    np.testing.assert_allclose((moved_by[off] ** 2).mean(axis=0) / 4.0, 1.0 / width, atol=0.05)
+    if angle_scale is not None:
+        np.testing.assert_array_equal(far.orientations, exact.orientations)

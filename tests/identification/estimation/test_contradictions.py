@@ -77,7 +77,7 @@ def test_data_that_agree_are_rarely_accused(factor: float) -> None:
 
 @pytest.mark.parametrize("sigma", [None, "given", "estimated"])
 def test_a_moved_zero_is_named_with_what_the_data_say(sigma: str | None) -> None:
-    """By 0.8 deg. The new zero is that of least squares with the prior of the others."""
+    """By 0.8 deg. The new zero is the old one and its change, from least squares with the prior of the others."""
     generator = np.random.default_rng(7)
     earlier, moved = before(generator), TRUTH + np.radians(0.8) * np.eye(6)[4]
     data = measured(generator, 20, moved)
@@ -86,7 +86,8 @@ def test_a_moved_zero_is_named_with_what_the_data_say(sigma: str | None) -> None
     assert one is not None
     assert (one.name, one.instead) == ("joint_offset:2", ())
     assert one.prior == pytest.approx(np.degrees(means(earlier)[4]))
-    assert one.prior_std == pytest.approx(np.degrees(earlier.covariance[4, 4] ** 0.5))
+    precision = np.linalg.inv(earlier.covariance)[4]
+    assert one.prior_std == pytest.approx(np.degrees(precision[4] ** -0.5))  # given the others
     if sigma == "given":
         others = np.delete(np.arange(6), 4)
         root = np.linalg.inv(np.linalg.cholesky(earlier.covariance[np.ix_(others, others)]))
@@ -96,11 +97,25 @@ def test_a_moved_zero_is_named_with_what_the_data_say(sigma: str | None) -> None
             return np.r_[rows, root @ (x - means(earlier))[others]]
 
         oracle = least_squares(residuals, moved, x_scale=np.abs(means(earlier)), xtol=1e-14)
-        assert one.value == pytest.approx(np.degrees(oracle.x[4]), abs=1e-3 * one.std)
-        assert one.std == pytest.approx(np.degrees(np.linalg.inv(oracle.jac.T @ oracle.jac)[4, 4] ** 0.5), rel=1e-3)
+        change = precision / precision[4]
+        value, information = means(earlier)[4] + change @ (oracle.x - means(earlier)), oracle.jac.T @ oracle.jac
+        assert one.value == pytest.approx(np.degrees(value), abs=1e-3 * one.std)
+        assert one.std == pytest.approx(np.degrees((change @ np.linalg.inv(information) @ change) ** 0.5), rel=1e-3)
     assert found.warnings[0].startswith("the measurements contradict the prior: joint_offset:2 is ")
     assert "--only joint_offset:2" in found.warnings[0]
     assert with_prior(earlier, measured(generator, 20, TRUTH), sigma).contradiction is None
+
+
+def test_a_zero_that_moved_is_told_from_what_the_earlier_data_left_open() -> None:
+    """Two zeros of which their sum is known to 1e-5 rad and each to 1e-2: that of the one moved, with the other as
+    there, to 1e-5; of a length and a zero that explain it as well, the zero is named."""
+    generator, difference = np.random.default_rng(4), np.array([0.0, 0.0, 0.0, 1.0, -1.0, 0.0])
+    covariance = np.diag([1e-2, 1e-2, 1e-2, 1e-10, 1e-10, 1e-10]) + 1e-4 * np.outer(difference, difference)
+    earlier = Calibration(dict(zip(MODEL.names, TRUTH.tolist(), strict=True)), MODEL.names, covariance)
+    one = with_prior(earlier, measured(generator, 20, TRUTH + 0.01 * np.eye(6)[4]), "given").contradiction
+    assert one is not None
+    assert one.name.startswith("joint_offset")
+    assert one.prior_std < 1e-3 < one.value - one.prior - 3.0 * one.std
 
 
 def test_too_few_rows_to_tell() -> None:

@@ -22,7 +22,7 @@ from identification.estimation.result import CorrectedValue, corrected_values, d
 from identification.files.arm import load_arm, with_calibration
 from identification.kinematics.corrected import corrected, corrected_links, drawn_links
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
-from tests.identification.kinematics.test_corrected_dh import UR10, row_of_table
+from tests.identification.kinematics.test_spatial import UR10, row_of_table
 
 HALF = np.pi / 2.0
 CHAIN = chain_of([DHRow(0.0, HALF, 127.3), DHRow(-612.0, 0.0, 0.0), DHRow(0.0, -HALF, 90.0, offset=np.pi)])
@@ -116,6 +116,8 @@ def test_corrected_angles_are_near_the_drawing_and_make_the_rotation(
         np.testing.assert_allclose(made, real, atol=1e-12)
     assert np.max(np.abs(at - nominal)) <= np.degrees(np.linalg.norm(errors)) * (1.05 if upright else 13.0) + 1e-9
     assert all(rows[f"joint 2 {axis}"].std is not None for axis in keys if axis not in missing)
+    notes = str(corrected_section("", [*rows.values()]).parts)
+    assert ("turned from the drawing" in notes) == (upright and len(missing) < 3)
 
 
 @pytest.mark.parametrize("deviation", [0.1, 0.547, 0.549, 1.0])

@@ -19,31 +19,10 @@ from identification.estimation import estimate, estimate_batch, without_outliers
 from identification.levenberg_marquardt import Solution
 from identification.model.minimal import minimal
 from tests.doe.six_axis import CHAIN, SIX_AXIS
-from tests.identification.estimation.cases import LENGTHS, SIGMA, TRUTH, arm, data, plan, scipy_fit, truth
-
-
-def dft_plan(m: int) -> np.ndarray:
-    """Orientations 2 pi i f_j / m, different f_j: orthogonal columns (doe/README.md, "Information matrix")."""
-    orientations = 2.0 * np.pi * np.outer(np.arange(m), [1, 2, 3, 5]) / m
-    return np.diff(orientations, axis=1, prepend=0.0)
+from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan, scipy_fit, truth
 
 
 # -- sigma, weights, covariance --------------------------------------------------------------------------------------
-def test_optimal_plan_has_the_deviations_of_the_paper() -> None:
-    """eq. 25, and joint offsets by identification/README.md, "Covariance and intervals". At the nominal arm: exact."""
-    m, lengths = 20, np.array(LENGTHS)
-    model = Model(arm())
-    found = estimate(model, Measurements(dft_plan(m), model.position(dft_plan(m))), sigma=SIGMA)
-    np.testing.assert_allclose(found.std[:4], SIGMA / np.sqrt(m), rtol=1e-9)
-    sums = np.tril(np.ones((4, 4)))  # dtheta_j of dq_j
-    orientations = np.sqrt(np.diag(sums @ found.covariance[4:, 4:] @ sums.T))
-    np.testing.assert_allclose(orientations, SIGMA / np.sqrt(m) / lengths, rtol=1e-9)
-    joints = SIGMA / np.sqrt(m) * np.sqrt(1 / lengths**2 + np.r_[0.0, 1 / lengths[:-1] ** 2])
-    np.testing.assert_allclose(found.std[4:], joints, rtol=1e-9)
-    np.testing.assert_allclose(found.std[:4], 0.022, atol=5e-4)  # Table III, m = 20
-    np.testing.assert_allclose(np.degrees(orientations), [0.005, 0.007, 0.011, 0.013], atol=5e-4)
-
-
 def test_covariance_is_the_inverse_information_at_the_estimate() -> None:
     model = Model(arm(EffectSpec("encoder_eccentricity", 2)))
     measurements = data(model, plan(20))
@@ -98,28 +77,6 @@ def test_quantiles_of_the_intervals_and_p_value() -> None:
     assert (known.dof, free.p_value) == (4, None)
     assert known.chi2 == pytest.approx(np.sum(known.residuals_after**2) / SIGMA**2)
     assert known.p_value == pytest.approx(stats.chi2.sf(known.chi2, 4))
-
-
-@pytest.mark.parametrize("count", [100, pytest.param(2000, marks=pytest.mark.slow)])
-def test_intervals_cover_95_percent(count: int) -> None:
-    """Many data sets, sigma known and estimated; lengths and joint offsets."""
-    m, model, deviation = 10, Model(arm()), np.sqrt(0.95 * 0.05 / count)  # 0.0049 of one parameter's share at 2,000
-    exact = model.position(plan(m), TRUTH)
-    generator = np.random.default_rng(2024 + m)
-    covered = {"known": np.zeros(8), "estimated": np.zeros(8)}
-    for _ in range(count):
-        measurements = Measurements(plan(m), exact + SIGMA * generator.standard_normal(exact.shape))
-        for sigma, hits in zip((SIGMA, "estimated"), covered.values(), strict=True):
-            low, high = estimate(model, measurements, sigma=sigma).intervals.T
-            hits += (low <= TRUTH) & (high >= TRUTH)
-    for name, hits in covered.items():
-        share = hits / count
-        print(f"sigma {name}: {share.mean():.4f}, single {share.min():.4f}..{share.max():.4f}")  # noqa: T201
-        assert abs(share.mean() - 0.95) <= 2.0 * deviation  # of 8 parameters: at least 4 deviations of their mean
-        # one parameter: beyond 2.5 deviations is an alert, beyond 4 a failure
-        if np.max(np.abs(share - 0.95)) > 2.5 * deviation:
-            print(f"ALERT: a single coverage is {share[np.argmax(np.abs(share - 0.95))]:.4f}")  # noqa: T201
-        assert np.max(np.abs(share - 0.95)) < 4.0 * deviation
 
 
 # -- what is not told ------------------------------------------------------------------------------------------------

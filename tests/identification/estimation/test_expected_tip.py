@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Arm, Measurements, Model, estimate, estimate_batch, load_arm, load_measurements
+from identification import Arm, Measurements, Model, estimate, load_arm, load_measurements
 from identification.estimation.doubts import expected_tip, left_out_rms
 from identification.estimation.problem import NO_PRIOR, Prior
 from tests.identification.estimation.cases import LENGTHS, SIGMA, arm, data, plan, truth
@@ -34,21 +34,6 @@ def test_the_covariance_is_carried_to_the_tip() -> None:
         slopes = np.r_[unit, [1j * np.sum((lengths * unit)[j:]) for j in range(4)]]
         total += sum(covariance[a, b] * (slopes[a].conj() * slopes[b]).real for a in range(8) for b in range(8))
     assert expected_tip(model, errors, covariance, postures) == pytest.approx(np.sqrt(total / 7.0), rel=1e-10)
-
-
-def test_it_is_the_error_that_repeated_experiments_show() -> None:
-    """400 data sets of 12 rows, each fitted; the mean square of 400 x 200 distances is within 4 standard errors of it.
-
-    The distances of one data set go together, so their mean square is one draw: relative standard error
-    sqrt(2 / 400 / effective), with 8 parameters no more than sqrt(2 / 400) = 0.07 of the mean square.
-    """
-    model = Model(limited())
-    found = estimate(model, data(model, plan(12)), sigma=SIGMA)
-    where = np.random.default_rng(11).uniform(-2.0, 2.0, (200, 4))
-    positions = np.array([data(model, plan(12), seed=s).positions for s in range(400)])
-    fits = estimate_batch(model, plan(12), positions).parameters
-    squares = np.sum((model.position(where, fits) - model.position(where, truth(model))) ** 2, axis=-1)
-    assert found.expected_tip**2 == pytest.approx(np.mean(squares), rel=4.0 * np.sqrt(2.0 / 400.0))
 
 
 def test_few_measurements_are_said_and_many_are_not() -> None:

@@ -106,24 +106,6 @@ def test_noise_is_that_of_the_largest_marginal_likelihood() -> None:
     assert estimate(MODEL, quiet, prior=PRIOR).scatter == 0.1  # no less than what is given
 
 
-def test_geometry_carries_the_uncertainty_of_the_effects() -> None:
-    """95 % intervals of the geometry of 40 arms with effects of the prior: with it they hold, least squares' do not.
-
-    A binomial share of 400 correlated values, four of each arm: standard error at most sqrt(.05 * .95 / 40) = 3.4 %.
-    """
-    generator, held, plain = np.random.default_rng(3), [], []
-    for _ in range(40):
-        data, truth = measured(generator, 8, 0.1)
-        for kept, found in (
-            (held, estimate(MODEL, data, prior=PRIOR, sigma="given")),
-            (plain, estimate(Model(ARM), data, sigma="given")),
-        ):
-            low, high = found.intervals[:4].T
-            kept.append((low <= truth[:4]) & (truth[:4] <= high))
-    assert np.mean(held) == pytest.approx(0.95, abs=4 * 0.034)
-    assert np.mean(plain) < 0.8
-
-
 @pytest.mark.parametrize("deviation", [0.0, -1.0, np.inf, np.nan])
 def test_wrong_deviation(deviation: float) -> None:
     with pytest.raises(InputError, match="prior: length_error:1"):

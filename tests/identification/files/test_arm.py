@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from identification import InputError, Model, readonly
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
+from identification.error_curve import ErrorCurve
 from identification.files.arm import arm_from_tables, load_arm, with_calibration, with_effects
 from identification.files.urdf import read_urdf
 from identification.instruments import Distance, Instrument, PlanarDistance, Plane, Sphere
@@ -282,14 +283,17 @@ def found_of_arms(draw: st.DrawFn) -> tuple[list[float], list[EffectSpec], Calib
     effects = [
         EffectSpec("axes_skew", None, draw(st.dictionaries(st.sampled_from("ab"), numbers))),
         EffectSpec("encoder_eccentricity", n, {"a": draw(angles)}),
+        *(EffectSpec("transmission_ripple", n, {"k": k}) for k in draw(st.sets(st.integers(3, 64), min_size=2))),
+        EffectSpec("joint_error_curve", n, curve=ErrorCurve(-1.0, 1.5, draw(arrays(float, 9, elements=angles)))),
     ]
-    names.append(f"encoder_eccentricity:{n}.b")
+    ripples = [f"transmission_ripple:{n}[k={spec.values['k']}].a" for spec in effects[2:-1]]
+    names += [f"encoder_eccentricity:{n}.b", *ripples]
     steps = st.integers(-1000, 1000).map(lambda step: 0.01 * step)
-    root = draw(arrays(float, (2 * n + 1, 2), elements=steps))  # singular: parameters may be tied
+    root = draw(arrays(float, (len(names), 2), elements=steps))  # singular: parameters may be tied
     calibration = Calibration.of(
         length_errors=lengths * draw(arrays(float, n, elements=st.floats(-0.9, 10.0))),
         joint_offsets=draw(arrays(float, n, elements=angles)),
-        effects={f"encoder_eccentricity:{n}.b": draw(angles)},
+        effects={name: draw(angles) for name in names[2 * n :]},
         parameter_names=tuple(names),
         covariance=root @ root.T,
         provenance={"file": draw(st.text(st.characters(codec="utf-8"))), "rms_mm": draw(numbers)},

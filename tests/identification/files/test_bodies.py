@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import pickle
 import re
+import struct
 import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from identification import Arm, InputError, load_arm
+from identification import Arm, Array, InputError, load_arm
 from identification.bodies import Body
 from identification.files.bodies import mesh_file
+from identification.files.meshes import read_mesh
 from identification.files.urdf import parse_urdf
 from tests.identification.files.test_arm import CELL, DATA, PLAIN, PLANAR_CELL
-from tests.identification.files.test_meshes import FACES, binary
+from tests.refusals import refused
 
 TREE = (DATA / "arms/tree.urdf").read_text()
 MESH = '<mesh filename="NAME"/>'
@@ -59,7 +61,6 @@ def test_links_are_where_their_joints_put_them(tmp_path: Path) -> None:
         ("bracket", [0, 0, 100, 0, 0, 100, 10]),
         ("tip", [400, 0, 50, 400, 0, 150, 20]),
         ("finger", [400, 0, 100, 400, 0, 100, 10]),
-        ("upper", [0, 0, 0, 200, 0, 0, 50]),  # a cylinder with spheres at its ends
     ):
         np.testing.assert_allclose(found[name].capsules, [capsule], atol=1e-9)
 
@@ -242,14 +243,9 @@ ROW = 'kind = "spatial"\n[[dh]]\na_mm = 1.0\nalpha_deg = 0.0\nd_mm = 0.0\n'
         *(
             (PLAIN, PLANAR_CELL, *each)
             for each in (
-                ("joint = 2", "joint = 3", "cell.bodies[2].joint: found 3, allowed: 1 to 2, or left out"),
                 ('"tool"\njoint = 2', '"tool"\njoint = 1', "cell.bodies[3].joint: found 2 for another part of 'tool'"),
                 ('"box"', '"cone"', "cell.bodies[1].kind: found 'cone' for a planar arm"),
                 ('"box"', '"cylinder"', "cell.bodies[1].kind: found 'cylinder' for a planar arm"),
-                ('kind = "box"\n', "", "cell.bodies[1].kind: is missing"),
-                ("300.0]", "300.0, 1.0]", "cell.bodies[1].size_mm: found [20.0, 300.0, 1.0], allowed: two"),
-                ("radius_mm = 8.0\n", "", "cell.bodies[2].radius_mm: is missing, allowed: a value for it [mm]"),
-                ("clearance_mm = 5", "clearance_mm = -5", "cell.clearance_mm: found -5"),
                 ("[cell]\n", "[cell]\nfloor_z_mm = 0.0\n", "cell.floor_z_mm: found in the file of a planar arm"),
             )
         ),
@@ -269,3 +265,67 @@ def test_bad_tables_get_one_line(tmp_path: Path, head: str, cell: str, old: str,
     assert old in cell
     with pytest.raises(InputError, match=re.escape(said)):
         arm_of(tmp_path, text=head + cell.replace(old, new, 1))
+
+
+# -- meshes ------------------------------------------------------------------------------------------------------------
+FACES = np.array([[[0, 0, 0], [1, 0, 0], [0, 1.5, 0]], [[0, 0, 0], [0, 1.5, 0], [0, 0, -2]]], dtype=float)
+
+
+def binary(faces: Array) -> bytes:
+    records = [struct.pack("<12fH", *np.zeros(3), *face.ravel(), 0) for face in faces]
+    return b"solid made by a program that begins so".ljust(80) + struct.pack("<I", len(faces)) + b"".join(records)
+
+
+def text(faces: Array) -> bytes:
+    facets = [
+        "facet normal 0 0 1\n outer loop\n"
+        + "".join(f"  vertex {x:e} {y:g} {z:g}\n" for x, y, z in face)
+        + " endloop\nendfacet\n"
+        for face in faces
+    ]
+    return f"solid part\n{''.join(facets)}endsolid part\n".encode()
+
+
+POINTS = b"# made\nmtllib /etc/passwd\nv 0 0 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1.5 0\nv 0 0 -2\nvn 0 0 1\n"
+FILES = {
+    "binary.stl": binary(FACES),
+    "text.STL": text(FACES),
+    "faces.obj": POINTS + b"usemtl x\nf 1 2 3\nf 1 3 4\n",
+    "numbered.obj": POINTS + b"f 1/1/1 2//1 3/2\nf -4 \\\n-2 -1\n",
+}
+
+
+def test_triangles_are_read(tmp_path: Path) -> None:
+    """Faces of more corners are cut from their first one."""
+    for name, content in FILES.items():
+        (tmp_path / name).write_bytes(content)
+        np.testing.assert_array_equal(read_mesh(tmp_path / name), FACES)
+    (tmp_path / "square.obj").write_text("v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nf 1 2 3 4\n")
+    a, b, c = np.moveaxis(read_mesh(tmp_path / "square.obj"), 1, 0)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).tolist() == [4.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("part.dae", b"<COLLADA/>", "a mesh of type .dae, allowed: .stl, .obj"),
+        ("part", b"solid", "a mesh of type unknown"),
+        ("part.stl", b"", "the file is empty"),
+        ("none.stl", None, "no such file"),
+        ("part.stl", binary(FACES)[:-1], "a mesh without triangles"),  # it begins like a text
+        ("part.stl", b"\1" + binary(FACES)[1:-1], "a damaged mesh, allowed: a whole STL file"),
+        ("part.stl", b"\1\2", "a damaged mesh"),
+        ("part.stl", text(FACES).replace(b"1.5", b"1,5"), "a damaged mesh"),
+        ("part.stl", text(FACES).replace(b"1.5", b"nan"), "no finite numbers"),
+        ("part.stl", text(FACES).replace(b"  vertex 0", b"  0", 1), "a damaged mesh"),
+        ("part.obj", b"v 0 0 0\n", "a mesh without triangles"),
+        ("part.obj", POINTS + b"f 1 2 5\n", "a damaged mesh, allowed: a whole OBJ file"),
+        ("part.obj", POINTS + b"f 1 2 -5\n", "a damaged mesh"),
+        ("part.obj", POINTS + b"f 1 2 0\n", "a damaged mesh"),
+        ("part.obj", POINTS + b"f a b c\n", "a damaged mesh"),
+    ],
+)
+def test_what_is_no_mesh_gets_one_line(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    refused(read_mesh, tmp_path / name, names=[f"{tmp_path / name}: ", said])

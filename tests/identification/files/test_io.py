@@ -12,18 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification import InputError
 from identification.files import io as files
 from identification.files.csv import Table, read_table
-
-
-def refused(call, *arguments, names: tuple[str, ...] | list[str]) -> None:
-    """The call raises an `InputError` of one line that has every part."""
-    with pytest.raises(InputError) as caught:
-        call(*arguments)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert [part for part in names if part not in message] == [], message
+from tests.refusals import refused
 
 
 def held(folder: Path) -> dict[str, str]:

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from identification import InputError
 from identification.files.arm import arm_from_tables
 from identification.files.schema import ArmFile
 from tests.identification.files.test_arm import (
@@ -25,6 +24,7 @@ from tests.identification.files.test_arm import (
     PLANAR,
     load,
 )
+from tests.refusals import refused
 
 NAMED = [("tool",), ("tools",), ("values",), ("effects",), ("geometry",)]  # tables whose keys are names
 Path_ = tuple[int | str, ...]
@@ -56,23 +56,18 @@ def dotted(path: Path_) -> str:
     return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key}" for key in path)[1:]
 
 
-def refused(tables: dict[str, Any], folder: Path, path: Path_, value: Any, key: str = "") -> str:
+def spoilt_by(tables: dict[str, Any], folder: Path, path: Path_, value: Any, key: str = "") -> str:
     """The one-line message for the tables with another value at a place, or the same one under another key."""
     spoilt = copy.deepcopy(tables)
     node = at(spoilt, path[:-1])
     node[key or path[-1]] = node.pop(path[-1]) if key else value
-    with pytest.raises(InputError) as caught:
-        arm_from_tables(spoilt, folder)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert "allowed" in message, message
-    return message
+    return refused(arm_from_tables, spoilt, folder, names=["allowed"])
 
 
 def test_a_value_of_no_type_that_any_key_has(tables: dict[str, Any], tmp_path: Path) -> None:
     date = datetime.date(2026, 11, 24)
     for path in places(tables):
-        message = refused(tables, tmp_path, path, date)
+        message = spoilt_by(tables, tmp_path, path, date)
         if path[0] == "tool":  # by the name of a marker, or a key of the only one
             assert message.startswith("tool")
         else:
@@ -85,7 +80,7 @@ def test_a_number_that_is_none_or_text_or_true(tables: dict[str, Any], tmp_path:
     assert len(numbers) > 5
     for path in numbers:
         for wrong, shown in ((float("nan"), "nan"), (float("-inf"), "-inf"), ("1", "'1'"), (True, "true")):
-            message = refused(tables, tmp_path, path, wrong)
+            message = spoilt_by(tables, tmp_path, path, wrong)
             assert message.startswith(f"{dotted(path)}: found {shown}, allowed: "), message
 
 
@@ -98,14 +93,14 @@ def test_a_number_that_nothing_is(tables: dict[str, Any], tmp_path: Path) -> Non
         kind = type(at(tables, path))
         if kind in (int, float) and not FREE & {*path}:
             for wrong in (kind(-1e12), kind(1e300)):
-                message = refused(tables, tmp_path, path, wrong)
+                message = spoilt_by(tables, tmp_path, path, wrong)
                 assert message.startswith(dotted(path)) or path[0] == "joints", message
 
 
 def test_a_misspelt_key(tables: dict[str, Any], tmp_path: Path) -> None:
     for path in places(tables):
         if isinstance(path[-1], str) and path[-2:-1] not in NAMED and path[0::2] != ("effects", "joint"):
-            message = refused(tables, tmp_path, path, None, f"{path[-1]}x")
+            message = spoilt_by(tables, tmp_path, path, None, f"{path[-1]}x")
             assert message.startswith((f"{dotted(path)}x: ", f"{dotted(path)}: is missing")), message
             hinted = f"did you mean '{path[-1]}'" in message
             assert hinted or "is missing" in message or path[0] == "effects", message
@@ -115,7 +110,7 @@ def test_a_list_that_is_too_long(tables: dict[str, Any], tmp_path: Path) -> None
     lists = [path for path in places(tables) if isinstance(at(tables, path), list) and type(path[-1]) is str]
     for path in lists:
         if path[-1] not in ("dh", "constraints", "bodies", "apart", "effects", "values_deg", "links_mm", "parameters"):
-            message = refused(tables, tmp_path, path, [*at(tables, path), at(tables, path)[-1]])
+            message = spoilt_by(tables, tmp_path, path, [*at(tables, path), at(tables, path)[-1]])
             assert message.startswith(f"{dotted(path)}: found "), message
 
 
@@ -224,8 +219,4 @@ BAD = [  # values that are of the right type
 
 @pytest.mark.parametrize(("text", "named"), BAD, ids=[named[:50] for _, named in BAD])
 def test_bad_input_is_one_line(tmp_path: Path, text: str, named: str) -> None:
-    with pytest.raises(InputError) as caught:
-        load(tmp_path, text)
-    assert str(caught.value).startswith(f"{tmp_path / 'arm.toml'}: ")
-    assert "\n" not in str(caught.value)
-    assert named in str(caught.value)
+    refused(load, tmp_path, text, names=[f"{tmp_path / 'arm.toml'}: ", named])

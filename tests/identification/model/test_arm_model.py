@@ -1,4 +1,4 @@
-"""The model against complex arithmetic; effects are checked by a simulator: doe/studies/blind/test_simulator.py."""
+"""The model against complex arithmetic; effects by a simulator: tests/doe/studies/blind/test_simulator.py."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from identification.effects import Chain, base, library
 from identification.effects.chain import position_and_state, widths
 from identification.error_curve import ErrorCurve
 from identification.instruments import Distance
-from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
+from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles, pose, turned
 
 CHAIN = chain_of(
@@ -124,28 +124,7 @@ def test_every_effect_by_its_parameters(name: str) -> None:
 
 
 LENGTHS = np.array([400.0, 300.0, 150.0])
-UP = np.array([0.0, 0.0, 1.0])
-ORIGINS = [pose(), pose((400.0, 0.0, 0.0)), pose((300.0, 0.0, 0.0))]
-PARALLEL = KinematicChain(
-    tuple(Joint(f"j{k}", origin, UP) for k, origin in enumerate(ORIGINS, start=1)), pose((150.0, 0.0, 0.0))
-)
-FEW = (EffectSpec("joint_compliance"), EffectSpec("encoder_eccentricity", 2), EffectSpec("thermal_growth"))
 TURNED = np.random.default_rng(2).uniform(-2.0, 2.0, (7, 3))
-WARMED = Conditions(temperature=np.linspace(-3.0, 3.0, 7), time=np.linspace(-0.5, 0.5, 7))
-
-
-def test_the_planar_arm_is_one_whose_axes_are_parallel() -> None:
-    """Same positions with the same effects; the masses hang in the plane."""
-    loads = [12.0, 8.0, 4.0], [0.5, 0.4, 0.6], 3.0
-    level = Gravity(np.array([0.0, -9.81]), *map(np.array, loads[:2]), loads[2])
-    flat = Model(Arm(LENGTHS, gravity=level, effects=FEW))
-    gravity = Gravity(np.array([0.0, -9.81, 0.0]), *map(np.array, loads[:2]), loads[2])
-    space = Model(Arm(PARALLEL, gravity=gravity, effects=FEW))
-    values = np.array([1e-5, 2e-5, 3e-5, 4e-4, -3e-4, 2e-5])
-    planar = flat.position(TURNED, np.r_[np.zeros(6), values], WARMED)
-    spatial = space.position(TURNED, np.r_[np.zeros(len(space.geometry_parameters)), values], WARMED)
-    np.testing.assert_allclose(spatial, np.c_[planar, np.zeros(7)], atol=1e-9)
-    np.testing.assert_allclose(space.points(TURNED)[:, 1:, :2], flat.points(TURNED), atol=1e-9)
 
 
 def test_gravity_torques_are_the_work_of_the_loads() -> None:
