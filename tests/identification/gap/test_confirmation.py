@@ -52,7 +52,8 @@ def test_without_noise_any_two_models_differ_for_sure(move: float, sigma: float,
     """Eight rows where nothing is gained: refuted if the models differ there at all, else the rows do not tell."""
     before, after = np.tile([1.0, 0.0], (8, 1)), np.tile([np.cos(move), np.sin(move)], (8, 1))
     after *= np.array([0.5, 1.5] * 4)[:, None] / np.sqrt(1.25)  # more and less, on average the same
-    found = confirm(before, after if move else before, 1.0, Mean(0.0, 1.0, 7.0), sigma, (np.arange(8),), "other postures")
+    groups, excess = (np.arange(8),), Mean(0.0, 1.0, 7.0)
+    found = confirm(before, after if move else before, 1.0, excess, sigma, groups, "other postures")
     assert found.shrinks is expected
 
 
