@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from scipy.special import chdtrc
 
 from identification.arm import Arm
 from identification.arrays import rows_in_words
@@ -107,9 +106,7 @@ def diagnose(
 
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
-    # of an arm file it may be that of a data sheet, 1.5 times too small
-    sheet = 1.5 if measurements.sigma is None else 1.0
-    trusted = [] if over_sigma is None else [float(chdtrc(over_sigma.dof, over_sigma.chi2 / sheet**2))]
+    trusted = [] if measurements.sigma is None or over_sigma is None else [over_sigma.p_value]
     # convention: p-value of what is left, below which the noise cannot be all, by a trusted sigma or by repeats
     if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < 1e-3:
         likely = likely.not_none(p)
