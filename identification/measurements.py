@@ -20,13 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array, ByValue, as_frame
-from identification.conditions import (
-    REMEMBERED,
-    VALUES,
-    Conditions,
-    directions_from_order,
-    past_from_order,
-)
+from identification.conditions import REMEMBERED, VALUES, Conditions, directions_from_order, past_from_order
 from identification.errors import InputError
 from identification.kinematics.parameters import MAX_LINKS
 

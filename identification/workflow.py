@@ -192,6 +192,7 @@ def check_files(
     *,
     package_dir: tuple[Path, ...] = (),
     constraints: Callable[[Any], Sequence[Any]] = lambda _: (),
+    moves: Callable[..., tuple[list[Any], list[str]]] = lambda *_: ([], []),
     progress: Progress = Progress(),
 ) -> Answer:
     """Are the measurements what they should be?
@@ -213,15 +214,21 @@ def check_files(
     from identification.model import Model
 
     loaded = load_arm(arm, package_dir)
-    bodies = [each for each in constraints(Model(loaded)) if each.kind == "clearance"] if loaded.cell else []
-    if all(re.fullmatch(r"run|kind|weight|q\d+_(deg|mm)", column) for column in read_table(data).columns):
-        q = Plan.load(data, loaded.joint_types).postures
-        outside = (np.flatnonzero(np.any((q < loaded.lower - 1e-6) | (q > loaded.upper + 1e-6), axis=1)) + 1).tolist()
+    allowed = constraints(Model(loaded)) if loaded.cell or loaded.constraints else ()
+    bodies = [each for each in allowed if each.kind == "clearance"]
+    if all(re.fullmatch(r"run|kind|weight|direction\d+|q\d+_(deg|mm)", column) for column in read_table(data).columns):
+        plan, driven = (Plan.load(data, loaded.joint_types, vias=vias) for vias in (False, True))
+        q = plan.postures
+        beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]
+        beyond += [each.margin(q) + 1e-3 for each in allowed if each.kind != "clearance"]
+        outside = (np.flatnonzero(np.any(np.concatenate(beyond, axis=1) < 0.0, axis=1)) + 1).tolist()
         near = [each for clearance in bodies for each in clearance.too_near(q)]
-        summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside the joint limits"
+        summary = f"{data}: a plan of {len(q)} runs, {len(outside)} of them outside joint limits or constraints"
         summary += f": {', '.join(map(str, outside))}" if outside else ""
-        lines = [summary, *(line for clearance in bodies for line in clearance.in_words(q))]
-        answers = {"ok": not outside and not near, "outside_limits": outside, "collisions": near}
+        not_free, doubts = moves(allowed, driven.postures) if plan.weights is None else ([], [])
+        lines = [summary, *(line for clearance in bodies for line in clearance.in_words(q)), *doubts]
+        answers = {"ok": not (outside or near or not_free), "outside_limits": outside, "collisions": near}
+        answers["moves"] = {"not_free": not_free}
         return Answer(answers, Document(parts=lines))
     measurements = load_measurements(data, loaded)
     progress(0, None, f"trying readings of {len(measurements)} rows, and a fit of the geometry")

@@ -35,7 +35,7 @@ from identification.workflow import Folder, Written
 if TYPE_CHECKING:
     from identification.document import Document
 
-PROVIDED = ("seed", "progress", "page", "constraints")  # parameters that are no options of their own
+PROVIDED = ("seed", "progress", "page", "constraints", "moves")  # parameters that are no options of their own
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
 EVERYWHERE = {  # options that mean the same wherever they are
     "force": "Overwrite existing files.",
@@ -118,8 +118,8 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
     option is for, but for those of `EVERYWHERE`.
 
     Adds --json, --seed, --quiet and the example. A function with a parameter of `PROVIDED` is given the seed, a
-    callback for its progress, what makes a page of a document and of files that were read, and what makes the
-    constraints of a model.
+    callback for its progress, what makes a page of a document and of files that were read, what makes the constraints
+    of a model, and what tells by these which moves may collide, with what is to be said of them.
     """
     name, (text, _), groups = example.split()[1], documented(function), dict[str, Any]()
 
@@ -154,12 +154,17 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
 
         return constraints_of(model)
 
+    def moves(kept: Any, postures: Any) -> Any:
+        from doe.plan.driving import in_sentences, unproven
+
+        return (may_collide := unproven(kept, postures) or []), in_sentences(may_collide)
+
     def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
         for group, type_ in groups.items():
             values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
         logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
         with warnings_as_lines(quiet), shown_progress(name, quiet) as progress:
-            provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints}
+            provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints, "moves": moves}
             values |= {key: provided[key] for key in inspect.signature(function).parameters if key in provided}
             with errors_as_lines(), stoppable():
                 check_outputs(click.get_current_context())

@@ -187,6 +187,7 @@ def design_files(
             f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
         )
     signs = () if loaded.counting is None else loaded.counting.sign
+    progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach)
     if criterion.robust and solver in (None, "exchange"):
@@ -201,7 +202,7 @@ def design_files(
     else:
         design = solve(problem, runs, progress=progress, **effort)
         extra = [*missing_lines(design)]
-    end = process_time() + MOVES
+    end = process_time() + min(MOVES, seconds or MOVES)
 
     def late() -> bool:
         progress(0, None, f"free moves, at most {max(end - process_time(), 0.0):.0f} s left")

@@ -20,17 +20,7 @@ from doe.report.design import design_verdict, plan_section
 from doe.report.figures import AFTER, BEFORE, LIMIT, certificate_figure, draw_arm
 from doe.solvers import solve
 from doe.studies.blind.simulator import TrueArm, position, session, shift, turn
-from identification import (
-    Arm,
-    Array,
-    Measurements,
-    Plan,
-    Progress,
-    design_model,
-    load_arm,
-    rms_distance,
-    with_effects,
-)
+from identification import Arm, Array, Measurements, Plan, Progress, design_model, load_arm, rms_distance, with_effects
 from identification.document import Answer, Document, Pictures, Section, Sheet, number
 from identification.files.io import write_together
 from identification.workflow import VERBS, Written

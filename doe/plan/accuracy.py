@@ -23,13 +23,7 @@ from doe.criteria import A, Criterion, D, Ds, DStar, E, I, information_matrix, i
 from doe.problem.model import offers
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
-from doe.problem.uncertain import (
-    average_error,
-    missing_effects,
-    robust_problem,
-    tip_jacobians,
-    workspace,
-)
+from doe.problem.uncertain import average_error, missing_effects, robust_problem, tip_jacobians, workspace
 from identification import Array, ParameterSet, spectrum
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import NamedTuple, Protocol
@@ -34,15 +34,18 @@ class Budget:
 
     starts : number of starts, at most;  deadline : value of `perf_counter` at which to stop, None: no time limit
     may_agree : stop before all starts are used when many independent ones came to the same best value
+    tell : called whenever it is asked: a step of an arm with bodies takes seconds, and a start minutes
     """
 
     starts: int
     deadline: float | None = None
     may_agree: bool = True
     began: float = field(default_factory=perf_counter)
+    tell: Callable[[], object] = lambda: None
 
     def ended(self) -> bool:
         """True once the time is up."""
+        self.tell()
         return self.deadline is not None and perf_counter() >= self.deadline
 
     out_of_time = property(ended)

@@ -30,16 +30,7 @@ from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic, optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
-from identification import (
-    Array,
-    InputError,
-    JobError,
-    Plan,
-    Progress,
-    Status,
-    additions,
-    spectrum,
-)
+from identification import Array, InputError, JobError, Plan, Progress, Status, additions, spectrum
 
 AGREEMENT = 10  # independent local searches that end at the best value
 NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
@@ -137,7 +128,11 @@ def solve(
     with threadpool_limits(limits=1, user_api="blas"):  # matrices are small: more threads only wait for each other
         limit = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
         deadline = None if limit is None else began + limit
-        whole = Budget(starts or chosen.starts_for(problem), deadline, may_agree=starts is None, began=began)
+
+        def tell() -> None:
+            progress(whole.used(done), whole.starts, f"best {best_value:.7g}")
+
+        whole = Budget(starts or chosen.starts_for(problem), deadline, starts is None, began, tell)
         # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none;
         # half the time is for what comes first, the search or the bound
         first, late = whole.part(0.5), bound is None and problem.many_parameters and not applies(problem)
@@ -153,7 +148,7 @@ def solve(
                     agreeing = 0 if value > best_value + same else agreeing
                     best, best_value, best_name = postures, value, name
                 agreeing += offer.independent and abs(value - best_value) <= same
-                progress(budget.used(done), budget.starts, f"best {best_value:.7g}")
+                tell()
                 if best_bound is not None and problem.criterion.efficiency(best_value, best_bound.value, p) >= reached:
                     status = Status.bound_reached
                 elif done >= budget.starts:

@@ -198,21 +198,26 @@ of_any_form(
 
 
 # -- over the workspace ------------------------------------------------------------------------------------------------
-def _place(self: Effect, point: ca.SX) -> ca.SX:
-    """(d,) of a point, from the base along its axes, in units of the reach."""
-    d, base = self.chain.dimension, ca.DM(self.chain.base)
-    return ca.mtimes(base[:d, :d].T, point - base[:d, 3]) / self.reach
+def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX], *, outwards: bool = False) -> None:
+    """Add an effect that shifts what is measured by functions of its place, from the base in units of the reach.
 
-
-def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX]) -> None:
-    """Add an effect that shifts what is measured, along each axis, by functions of its place."""
+    outwards : away from the base, else along each of its axes; so it moves with the base, as errors of an arm do, by
+        another session of a UR10 with the tracker turned by 50 degrees: RMS .5157 mm where it moved half, .5147
+    """
 
     def counted(self: Effect) -> list[Number]:
         d = self.chain.dimension
-        return numbers(d * functions(ca.SX.sym("place", d)).numel(), "mm")
+        return numbers((1 if outwards else d) * functions(ca.SX.sym("place", d)).numel(), "mm")
 
     def shifted(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
-        return ca.mtimes(ca.reshape(values, self.chain.dimension, -1), functions(_place(self, point)))
+        d = self.chain.dimension
+        turn, center = (ca.DM(each) for each in (self.chain.base[:d, :d], self.chain.base[:d, 3]))
+        place = ca.mtimes(turn.T, point - center) / self.reach
+        if outwards:
+            shift = place / ca.fmax(ca.norm_2(place), 1e-9) * ca.dot(functions(place), values)
+        else:
+            shift = ca.mtimes(ca.reshape(values, d, -1), functions(place))
+        return ca.mtimes(turn, shift)
 
     of_any_form(name, about, counted, of_positions=True, prior=0.25, instrument=shifted)
 
@@ -220,13 +225,6 @@ def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX]) 
 def _fast(x: ca.SX) -> ca.SX:
     """Waves between 0 and 1, the slow ones larger."""
     return half_waves(x, FAST) / ca.sqrt(ca.DM(range(1, FAST + 1)))
-
-
-def _outwards(self: Effect, point: ca.SX, values: ca.SX) -> ca.SX:
-    """Away from the base, by waves of the distance."""
-    place = _place(self, point)
-    distance = ca.norm_2(place)
-    return place / ca.fmax(distance, 1e-9) * ca.dot(_fast(distance), values)
 
 
 _over_workspace("workspace_smooth", "smooth over the workspace: slow waves along the axes of the base", slow_waves)
@@ -240,11 +238,9 @@ _over_workspace(
     "smooth over the workspace: squares and products of the coordinates from the base",
     lambda place: ca.vertcat(*(a * b for a, b in combinations_with_replacement(ca.vertsplit(place), 2))),
 )
-of_any_form(
+_over_workspace(
     "workspace_radius",
     "smooth over the workspace: outwards, by waves of the distance from the base",
-    numbers(FAST, "mm"),
-    of_positions=True,
-    prior=0.25,
-    instrument=_outwards,
+    lambda place: _fast(ca.norm_2(place)),
+    outwards=True,
 )

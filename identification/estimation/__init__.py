@@ -4,11 +4,7 @@
 `without_outliers` repeats any fit until it explains every row that is left.
 """
 
-from identification.estimation.estimate import (
-    estimate,
-    estimate_batch,
-    without_outliers,
-)
+from identification.estimation.estimate import estimate, estimate_batch, without_outliers
 from identification.estimation.result import Identification
 
 __all__ = [

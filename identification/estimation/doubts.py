@@ -15,20 +15,9 @@ from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, spectrum
 from identification.inspection.readings import DRAWN, read_differently
-from identification.kinematics.chain import (
-    ROTATION_ERROR,
-    TOOL,
-    TRANSLATION_ERROR,
-    PlanarClosedForm,
-)
+from identification.kinematics.chain import ROTATION_ERROR, TOOL, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.counting import in_columns, turned_into
-from identification.kinematics.parameters import (
-    FILE_UNITS,
-    JOINT_OFFSET,
-    JOINT_UNITS,
-    LENGTH_ERROR,
-    REVOLUTE,
-)
+from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import FEWEST, tip_jacobian

@@ -4,14 +4,7 @@
 `KINDS` maps axes of arms, then words of arm files to classes (identification/README.md, "How to add an instrument").
 """
 
-from identification.instruments.base import (
-    KINDS,
-    Coordinate,
-    Guide,
-    Instrument,
-    OwnValue,
-    register_instrument,
-)
+from identification.instruments.base import KINDS, Coordinate, Guide, Instrument, OwnValue, register_instrument
 from identification.instruments.library import (
     TRACKER,
     Distance,

@@ -352,7 +352,7 @@ class Socket(AtTargets):
         figures, slopes = function([values.get(p.name, p.neutral) for p in self.parameters])
         for label, value, row in zip(labels, np.array(figures).ravel().tolist(), np.array(ca.DM(slopes)), strict=True):
             by_name = {name: float(slope) for name, slope in zip(names, row, strict=True) if slope}
-            yield OwnValue(label, None, value, by_name, "mm", "center of the ball in the cup, in the frame of the base")
+            yield OwnValue(label, None, value, by_name, "mm", "center in the frame of the base, axis 1 as drawn")
 
     @property
     def size_is_open(self) -> tuple[str, str]:

@@ -82,6 +82,9 @@ def test_a_plan_among_posts(cell: Folder) -> None:
     said = cell.said("program arm.toml other.csv --robot kuka --out other.src --force")["not_free"]
     assert {*collide} <= {move["row"] for move in said}
     assert said == cell.said("score arm.toml other.csv --seconds 0.1")["moves"]["not_free"]
+    checked = cell.said("check arm.toml other.csv")
+    assert (checked["moves"]["not_free"], checked["ok"]) == (said, False)
+    assert cell.said("check arm.toml plan.csv")["ok"]
     comments = [line for line in cell.read("other.src").splitlines() if re.match("; (run|via)", line)]
     for move in said:
         assert comments[move["row"] - 1] == f"; run {move['row']}, may collide: {' and '.join(move['bodies'])}"

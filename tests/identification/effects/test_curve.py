@@ -15,8 +15,10 @@ from identification.compensate import compensate
 from identification.effects import build
 from identification.error_curve import ErrorCurve
 from identification.files.arm import load_arm, with_effects
+from identification.kinematics.frames import from_angles, pose
 from identification.simulate import simulate
 from identification.validate import validate
+from tests.identification.exponentials import drawing
 
 VALUES = 1e-3 * np.random.default_rng(3).normal(size=12)
 SMOOTH = ErrorCurve(-0.5, 1.7, VALUES)
@@ -159,3 +161,15 @@ def test_errors_of_any_form_at_joints_hold_where_all_curves_do() -> None:
     moved = np.linalg.norm(with_it.position(postures) - without.position(postures), axis=1)
     assert np.all(moved[:2] > 0.01)
     np.testing.assert_array_equal(moved[2:], 0.0)
+
+
+@pytest.mark.parametrize("name", ["workspace_smooth", "workspace_axes", "workspace_squares", "workspace_radius"])
+def test_errors_over_the_workspace_move_with_the_base(name: str) -> None:
+    """What a tracker sees of an arm that stands elsewhere, turned, is the same moved: the errors are the arm's."""
+    there = pose([300.0, -200.0, 100.0], from_angles(np.array([0.4, -0.7, 1.1])))
+    chains = [replace(drawing(), base=base) for base in (np.eye(4), there)]
+    count = len(build(EffectSpec(name), chains[0]).parameters)
+    values = dict(zip((f"v{k + 1}" for k in range(count)), np.sin(np.arange(count)).tolist(), strict=True))
+    postures = np.random.default_rng(0).uniform(-2.0, 2.0, (9, 6))
+    here, moved = (Model(Arm(chain, effects=(EffectSpec(name, None, values),))).position(postures) for chain in chains)
+    np.testing.assert_allclose(moved, here @ there[:3, :3].T + there[:3, 3], atol=1e-9)
