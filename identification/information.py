@@ -192,9 +192,10 @@ def describe(direction: Array, names: Sequence[str]) -> str:
 def sparse_basis(orthonormal: Array) -> Array:
     """(p, k) vectors that span the columns of an orthonormal (p, k), each with a one where the others have none: the
     reduced echelon form about the rows that are farthest from each other."""
+    if not (k := orthonormal.shape[1]):
+        return orthonormal
     from scipy.linalg import qr  # deferred: only rank-deficient plans pay for the import
 
-    k = orthonormal.shape[1]
     pivots = np.sort(qr(orthonormal.T, pivoting=True, mode="economic")[2][:k])
     basis = orthonormal @ np.linalg.inv(orthonormal[pivots])
     basis = basis / np.max(np.abs(basis), axis=0, initial=np.finfo(float).tiny)

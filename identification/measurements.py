@@ -228,23 +228,26 @@ class Measurements(ByValue):
         """
         if self.repeats is not None:
             return np.unique(self.repeats, return_inverse=True)[1]
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-        from scipy.spatial import KDTree
-
         q, numbers = np.unique(self.postures, axis=0, return_inverse=True)
-        pairs = KDTree(q).query_pairs(SAME_POSTURE, p=np.inf, output_type="ndarray").T
-        linked = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(q), len(q)))
-        count, groups = connected_components(linked, directed=False)
-        low, high = np.full((2, count, self.links), [[[np.inf]], [[-np.inf]]])
-        np.minimum.at(low, groups, q)
-        np.maximum.at(high, groups, q)
-        scanned = np.max(high - low, axis=1)[groups] > 3.0 * SAME_POSTURE
-        groups = np.where(scanned, count + np.arange(len(q)), groups)[numbers.ravel()]
+        groups = np.arange(len(q))
+        if np.any(np.diff(q[:, 0]) <= SAME_POSTURE):  # else no two are near
+            from scipy.sparse import coo_array
+            from scipy.sparse.csgraph import connected_components
+            from scipy.spatial import KDTree
+
+            pairs = KDTree(q).query_pairs(SAME_POSTURE, p=np.inf, output_type="ndarray").T
+            linked = coo_array((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(q), len(q)))
+            count, linked_groups = connected_components(linked, directed=False)
+            low, high = np.full((2, count, self.links), [[[np.inf]], [[-np.inf]]])
+            np.minimum.at(low, linked_groups, q)
+            np.maximum.at(high, linked_groups, q)
+            scanned = np.max(high - low, axis=1)[linked_groups] > 3.0 * SAME_POSTURE
+            groups = np.where(scanned, count + groups, linked_groups)
+        groups = groups[numbers.ravel()]
         _, first, numbers = np.unique(groups, return_index=True, return_inverse=True)
         return np.argsort(np.argsort(first))[numbers]  # in the order of the rows
 
-    @property
+    @cached_property
     def repeat_numbers(self) -> NDArray[np.int64]:
         """(m,) equal numbers mark repeats: rows of one posture, marker and session, which noise alone tells apart."""
         return repeats_of(self.posture_numbers, self.marker_numbers, self._session_numbers)
@@ -259,7 +262,7 @@ class Measurements(ByValue):
         _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         return np.asarray(first[number.ravel()])
 
-    @property
+    @cached_property
     def conditions(self) -> Conditions:
         """Conditions for the model: time and directions follow, in each session, from the order where not given."""
         order, time = self._order, np.empty(len(self))

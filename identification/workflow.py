@@ -137,8 +137,7 @@ def init_files(
     instrument : Of a spatial arm without a tracker: distance (ball bar), sphere or plane (touch probe), socket (cups).
     out : Folder; made if missing.
     """
-    from identification.files.first_files import ARM, STEPS, dh_files, mesh_files, planar_files, urdf_files
-    from identification.instruments import KINDS
+    from identification.files.first_files import ARM, GUIDES, STEPS, dh_files, mesh_files, planar_files, urdf_files
 
     sources = [name for name, value in (("--links", links), ("--urdf", robot), ("--dh", dh)) if value is not None]
     if len(sources) > 1:
@@ -148,8 +147,8 @@ def init_files(
             raise InputError(f"{name}: found without --urdf, allowed: with --urdf")
     if instrument is not None and robot is None and dh is None:
         raise InputError("--instrument: found for a planar arm, allowed: with --dh or --urdf")
-    if instrument is not None and instrument not in (kinds := KINDS["xyz"]):
-        raise InputError.unknown("--instrument: found", instrument, kinds)
+    if instrument is not None and instrument not in GUIDES:
+        raise InputError.unknown("--instrument: found", instrument, GUIDES)
     copied, missing = dict[str, Path](), list[str]()
     if robot is not None:
         files = urdf_files(robot, base_link, tip_link, instrument or "")

@@ -27,12 +27,14 @@ TESTED = {  # module -> tests that must notice, in tests/identification and test
     "identification/levenberg_marquardt.py": "test_levenberg_marquardt.py",
     "identification/estimation/uncertainty.py": ("estimation/test_uncertainty.py gap/test_confirmation.py"),
     "identification/estimation/estimate.py": "estimation/test_estimate.py estimation/test_prior.py",
-    "identification/estimation/problem.py": "estimation/test_prior.py estimation/test_contradictions.py",
+    "identification/estimation/problem.py": "estimation/test_prior.py",
     "identification/gap/likelihood.py": "gap/test_likelihood.py gap/test_average.py",
     "identification/gap/search.py": "gap/test_search.py",
     "identification/effects/chain.py": "effects model",
     "identification/effects/formulas.py": "effects model ../doe/studies/blind/test_simulator.py",
-    "identification/instruments/library.py": "instruments test_lengths.py",
+    **{
+        f"identification/instruments/{name}.py": "instruments test_lengths.py" for name in ("cups", "distance", "probe")
+    },
     "identification/instruments/search.py": "instruments",
     "doe/bounds/planar_theorem.py": "bounds/test_planar_theorem.py",
     "doe/bounds/certificate.py": "bounds/test_certificate.py bounds/test_column_generation.py",

@@ -15,7 +15,7 @@ from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
 from identification.information import ALONE, RANK_TOLERANCE, spectrum
 from identification.inspection.readings import DRAWN, read_differently
-from identification.kinematics.chain import ROTATION_ERROR, TOOL, TRANSLATION_ERROR, PlanarClosedForm
+from identification.kinematics.chain import ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import in_columns, turned_into
 from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.measurements import POINT, Measurements, distances, rms_distance
@@ -57,7 +57,7 @@ def doubts(
     read, hidden = misread(arm, measurements) if rms_distance(before) > DRAWN * arm.reach else ([], False)
     bad = [*(read if hidden else []), *bad, *flipped(model, parameters, identifiable)]
     others = [] if hidden else (read and far_zeros(model, parameters)) or read
-    others += [*another_frame(arm, measurements), *outside_limits(arm, measurements), *copied_rows(measurements)]
+    others += [*another_frame(model, measurements), *outside_limits(arm, measurements), *copied_rows(measurements)]
     others += only_rounding(residual, measurements) if residual.size > parameters.size else []
     return (*bad, *others), bool(bad)
 
@@ -153,22 +153,22 @@ def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) ->
     return [f"implausible: {correction}; other units, joints in another order or with another sign? armcal check tells"]
 
 
-def another_frame(arm: Arm, measurements: Measurements) -> list[str]:
+def another_frame(model: Model, measurements: Measurements) -> list[str]:
     """The offer of `base_offset` where the residuals fall by a large factor with it.
 
     Any rotation of the frame is the offset of joint 1, so that only the position of the base can be missing. What the
     arm's effects do, by the values in its file, is no part of it.
     """
-    spare, m = measurements.positions.size - 2 * (arm.links + 1), len(measurements)
+    arm, q, m = model.arm, measurements.postures, len(measurements)
+    spare = measurements.positions.size - 2 * (arm.links + 1)
     if not arm.chain.positions_in_plane or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
         return []
-    positions, conditions = measurements.positions, measurements.conditions
-    if arm.effects:
-        each = (Model(one).position(measurements.postures, conditions=conditions) for one in (arm, arm.with_effects()))
-        positions = positions - next(each) + next(each)
-    forms = (PlanarClosedForm(arm.lengths, offset, np.arange(0), exact=True) for offset in (False, True))
-    solvers = (form.solver(measurements.postures, np.ones(m), RANK_TOLERANCE) for form in forms)
-    held, free = (float(solve(positions[None])[1][0]) for solve in solvers)  # sums of squares [mm^2] left
+    # eq. 1 is linear in the links, and in the base: the triangle of their columns and what the arm as it is leaves
+    residual = (measurements.positions - model.position(q, conditions=measurements.conditions)) @ [1.0, 1j]
+    columns = np.column_stack([np.exp(1j * np.cumsum(q, axis=1)), np.ones(m), residual])
+    (_, beside_links), (_, left) = np.asarray(np.linalg.qr(columns, mode="r"))[-2:, -2:]
+    free = abs(left) ** 2  # sum of squares [mm^2] that is left, and that of a base which is held
+    held = free + abs(beside_links) ** 2
     before, after = np.sqrt(held / m), np.sqrt(free / m)
     if before <= rounding(measurements) or not worth_freeing(held, free, 2, spare, FALL**2):
         return []
@@ -341,7 +341,7 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
         return None
     problem = Problem.of(fit.model, measurements, prior=fit.prior)
     problem = replace(problem, noise=(fit.scatter or 0.0) / (problem.sigma or 1.0))
-    rows = WhiteRows.of(problem, measurements, fit.parameters, 0.0)
+    rows = WhiteRows.of(problem, measurements, fit.parameters)
     free = np.array([name not in fit.held for name in fit.names])
     whole = rows.jacobian[..., free], fit.model.scales[free], RANK_TOLERANCE, problem.prior_rows[:, free]
     columns = rows.jacobian[..., free] @ spectrum(*whole).root

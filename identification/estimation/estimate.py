@@ -83,19 +83,19 @@ def estimate(
             solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
         if not (status := solution.status[0]).succeeded:
             raise JobError(f"{method}: {status.value}")
-        residuals, jacobians = problem.linearize(solution.parameters, np.arange(1))
-        decomposed = spectrum(jacobians[0], placed.scales, problem.tolerance)
+        rows = WhiteRows.of(problem, measurements, solution.parameters[0])
+        decomposed = spectrum(rows.jacobian, placed.scales, problem.tolerance)
+        rows = replace(rows, rank=decomposed.rank)
         if useful > RANK_TOLERANCE:
             break
         # once more without the combinations whose standard deviation turns out too large to mean anything: above a
         # tenth of the arm's reach
-        dof = residuals.size - decomposed.rank
-        deviation = problem.sigma or (float(np.sqrt(np.sum(residuals**2) / dof)) if dof > 0 else 0.0)
+        deviation = problem.sigma or (float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else 0.0)
         useful = min(max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * 0.1 * placed.reach)), 0.1)
         if decomposed.truncated(useful).rank == decomposed.rank:
             break
         problem = replace(problem, tolerance=useful)
-    return _identification(problem, measurements, method, solution, decomposed, decomposed.rank)
+    return _identification(problem, measurements, method, solution, decomposed, rows)
 
 
 @single_thread()
@@ -139,8 +139,9 @@ def _with_prior(
             break
     jacobian = about(x)[1]
     decomposed = spectrum(jacobian, model.scales, problem.tolerance, rows)
-    solution, determined = replace(solution, iterations=steps), decomposed.determined(jacobian)
-    fit = _identification(posed, measurements, "levenberg_marquardt", solution, decomposed, determined)
+    solution, white = replace(solution, iterations=steps), WhiteRows.of(posed, measurements, x)
+    white = replace(white, rank=decomposed.determined(jacobian))
+    fit = _identification(posed, measurements, "levenberg_marquardt", solution, decomposed, white)
     contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
     factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths[:2])
     return replace(
@@ -169,14 +170,11 @@ def without_outliers(
 
 
 def _identification(
-    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, determined: float
+    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, rows: WhiteRows
 ) -> Identification:
-    """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit.
-
-    determined : how many combinations of parameters the data determine, a prior the rest
-    """
+    """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit."""
     model, x, has_sigma = problem.model, solution.parameters[0], problem.sigma is not None
-    rows, noise = WhiteRows.of(problem, data, x, determined), problem.noise if problem.prior.names else None
+    noise = problem.noise if problem.prior.names else None
     made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
@@ -249,8 +247,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
         raise InputError(f"positions: shape {measured.shape}, allowed: (K, {m}, {d})")
     check_measurements(model, replace(plan, positions=np.zeros((m, d))))
     sigma = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
-    posed = Problem.of(model, plan, "given" if model.prior else sigma, Prior(model.prior))
-    problem = replace(posed, positions=measured)
+    problem = Problem.of(model, plan, "given" if model.prior else sigma, Prior(model.prior), measured)
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
     if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
@@ -264,16 +261,20 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
             x[part], rss[part] = solve(measured[part])
         status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
         return solution
-    # from the closed form, by the chord method with one matrix for all; where that is slow, by Levenberg-Marquardt
+    # from the closed form, by the chord method with one matrix for all, then one about where that led the others; what
+    # neither brings to an end, by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
-    usable = np.all(np.isfinite(x), axis=1)
-    center = np.mean(x[usable], axis=0) if usable.any() else problem.start
-    shared = np.concatenate([problem.jacobian(center), problem.prior_rows])
-    for part in _chunks(len(measured), m):
-        x[part], rss[part], stationary = chord_steps(problem.rows(part), shared, x[part])
-        status[part] = outcomes(stationary, Status.converged, Status.not_identifiable)
-    rest = np.flatnonzero(status != Status.converged)
+    rest = np.arange(len(measured))
+    for _ in range(2):
+        usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
+        center = np.mean(usable, axis=0) if len(usable) else problem.start
+        shared = np.concatenate([problem.jacobian(center), problem.prior_rows])
+        for part in _chunks(len(rest), m):
+            sets = rest[part]
+            x[sets], rss[sets], stationary = chord_steps(problem.rows(sets), shared, x[sets])
+            status[sets] = outcomes(stationary, Status.converged, Status.not_identifiable)
+        rest = np.flatnonzero(status != Status.converged)
     for part in _chunks(len(rest), m):
         each = problem.rows(sets := rest[part]).minimized(x[sets])
         x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status

@@ -185,17 +185,19 @@ class Problem:
         measurements: Measurements,
         sigma: ArrayLike | str | None = None,
         prior: Prior = NO_PRIOR,
+        positions: Array | None = None,
     ) -> Problem:
-        """The problem of one data set;  sigma : as of `estimate`. Which sigma holds: argument, then rows, then
-        arm. Of rows that are copied the first counts, the others have no weight. Raises `InputError`."""
+        """The problem of one data set, or with other positions (K, m, d) at its postures;  sigma : as of `estimate`.
+        Which holds: argument, then rows, then arm. Of rows that are copied the first counts, the others have no weight.
+        Raises `InputError`."""
         m, data = len(measurements), measurements
-        relative = np.where(data.originals == np.arange(m), 1.0, 0.0)
+        relative = np.ones(m) if positions is not None else np.where(data.originals == np.arange(m), 1.0, 0.0)
         reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
         if isinstance(sigma, str) and sigma not in RELIANCE:
             raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
         numbers = None if isinstance(sigma, str) else sigma
         stated = next((s for s in (numbers, data.sigma, model.sigma) if s is not None), None)
-        rows = data.postures, data.conditions, data.positions[None]
+        rows = data.postures, data.conditions, data.positions[None] if positions is None else positions
         if stated is None and reliance == "given":
             allowed = "measurement.sigma_mm in the arm file, or a column sigma_mm in the measurements"
             raise InputError(f"sigma: 'given', but none is given, allowed: {allowed}")

@@ -58,8 +58,8 @@ class WhiteRows:
     pull: Array | float = 0.0
 
     @classmethod
-    def of(cls, problem: Problem, data: Measurements, parameters: Array, rank: float) -> WhiteRows:
-        """Of the rows of weight above zero, linear about parameters (p,)."""
+    def of(cls, problem: Problem, data: Measurements, parameters: Array) -> WhiteRows:
+        """Of the rows of weight above zero, linear about parameters (p,); the rank is left to the caller."""
         kept, prior = problem.weights > 0.0, problem.prior_rows
         position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
         residual = problem.root_weights * (problem.positions[0] - position)
@@ -69,7 +69,7 @@ class WhiteRows:
         )
         sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
         pull = prior.T @ (prior @ (problem.prior_center - parameters))
-        return cls(weighted[kept], residual[kept], rank, sequence, postures, repeats, pull)
+        return cls(weighted[kept], residual[kept], 0.0, sequence, postures, repeats, pull)
 
     freedom = property(lambda self: self.residual.size - self.rank)  # equations less combinations estimated
     squares = property(lambda self: float(np.sum(self.residual**2)))  # sum of squared whitened residuals
@@ -375,7 +375,7 @@ def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], held_ro
     d, k = blocks.shape[1:]
     kept_blocks, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
     flat = kept_blocks.reshape(inside.size, k)
-    inverse = product_inverse(flat.T @ flat + held_rows.T @ held_rows)
+    inverse = np.eye(k) if kept.all() else product_inverse(flat.T @ flat + held_rows.T @ held_rows)
     off = inside - kept_blocks @ (inverse @ (flat.T @ inside.reshape(-1) + moment))
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)
     each = np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0])
@@ -395,6 +395,8 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
 
     outlier : (m,) rows that a fit does not explain;  postures : (m, n);  numbers : (m,) posture of each row
     """
+    if not outlier.any():
+        return outlier
     _, first, posture = np.unique(numbers, return_index=True, return_inverse=True)
     of_posture = np.bincount(posture, outlier) > 0.0
     # up to 16, of eight rows or more: effects of a narrower part of a joint's angles are rare

@@ -180,7 +180,7 @@ def diagnose(
             *misread(library.arm, measurements)[0],
             *far_off(after[kept], fitted.model),
             *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
-            *another_frame(library.arm, measurements),
+            *another_frame(Model(library.arm), measurements),
             *outside_limits(library.arm, measurements),
             *([moved] if words else []),
             *(f"hold-out: {one}" for one in ([] if holdout is None else lacking(predicting.model, holdout))),

@@ -175,7 +175,7 @@ def _problems(
         zeros = doubts.far_zeros(fit.model, fit.parameters)  # several at once, where another reading has one or two
     sentences = data_warnings(measurements, arm) or ([] if zeros else readings.sentences)
     if not sentences:
-        sentences = [*doubts.another_frame(arm, measurements), *other_frame(arm, readings.written)] or zeros
+        sentences = [*doubts.another_frame(Model(arm), measurements), *other_frame(arm, readings.written)] or zeros
     rows = np.arange(len(measurements)) + 1
     if fit is not None and not sentences:
         unexplained = (np.isin(rows, numbers) for numbers in (fit.outlier_rows, fit.unexplained_rows))

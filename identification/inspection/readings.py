@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
@@ -272,6 +271,8 @@ def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
 
     def least(of: Callable[[float], float], values: Array, tolerance: float) -> float:
         """Where a function is least near the best of these values."""
+        from scipy.optimize import minimize_scalar  # 0.06 s to import
+
         near, step = min(values, key=of), values[1] - values[0]
         return float(minimize_scalar(of, bounds=(near - step, near + step), options={"xatol": tolerance}).x)
 

@@ -1,18 +1,13 @@
 # ruff: noqa: F401 - the names of this package
-"""Instruments: what is measured of an arm, one class each.
+"""Instruments: what is measured of an arm, one file each.
 
 `KINDS` maps axes of arms, then words of arm files to classes (identification/README.md, "How to add an instrument").
 """
 
-from identification.instruments.base import KINDS, Coordinate, Guide, Instrument, OwnValue, register_instrument
-from identification.instruments.library import (
-    TRACKER,
-    Distance,
-    PlanarDistance,
-    Plane,
-    Socket,
-    Sphere,
-    Tracker,
-    distance_to_center,
-)
+from identification.instruments.base import KINDS, Coordinate, Instrument, register_instrument
+from identification.instruments.cups import Socket
+from identification.instruments.distance import Distance, distance_to_center
+from identification.instruments.planar_distance import PlanarDistance
+from identification.instruments.probe import Plane, Sphere
 from identification.instruments.search import Placement, Unplaced
+from identification.instruments.tracker import TRACKER, Tracker

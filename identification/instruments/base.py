@@ -8,8 +8,8 @@ base of the arm stands in that frame, as with a tracker.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, NamedTuple, Self
 
 import casadi as ca
 import numpy as np
@@ -45,17 +45,6 @@ class OwnValue(NamedTuple):
     convention: str  # what it is
 
 
-class Guide(NamedTuple):
-    """What the first files (`armcal init`) say of an instrument."""
-
-    about: str  # in short, behind `[instrument]`
-    table: str  # the lines below
-    reads: str  # what it is that has the standard deviation
-    stands: str  # what stands or lies somewhere
-    labels: str = ""  # of a contact, what the column `target` names
-    touches: str = ""  # and how many of these are needed
-
-
 @dataclass(frozen=True)
 class Instrument:
     """An instrument that reads a function of where the measured point is; a new one is one class.
@@ -75,7 +64,6 @@ class Instrument:
     own_targets: ClassVar[str] = ""
     offers: ClassVar[frozenset[str]] = frozenset()  # what effects may need of it (`Effect.needs`)
     reads_positions: ClassVar[bool] = False  # a reading is the measured point's position, or with its orientation pose
-    guide: ClassVar[Guide]  # what the first files say of it, where it has a `kind`
     size_is_open: ClassVar[Any] = ("", "")  # what reads so of an arm twice as large, and what to do about it
 
     # -- what a row reads ------------------------------------------------------------------------------------------
@@ -163,6 +151,51 @@ class Instrument:
     def of_table(cls, table: Mapping[str, Any]) -> Instrument:
         """Of a table `[instrument]`."""
         return cls()
+
+
+@dataclass(frozen=True)
+class AtTargets(Instrument):
+    """An instrument whose targets stand in the frame of the base, where they are parameters, `cup[A].x`.
+
+    at : names and places (d,) [mm] in the frame of the base, about, where fits start; empty: not known yet
+    numbers : of the targets, by which rows name them, from 0; empty: in order
+    """
+
+    at: tuple[tuple[str, tuple[float, ...]], ...] = ()
+    numbers: tuple[int, ...] = field(default=(), kw_only=True)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(f"{self.own_targets}[{name}].{axis}", "mm", kind=PLACE, start=start)
+            for name, place in self.at
+            for axis, start in zip(self.axes, place, strict=True)
+        )
+
+    @property
+    def targets(self) -> dict[str, Array]:
+        return {name: np.array(place) for name, place in self.at}
+
+    @property
+    def unplaced(self) -> Self:
+        return replace(self, at=(), numbers=())
+
+    def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
+        """What belongs to the target of this number, of one for each target."""
+        for number, one in zip(self.numbers or range(len(self.at)), each, strict=True):
+            otherwise = ca.if_else(target == number, one, otherwise)
+        return otherwise
+
+    def with_targets(self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]) -> Self:
+        at, measured = [], np.unique(numbers).tolist()
+        for number in measured:
+            rows = numbers == number
+            at.append((names[number], tuple(self.target_of(points[rows], readings[rows]).tolist())))
+        return replace(self, at=tuple(at), numbers=tuple(measured))
+
+    def target_of(self, points: Array, readings: Array) -> Array:
+        """(d,) of one target where these rows find it;  points, readings : as of `with_targets`"""
+        raise NotImplementedError
 
 
 KINDS: dict[str, dict[str, type[Instrument]]] = {"xyz": {}, "xy": {}}  # axes of an arm -> word of its files -> class

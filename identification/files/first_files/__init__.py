@@ -24,6 +24,7 @@ from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import REVOLUTE
 
 ARM, DATA, SCHEMA, STEPS = "arm.toml", "measurements.csv", "arm.schema.json", "README.md"
+GUIDES = tomllib.loads((Path(__file__).parent / "instruments.toml").read_text("utf-8"))
 ENDS = ("tool0", "tcp", "tool", "flange")  # names of tips, the likeliest first
 
 
@@ -135,8 +136,8 @@ def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: A
     """The files of an arm with joints of these types, measured by this kind of instrument, filled in."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    n, arm_kind, cls = len(types), "spatial" if spatial else "planar", KINDS["xyz"].get(kind)
-    instrument = TRACKER if cls is None else cls.of_table(tomllib.loads(cls.guide.table))
+    n, arm_kind, guide = len(types), "spatial" if spatial else "planar", GUIDES.get(kind)
+    instrument = KINDS["xyz"][kind].of_table(tomllib.loads(guide["table"])) if guide else TRACKER
     axes = instrument.coordinates[: 3 if spatial else 2]
     # its readings, or what is touched
     measured = tuple(column_of(name, quantity) for name, quantity, _ in axes) or (instrument.target,)
@@ -145,7 +146,7 @@ def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: A
     usual: dict[str, Any] = {"name": "arm", "example": False, "urdf": None, "massed": False, "masses": [10.0] * n}
     usual |= {"lower": [-170.0] * n, "upper": [170.0] * n, "runs": rows * max(5 * n, 20), "fresh": rows * 12}
     usual |= {"kind": kind, "contact": instrument.contact, "target": instrument.target, "measured": measured}
-    usual |= {"guide": instrument.guide if kind else None, "columns": columns, "joints": n, "spatial": spatial}
+    usual |= {"guide": guide, "columns": columns, "joints": n, "spatial": spatial}
     loader = PackageLoader("identification.files", "first_files")
     environment = Environment(loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
 

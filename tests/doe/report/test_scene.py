@@ -21,7 +21,7 @@ from doe.report.scene import WHOLE, error_arrows, scene, shape, simplified
 from identification import Arm, Calibration, Measurements, Model, Plan, design_model
 from identification.bodies import Body, Cell
 from identification.document import Document
-from identification.instruments.library import Distance
+from identification.instruments import Distance
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.validate import Validation

@@ -46,11 +46,11 @@ def test_residuals_that_the_given_noise_explains_are_not_doubted() -> None:
 def test_a_small_offset_of_the_base_and_chance_are_no_other_frame() -> None:
     """The RMS must fall to half, significantly; an offset of the size of the noise does less. With 4 degrees of freedom
     left two more parameters often halve the residuals of pure noise."""
-    assert another_frame(arm(), moved(data(Model(arm()), plan(60)), (0.08, 0.08))) == []
-    found = [another_frame(arm(), data(Model(arm()), plan(7, seed), seed)) for seed in range(100)]
+    assert another_frame(Model(arm()), moved(data(Model(arm()), plan(60)), (0.08, 0.08))) == []
+    found = [another_frame(Model(arm()), data(Model(arm()), plan(7, seed), seed)) for seed in range(100)]
     assert sum(map(bool, found)) < 5  # 1 % of 100, with Poisson's error
     one = data(Model(arm()), plan(1)).rows(np.zeros(30, dtype=int))  # one row again and again: what is left is rounding
-    assert another_frame(arm(), one) == []
+    assert another_frame(Model(arm()), one) == []
 
 
 def test_what_a_known_effect_does_is_no_other_frame() -> None:
@@ -58,9 +58,9 @@ def test_what_a_known_effect_does_is_no_other_frame() -> None:
     moves = arm(EffectSpec("temperature_shift", None, {"v1": 1.0, "v2": 0.0, "v3": 0.0}))
     measured = replace(data(Model(arm()), plan(30)), temperature=np.full(30, 23.0), reference=20.0)
     shifted = moved(measured, (3.0, 0.0))
-    assert another_frame(arm(), shifted) != []
-    assert another_frame(moves, shifted) == []
-    assert another_frame(moves, moved(shifted, (3.0, 0.0))) != []
+    assert another_frame(Model(arm()), shifted) != []
+    assert another_frame(Model(moves), shifted) == []
+    assert another_frame(Model(moves), moved(shifted, (3.0, 0.0))) != []
 
 
 def test_a_link_of_another_length_is_implausible() -> None:

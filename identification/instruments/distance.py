@@ -1,0 +1,49 @@
+"""Distances from a center: |p_i + R_i t - c| = d_i, a sphere about c, which for a given t is linear in c and |c|^2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from identification.arrays import Array
+from identification.information import RANK_TOLERANCE
+from identification.instruments.base import PLACE, Coordinate, Instrument, register_instrument
+from identification.instruments.search import Placement, Unplaced, searched
+from identification.kinematics.parameters import error_names
+
+
+def distance_to_center(point: ca.SX) -> ca.SX:
+    """[mm] of a point (3,) from the origin."""
+    return ca.sqrt(ca.sumsqr(point) + 1e-9**2)  # a point this near [mm] has no direction from there
+
+
+@register_instrument
+@dataclass(frozen=True)
+class Distance(Instrument):
+    """Its frame has the origin at the center; how that frame is turned no distance shows."""
+
+    kind = "distance"
+    keys = frozenset({"center_mm"})
+    coordinates: ClassVar[tuple[Coordinate, ...]] = (Coordinate("distance", positive=True),)
+    offers = frozenset({"distance"})
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        return distance_to_center(point)
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset(error_names(PLACE)[3:])
+
+    def place(self, rows: Unplaced) -> Placement:
+        """From algebraic fits of lengths d, |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points; what the
+        lengths leave open of the base is along the arm's own axes."""
+        points, bases = rows.points, np.tile(np.eye(4), (len(rows.tools), 1, 1))
+        middle = points.mean(axis=1, keepdims=True)
+        around = (points - middle) / rows.reach
+        columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
+        goals = np.sum(around**2, axis=2) - (rows.readings[:, 0] / rows.reach) ** 2
+        solved = (np.linalg.pinv(columns, rcond=RANK_TOLERANCE) @ goals[..., None])[..., 0]
+        bases[:, :3, 3] = -middle[:, 0] - rows.reach * solved[:, :3]
+        return searched(self, rows, bases)
