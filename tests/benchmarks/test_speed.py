@@ -136,17 +136,16 @@ def weights_over_all_postures_in_space() -> tuple[float, str]:
 # -- fits: the rival is SciPy with residuals written by hand in plain numpy -----------------------------
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 TRUTH = np.r_[1.5, -0.6, -0.4, 0.7, np.radians([0.5, -0.5, 0.7, -0.3])]
-ECCENTRIC = np.radians([0.03, -0.01])
 SETS, SOME = 10_000, 100  # data sets of 20 rows; of them for the rival
 
 
-def data_sets(effects: tuple[tuple[str, int], ...], extra: np.ndarray, count: int = SETS) -> Any:
+def data_sets(count: int = SETS) -> Any:
     """Model, postures (m, 4) and measured positions (count, m, 2), every data set of the same arm."""
-    from identification import Arm, EffectSpec, Model
+    from identification import Arm, Model
 
-    model, generator = Model(Arm(LENGTHS, effects=tuple(EffectSpec(*e) for e in effects))), np.random.default_rng(1)
+    model, generator = Model(Arm(LENGTHS)), np.random.default_rng(1)
     q = generator.uniform(-2.0, 2.0, (20, 4))
-    return model, q, model.position(q, np.r_[TRUTH, extra]) + 0.1 * generator.standard_normal((count, 20, 2))
+    return model, q, model.position(q, TRUTH) + 0.1 * generator.standard_normal((count, 20, 2))
 
 
 def residuals(x: np.ndarray, q: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -169,7 +168,7 @@ def loop(q: np.ndarray, positions: np.ndarray, method: str = "trf") -> Any:
 def closed_form_against_scipy() -> tuple[float, str]:
     from identification.estimation import estimate_batch
 
-    model, q, positions = data_sets((), np.zeros(0))
+    model, q, positions = data_sets()
     fits, seconds = timed(lambda: estimate_batch(model, q, positions), 7)
     exact, _ = loop(q, positions[:SOME], "lm")
     _, slow = loop(q, positions[:SOME])
@@ -177,15 +176,6 @@ def closed_form_against_scipy() -> tuple[float, str]:
     ratio = slow * SETS / seconds
     assert ratio >= 500.0
     return seconds, f"{SETS / seconds:,.0f} fits/s; SciPy {1 / slow:,.0f}, {ratio:,.0f} times slower (bar 500)"
-
-
-def fits_of_two_effects() -> tuple[float, str]:
-    from identification.estimation import estimate_batch
-
-    model, q, positions = data_sets((("encoder_eccentricity", 2), ("gear_ratio", 3)), np.r_[ECCENTRIC, 1e-3], 100_000)
-    fits, seconds = timed(lambda: estimate_batch(model, q, positions))
-    assert fits.converged.all()
-    return seconds, "100,000 fits with two effects"
 
 
 def batch_in_space() -> tuple[float, str]:
@@ -207,29 +197,6 @@ def batch_in_space() -> tuple[float, str]:
         seconds,
         f"{len(model.names)} parameters: {200 / seconds:.0f} fits/s; one by one {single / seconds:.0f} x slower",
     )
-
-
-def positions_and_jacobians() -> tuple[float, str]:
-    """Against a loop over products of matrices in numpy, positions alone."""
-    from identification import Model
-    from identification.kinematics.chain import DHRow
-    from tests.doe.six_axis import REFLECTOR, SIX_AXIS, TABLE
-    from tests.identification.kinematics.test_spatial import printed
-
-    model, q = Model(SIX_AXIS), np.random.default_rng(0).uniform(SIX_AXIS.lower, SIX_AXIS.upper, (20_000, 6))
-    model.linearize(q[:10], model.values)  # compiled
-
-    def tip(posture: np.ndarray) -> np.ndarray:
-        frame = np.eye(4)
-        for (a, alpha, d), angle in zip(TABLE, posture, strict=True):
-            frame = frame @ printed(DHRow(a, np.radians(alpha), d), angle)
-        return (frame @ np.r_[REFLECTOR, 1.0])[:3]
-
-    (position, _), seconds = timed(lambda: model.linearize(q, model.values), 3)
-    one_by_one, slow = timed(lambda: np.array([tip(posture) for posture in q[:2000]]))
-    np.testing.assert_allclose(position[:2000], one_by_one, atol=1e-9)
-    assert slow * 10.0 > 20.0 * seconds
-    return seconds, f"{len(q) / seconds:.3g} poses/s; positions in a loop take {slow * 10.0 / seconds:.0f} x"
 
 
 # -- the rest ----------------------------------------------------------------------------------------------------------
@@ -306,7 +273,7 @@ def study(bar: float, replications: int) -> tuple[float, str]:
             Path(folder, "study.toml").write_text(GRID.format(count=count))
             studies.append(Study.load(Path(folder, "study.toml")))
     run_study(studies[0])  # imports
-    _, q, positions = data_sets((), np.zeros(0), SOME)
+    _, q, positions = data_sets(SOME)
     general = loop(q, positions, "lm")[1]
     result, seconds = timed(lambda: run_study(studies[1]))
     gain = replications * general / seconds
@@ -327,9 +294,7 @@ JOBS = {
     "weights_on_a_million_in_space": Job(weights_on_a_million_in_space, 15.0),
     "weights_over_all_postures_in_space": Job(weights_over_all_postures_in_space, 20.0),
     "closed_form_against_scipy": Job(closed_form_against_scipy, 0.05),
-    "fits_of_two_effects": Job(fits_of_two_effects, 20.0),
     "fits_in_space_with_the_prior": Job(batch_in_space, 0.5),
-    "positions_and_jacobians": Job(positions_and_jacobians, 0.05),
     "diagnosis_of_two_hundred_rows": Job(diagnosis_of_two_hundred_rows, 3.0),
     "diagnosis_of_a_robot": Job(diagnosis_of_a_robot, 60.0),
     "commands": Job(commands, 60.0),

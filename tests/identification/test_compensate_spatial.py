@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import Arm, Array, Calibration, EffectSpec, Model, estimate, load_arm, with_effects
+from identification import Arm, Array, Calibration, EffectSpec, Model, estimate
 from identification.compensate import TOLERANCE, compensate
-from identification.files.measurement import Targets, measurement_text
+from identification.files.measurement import Targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose
-from identification.measurements import Measurements, load_measurements
-from identification.simulate import servo_shift, simulate, with_servo_errors
+from identification.measurements import Measurements
+from identification.simulate import simulate, with_servo_errors
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 QUARTER = np.pi / 2.0
@@ -139,19 +139,3 @@ def test_commands_are_asked_for_so_that_the_joints_are_read_right() -> None:
         there = simulate(TRUTH, commands, np.random.default_rng(4), sigma=0.0)
         missed = np.linalg.norm(there.positions - targets, axis=1)
         assert missed.max() < 2e-6 if off == 0.0 else missed.max() > off
-
-
-def test_files(tmp_path: Path) -> None:
-    """Commands in measurement files, all joints or none, and servo errors in arm files."""
-    found, path = data(5), tmp_path / "data.csv"
-    path.write_text(measurement_text(found))
-    assert "commanded1_deg,commanded2_deg" in path.read_text()
-    read = load_measurements(path, 2)
-    np.testing.assert_allclose(read.commanded, found.commanded, atol=1e-13)
-    text = "links_mm = [300.0, 250.0]\n"
-    (tmp_path / "arm.toml").write_text(with_effects(text, SPECS))
-    shift = servo_shift(load_arm(tmp_path / "arm.toml"), np.ones((1, 2)))
-    np.testing.assert_allclose(shift, servo_shift(TRUTH, np.ones((1, 2))), atol=1e-15)
-    path.write_text("q1_deg,q2_deg,commanded1_deg,x_mm,y_mm\n1,2,1,3,4\n")
-    with pytest.raises(Exception, match="column 'commanded2_deg' is missing"):
-        load_measurements(path, 2)

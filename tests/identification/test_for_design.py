@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from doe import DesignProblem, solve
+from doe import DesignProblem
 from doe.problem.uncertain import workspace
 from identification import Arm, ArmModel, InputError, Model, Plan, for_design
 from identification.instruments import Plane, Sphere
@@ -68,21 +68,6 @@ def test_a_stylus_that_passes_through_does_not_touch() -> None:
     assert not ArmModel(replace(arm, chain=over)).clear_of_surface(q).any()
     with pytest.raises(InputError, match="its normal on the side of the arm"):
         _ = DesignProblem.of(Model(replace(arm, chain=over))).choices
-
-
-@pytest.mark.usefixtures("few")
-def test_a_plan_and_its_certificate() -> None:
-    """The plan is of choices alone, better than choices at random, and its efficiency that of the definition."""
-    problem = DesignProblem.of(Model(arm_of("sphere")))
-    design = solve(problem, 30, starts=2, seed=0)
-    chosen = {tuple(row) for row in problem.choices}
-    assert all(tuple(row) in chosen for row in design.plan.postures)
-    assert design.efficiency is not None
-    by_hand = np.exp((problem.objective(design.plan.postures) - design.bound.value) / problem.parameters)
-    assert design.efficiency == pytest.approx(by_hand, rel=1e-9)
-    generator = np.random.default_rng(1)
-    at_random = [problem.objective(generator.choice(problem.choices, 30, replace=False)) for _ in range(20)]
-    assert max(at_random) < design.log_det <= design.bound.value
 
 
 def test_what_no_plan_can_be_made_for() -> None:

@@ -66,30 +66,6 @@ def test_distances_show_24_parameters() -> None:
     assert rank(model, q) == len(minimal(model).names) == 24
 
 
-def test_estimates_without_noise() -> None:
-    """Distances of an independent chain, of which the fit gets the drawing alone: where nothing is held by a prior
-    every parameter comes back, and center and measured point from nothing."""
-    generator = np.random.default_rng(2)
-    q = generator.uniform(-2.0, 2.0, (60, 6))
-    kept = minimal(Model(bar()))
-    truth = dict(zip(kept.names, 0.5 / kept.scales * generator.standard_normal(24), strict=True))
-    chain = replace(CHAIN, base=BASE)
-    read = [np.linalg.norm(tip_by_exponentials(chain, posture, truth, REFLECTOR)) for posture in q]
-    arm = kept.arm
-    unplaced = replace(arm, chain=replace(arm.chain, base=np.eye(4), tools={"1": np.zeros(3)}))
-    found = estimate(Model(unplaced), Measurements(q, np.array(read)[:, None]), sigma=0.01)
-    assert found.status is Status.converged
-    values = found.model.parameters.mapping(found.parameters)
-    for name in kept.names:
-        if not name.startswith(("base", "tool")):
-            assert values[name] == pytest.approx(truth[name], abs=1e-9 * 10 / kept.scales[kept.names.index(name)])
-    there = CorrectedGeometry(found.model.arm.chain, values)
-    shift = [truth[f"base.{axis}"] for axis in "xyz"]
-    np.testing.assert_allclose(there.real.base, pose(shift - CENTER), atol=1e-8)
-    tool = REFLECTOR + [truth.get(f"tool[1].{axis}", 0.0) for axis in "xyz"]
-    np.testing.assert_allclose(there.real.tools["1"], tool, atol=1e-8)
-
-
 def fit(arm: Arm, q: Array, lengths: Array, session: Array | None = None) -> Identification:
     data = Measurements(q, lengths[:, None], session=session)
     return estimate(Model(with_sessions(arm, data)), data)

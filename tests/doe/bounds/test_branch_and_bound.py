@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, trigonometric_jacobian
 from identification import Array, Calibration, EffectSpec, Gravity
-from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
-from tests.doe.regression import regression
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, regression
 
 
 def random_polynomial(generator: np.random.Generator, n: int, terms: int, degree: int) -> TrigonometricPolynomial:

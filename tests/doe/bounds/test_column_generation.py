@@ -27,8 +27,7 @@ from doe.problem.postures import grid, listed_candidates, random_postures
 from doe.problem.problem import PriorInformation
 from identification import Arm, Array, EffectSpec, InputError, JobError, Status
 from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
-from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, random_box
-from tests.doe.regression import regression
+from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, random_box, regression
 
 
 def closed_form(lower: Array, upper: Array, offset: bool = False) -> float:
@@ -307,21 +306,6 @@ def test_slopes_by_finite_differences(case) -> None:  # type: ignore[no-untyped-
         assert slope[:, joint] == pytest.approx((up - down) / (2 * h), rel=1e-6, abs=1e-6 * np.abs(slope).max())
         up, down = (everything.slopes(q + s * h * e, gradient)[0] for s in (1, -1))
         assert hessian[:, joint] == pytest.approx((up - down) / (2 * h), rel=1e-6, abs=1e-6 * np.abs(hessian).max())
-
-
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_climbs_within_the_set(case) -> None:  # type: ignore[no-untyped-def]
-    generator = np.random.default_rng(1)
-    everything = ContinuousSet(case, PriorInformation())
-    gradient = some_gradient(case, generator)
-    starts = random_postures(case, 20, generator)
-    ends = everything.climb(starts, gradient)
-    assert np.all((ends >= case.lower) & (ends <= case.upper))
-    assert case.feasible(ends).all()
-    before, after = (everything.sensitivities(q, gradient) for q in (starts, ends))
-    assert after.max() >= before.max()
-    if not case.constraints:
-        assert np.all(after >= before)
 
 
 def test_nothing_higher_within_walls_by_scipy() -> None:

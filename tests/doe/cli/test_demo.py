@@ -8,7 +8,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from identification import load_arm
 from identification.workflow import VERBS
 from tests.doe.cli.conftest import Folder, Outcome
 
@@ -66,30 +65,6 @@ def test_demo_runs_the_whole_loop(demo: tuple[Folder, Outcome]) -> None:
     assert outline.open == []
     assert (outline.counts["section"] >= 6, outline.counts["svg"] >= 5) == (True, True)
     assert not any(fetched in page for fetched in ('src="http', 'href="http'))  # the page needs no network
-
-
-def test_the_demo_files_feed_the_other_commands_which_say_the_same(demo: tuple[Folder, Outcome]) -> None:
-    folder, shown = demo[0], demo[1].data
-    kept = load_arm(folder.path / "d" / "extended.toml").calibration
-    assert kept is not None
-    assert kept.provenance["rms_before_mm"] > 10.0 * kept.provenance["rms_after_mm"]  # before: the drawing
-    assert folder.said("diagnose d/extended.toml d/data.csv")["verdict"] == "none"
-    assert shown["identify"] == folder.said("identify d/arm.toml d/data.csv")
-    diagnosis = folder.said("diagnose d/arm.toml d/data.csv --holdout d/fresh.csv")
-    assert shown["diagnose"] == diagnosis
-    # the effect that is named, with the same values and intervals in `diagnose` and in `identify` of the arm file that
-    # the demo writes
-    again = folder.said("identify d/extended.toml d/data.csv")
-    a, b = again["parameters"][-2:]
-    assert [row["name"] for row in (a, b)] == ["encoder_eccentricity:1.a", "encoder_eccentricity:1.b"]
-    for row, same, truth in zip(diagnosis["named"]["parameters"], (a, b), (0.06, -0.04), strict=True):
-        assert row["name"] == same["name"]
-        assert abs(same["value"] - truth) < 5 * same["std"]
-        assert all(abs(row[key] - same[key]) <= 1e-7 * same["std"] for key in ("value", "low_95", "high_95"))
-        assert row["std"] == pytest.approx(same["std"], rel=1e-7)
-    assert diagnosis["named"]["intervals"] == again["intervals"]
-    # least squares leave least; the model that predicts has what is less likely, too, and holds the effect back
-    assert again["rms_after_mm"] <= diagnosis["gap"]["rms_after_mm"] * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from doe.plan.driving import room_of
 from doe.problem.constraints import constraints_of
 from identification import Model, Plan, design_model, load_arm
 from tests.doe.cli.conftest import ARM, Folder, table
-from tests.doe.plan.test_moves import sampled
+from tests.doe.plan.test_plan import sampled
 
 POSTS = """
 [cell]

@@ -9,44 +9,16 @@ import numpy as np
 import pytest
 
 from doe.demo.run import (
-    AXES,
-    FLANGE,
-    POINTS,
-    REFLECTOR,
-    SIX_AXES,
-    URDF,
     Demo,
     demo_document,
-    hidden_arm,
     overview_figure,
     run_demo,
     spatial,
 )
 from doe.plan.driving import room_of
-from doe.studies.blind.simulator import position, session
-from identification import Model, Plan, load_arm
+from identification import Plan, load_arm
 from identification.files.urdf import read_urdf
-from tests.doe.plan.test_moves import sampled
-
-
-def test_lines_without_errors_are_the_chain_that_is_drawn(tmp_path: Path) -> None:
-    real = hidden_arm()
-    turned = np.degrees(np.arctan2(real.base[1, 0], real.base[0, 0]))
-    place = "".join(f"{axis}_mm = {value!r}\n" for axis, value in zip("xyz", real.base[:3, 3].tolist(), strict=True))
-    tool = "".join(f"{axis}_mm = {v}\n" for axis, v in zip("xyz", (REFLECTOR - FLANGE).tolist(), strict=True))
-    (tmp_path / "robot.urdf").write_text(URDF)
-    (tmp_path / "arm.toml").write_text(f"{SIX_AXES}\n[base]\n{place}rz_deg = {float(turned)!r}\n[tool]\n{tool}")
-    arm = load_arm(tmp_path / "arm.toml")
-    rng = np.random.default_rng(1)
-    postures = rng.uniform(arm.lower, arm.upper, (20, 6))
-    run = session(real, postures, rng)
-    drawn = replace(real, points=POINTS, axes=AXES, offsets=np.zeros(6), effects=[])
-    np.testing.assert_allclose(position(drawn, run), Model(arm).position(postures), atol=1e-9)
-    wave = ("encoder_eccentricity", 2, {"a": 0.002, "b": 0.003})
-    wrong = replace(drawn, offsets=np.eye(6)[1] * 0.01, effects=[wave])
-    shown = postures[:, 1]
-    moved = postures + np.eye(6)[1] * (0.01 + 0.002 * np.cos(shown) + 0.003 * np.sin(shown))[:, None]
-    np.testing.assert_allclose(position(wrong, run), Model(arm).position(moved), atol=1e-9)
+from tests.doe.plan.test_plan import sampled
 
 
 def test_the_hidden_effect_is_named_the_gap_closes_and_all_is_shown(tmp_path: Path) -> None:

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, solve
-from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import continuous_design
 from doe.plan.spacing import too_near
-from doe.problem.uncertain import tip_jacobians
 from identification import PRISMATIC, Arm, ArmModel, Array, DHRow, InputError, Model, chain_of, with_points
 from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
@@ -32,16 +30,6 @@ def test_with_a_sigma_the_prior_of_machining_counts() -> None:
     expected = difference_information(problem, Model(SIX_AXIS), POSTURES)
     np.testing.assert_allclose(problem.information(POSTURES), expected, atol=1e-8 * np.abs(expected).max())
     assert problem.objective(POSTURES) == pytest.approx(np.linalg.slogdet(expected)[1], abs=1e-3)
-
-
-def test_without_a_sigma_the_design_is_for_a_minimal_set() -> None:
-    problem = six_axis(replace(SIX_AXIS, sigma=None))
-    assert problem.parameters == 27
-    assert not problem.deviations
-    model = minimal(Model(SIX_AXIS))
-    columns = (difference_jacobian(model, POSTURES) / model.scales).reshape(-1, 27)
-    expected = np.linalg.slogdet(columns.T @ columns / len(POSTURES))[1]
-    assert problem.objective(POSTURES) == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_user_may_design_for_a_minimal_set_or_without_a_prior() -> None:
@@ -114,21 +102,6 @@ def test_a_center_is_assumed_before_the_base() -> None:
     placed = replace(chain, base=pose([-700.0, 0.0, 0.0]))
     np.testing.assert_array_equal(with_points(placed).base, placed.base)
     np.testing.assert_array_equal(with_points(CHAIN).base, CHAIN.base)
-
-
-def test_an_optimal_plan_of_distances_is_better_than_a_random_one() -> None:
-    """By the covariance: the volume of the 36 parameters' ellipsoid, and the error of the tip."""
-    problem = DesignProblem.of(Model(bar(base=pose([-700.0, 200.0, -300.0]))))
-    found = solve(problem, 40, starts=2, bound=Bound(np.inf, "continuous"))
-    anyhow = np.random.default_rng(0).uniform(-2.0, 2.0, (20, 40, 6))
-    best = max(problem.objective(plan) for plan in anyhow)
-    assert found.value > best + 10.0  # each parameter of 36 by a quarter better
-    poses = anyhow.reshape(-1, 6)[:100]
-    tips = tip_jacobians(problem, poses).reshape(-1, problem.parameters)
-    errors = [
-        np.trace(tips @ np.linalg.inv(problem.information(plan)) @ tips.T) for plan in (found.plan.postures, *anyhow)
-    ]
-    assert errors[0] < min(errors[1:])
 
 
 def test_contacts_at_an_unknown_place_have_no_plans() -> None:

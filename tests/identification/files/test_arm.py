@@ -283,10 +283,11 @@ def found_of_arms(draw: st.DrawFn) -> tuple[list[float], list[EffectSpec], Calib
     effects = [
         EffectSpec("axes_skew", None, draw(st.dictionaries(st.sampled_from("ab"), numbers))),
         EffectSpec("encoder_eccentricity", n, {"a": draw(angles)}),
+        EffectSpec("servo_error", n, {"b": draw(angles), "h": draw(angles)}),
         *(EffectSpec("transmission_ripple", n, {"k": k}) for k in draw(st.sets(st.integers(3, 64), min_size=2))),
         EffectSpec("joint_error_curve", n, curve=ErrorCurve(-1.0, 1.5, draw(arrays(float, 9, elements=angles)))),
     ]
-    ripples = [f"transmission_ripple:{n}[k={spec.values['k']}].a" for spec in effects[2:-1]]
+    ripples = [f"transmission_ripple:{n}[k={spec.values['k']}].a" for spec in effects[3:-1]]
     names += [f"encoder_eccentricity:{n}.b", *ripples]
     steps = st.integers(-1000, 1000).map(lambda step: 0.01 * step)
     root = draw(arrays(float, (len(names), 2), elements=steps))  # singular: parameters may be tied

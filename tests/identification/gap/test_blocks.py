@@ -46,21 +46,6 @@ class Breathing(Effect):
         return lengths * (values[0] * ca.cos(angle) + values[1] * ca.sin(angle))
 
 
-class LinkJump(Effect):
-    """One link is longer after a time that the data decide."""
-
-    name, summary, per_joint, needs = "link_jump", "a link jumps", "required", frozenset({"time"})
-    settings = {"at": Setting(-0.5, 0.5, values=lambda scope: scope.conditions.time[2:-2:3] + 1e-3)}
-
-    def define(self):
-        return (self.parameter("d", "mm", scale=1.0),)
-
-    def extensions(self, chain, values, lengths):
-        grown = ca.SX.zeros(chain.links)
-        grown[self.joint_index] = values[0] * (chain.time > self.chosen["at"])
-        return grown
-
-
 class Settling(Effect):
     """The base settles with a time constant that is estimated, which cannot be zero."""
 
@@ -101,7 +86,7 @@ class Lag(Effect):
         return values[0] * (chain.previous[j] - chain.q[j])
 '''
 pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
-NAMES = {"lag": "Lag", "breathing": "Breathing", "link_jump": "LinkJump", "settling": "Settling", "series": "Series"}
+NAMES = {"lag": "Lag", "breathing": "Breathing", "settling": "Settling", "series": "Series"}
 ARM = Arm(
     [300.0, 200.0, 150.0],
     gravity=Gravity([0.0, -9.81], [4.0, 3.0, 1.0], [0.5, 0.5, 0.5], 2.0),
@@ -171,21 +156,15 @@ def test_every_effect_at_every_joint_with_values_of_settings_and_their_weights()
     assert (bare.skipped["thermal_growth"], bare.skipped["link_bending"]) == ("needs temperature", "needs gravity")
     assert "length_offset" not in bare.skipped  # nothing that these data lack: they are of another instrument
     values = {name: [dict(b.spec.values) for b in blocks if b.spec is not None] for name, blocks in of.items()}
-    times = rows().conditions.time
-    assert times is not None
-    np.testing.assert_allclose([each["at"] for each in values["link_jump"]][:12], times[2:-2:3] + 1e-3, atol=1e-5)
     assert [each["rate"] for each in values["breathing"]] == [1.5, 3.5, 7.25]
     assert [each["terms"] for each in values["series"]] == [2, 3] * 3
     assert len(of["transmission_ripple"]) == 3 * (64 - 3 + 1)
-    for name, weight in (("breathing", 1.0), ("base_drift", 1.0), ("link_jump", 3.0), ("transmission_ripple", 3.0)):
+    for name, weight in (("breathing", 1.0), ("base_drift", 1.0), ("transmission_ripple", 3.0)):
         assert sum(block.weight for block in of[name]) == pytest.approx(np.sqrt(weight))
 
 
-@pytest.mark.parametrize(
-    ("name", "joint", "values"), [("link_jump", 2, {"at": 0.1, "d": 0.4}), ("lag", 2, {"c": 4e-4})]
-)
-def test_a_users_own_effect_is_named(name: str, joint: int | None, values: dict[str, float]) -> None:
-    spec, rng = EffectSpec(name, joint, values), np.random.default_rng(5)
+def test_a_users_own_effect_is_named() -> None:
+    spec, rng = EffectSpec("lag", 2, {"c": 4e-4}), np.random.default_rng(5)
     conditions = Measurements(POSTURES, np.zeros((40, 2))).conditions
     exact = Model(ARM.with_effects(spec)).position(POSTURES, conditions=conditions)
     data = Measurements(POSTURES, exact + 0.02 * rng.normal(size=(40, 2)))
