@@ -19,8 +19,7 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, InputError, Plan, Status
 
 if TYPE_CHECKING:
-    from doe.problem.model import DesignModel
-    from identification import Arm, Diagnosis
+    from identification import Diagnosis
 
 
 @dataclass(frozen=True)
@@ -127,7 +126,7 @@ class RivalPredictions:
 
 
 def discriminate(
-    model: Arm | DesignModel,
+    model: Any,
     diagnosis: Diagnosis,
     runs: int,
     seed: int = 0,
@@ -136,7 +135,7 @@ def discriminate(
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
-    diagnosis : of an arm, or what of any model has `candidates`, `predictions`, `sigma` and `needs` as that has
+    model : an arm, or any other;  diagnosis : what of it has `candidates`, `predictions`, `sigma` and `needs`
     payloads : [kg] that can be hung on the arm, default its own only;  stop : asked before every choice
 
     Raises `InputError` for a diagnosis that is not ambiguous, or `runs` < 1, or if no posture is allowed.

@@ -289,5 +289,7 @@ def test_a_five_bar_linkage_is_designed_identified_and_refused_a_diagnosis() -> 
     data = Measurements(design.plan.postures, exact + 0.05 * generator.standard_normal(exact.shape))
     fit = estimate(FiveBar(), data)  # type: ignore[arg-type]
     assert np.all(np.abs(fit.parameters - truth) < 4.0 * design.deviations.values)
+    with pytest.raises(InputError, match=r"FiveBar, allowed: a Model, as in Model\(arm\), or one with reach$"):
+        estimate(type("FiveBar", (), {name: value for name, value in vars(FiveBar).items() if name != "reach"})(), data)
     with pytest.raises(InputError, match=r"^arm: FiveBar, allowed: an Arm"):
         diagnose(FiveBar(), data)  # type: ignore[arg-type]
