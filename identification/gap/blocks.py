@@ -157,7 +157,7 @@ class Library:
         unseen, added, labels = untested_joints(at), list[Block](), {b.label for b in chosen}
         jacobian = at.linearized[1]
         for j, q in enumerate(rows.postures.T):
-            if np.ptp(q) == 0.0 or j + 1 in unseen:
+            if np.ptp(q) == 0.0 or j + 1 in unseen or arm.joint_types[j] == PRISMATIC:
                 continue
             # what is named at this joint may be there instead of the wave
             effects = [e for e in at.model.effects if e.joint == j + 1 and e.label in labels]
@@ -283,8 +283,9 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         whole: list[int | None] = [] if cls.per_joint == "required" else [None]
         for joint in whole + (joints if cls.per_joint != "none" else []):
             spec = EffectSpec(name, joint)
-            slides = joint is not None and cls.of_angle and arm.joint_types[joint - 1] == PRISMATIC
-            if slides or (joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles"))):
+            slides = joint is not None and arm.joint_types[joint - 1] == PRISMATIC
+            of_angle = slides and (cls.of_angle or cls.unlisted)
+            if of_angle or (joint in unseen and (cls.unlisted or hasattr(cls, "joint_angles"))):
                 reasons[spec.key] = "the joint slides, or hardly moves the measured point"
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
@@ -302,15 +303,14 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
 def untested_joints(at: At) -> frozenset[int]:
     """Joints (from 1) at which no joint effect is tested.
 
-    These are prismatic joints, since joint effects describe rotary encoders and gears, and joints with an RMS lever
-    below a thousandth of the reach: a reflector on the last axis does not move with that joint, and a fraction of a
-    micrometre would correspond to degrees. Levers are those of the arm as best known: a fit that is nonsense may shrink
-    the arm to nothing.
+    Their RMS lever is below a thousandth of the reach, or of the way that they slide: a reflector on the last axis does
+    not move with that joint, and a fraction of a micrometre would correspond to degrees. Levers are those of the arm as
+    best known: a fit that is nonsense may shrink the arm to nothing.
     """
     levers = at.model.joint_levers(at.rows.postures, None, at.rows.conditions)
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
-    sliding = np.array([kind == PRISMATIC for kind in at.model.joint_types])
-    return frozenset((np.flatnonzero(sliding | (sizes < 1e-3 * at.model.reach)) + 1).tolist())
+    full = [1.0 if kind == PRISMATIC else at.model.reach for kind in at.model.joint_types]
+    return frozenset((np.flatnonzero(sizes < 1e-3 * np.array(full)) + 1).tolist())
 
 
 def slope_by_angle(effect: Effect, joint: int, model: Model) -> Callable[[Array], Array] | None:
@@ -329,11 +329,11 @@ def slope_by_angle(effect: Effect, joint: int, model: Model) -> Callable[[Array]
 
 
 # -- outside the library ----------------------------------------------------------------------------------------------
-def measured_range(angles: Array, turns: bool) -> tuple[float, float]:
-    """First and last angle [rad] of those measured (m,); where a joint turns, and no more than once around, they begin
+def measured_range(angles: Array) -> tuple[float, float]:
+    """First and last angle [rad] of those measured (m,); where a joint turns no more than once around, they begin
     after a gap on the circle of more than `HOLE`, and than the one between the last and the first."""
     low, high = float(angles.min()), float(angles.max())
-    if not turns or high - low > 2.0 * np.pi:
+    if high - low > 2.0 * np.pi:
         return low, high
     order = np.argsort(np.mod(angles, 2.0 * np.pi))
     gaps = np.mod(np.roll(angles[order], -1) - angles[order], 2.0 * np.pi)
@@ -409,8 +409,8 @@ def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: boo
     joints, unseen = model.arm.chain.joints, untested_joints(at)
     unseen |= {j for spec in model.arm.effects if spec.curve is not None and (j := spec.joint)}
     for j, angles in enumerate(rows.postures.T) if outside else ():
-        if j + 1 not in unseen and np.ptp(angles) > 1e-9:
-            span = measured_range(angles, joints[j].type == REVOLUTE)
+        if j + 1 not in unseen and joints[j].type == REVOLUTE and np.ptp(angles) > 1e-9:
+            span = measured_range(angles)
             columns.append(at.levers[:, :, j, None] * curve_waves(angles, *span)[:, None, :])
             blocks.append(Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *span)))
     for k in wrong:

@@ -271,6 +271,7 @@ def place_of(effect: Drawn) -> str | None:
     name, joint, v = effect
     if joint is None:
         whole = {"refraction": "workspace", "gripper_play": None, "warm_offset": "temperature or time"}
+        whole |= {"payload_swap": "time or payload"}
         return whole.get(name, "time")
     second = {"two_joint_cable": joint + 1, "cross_talk": v.get("other")}.get(name)
     return f"joint:{joint}" + (f" or joint:{second}" if second else "")

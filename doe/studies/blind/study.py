@@ -49,6 +49,7 @@ EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)  # bins of what is said 
 FOLLOWING = {  # where an effect of the library is that has no joint
     "time": ("base_drift", "base_rotation_drift", "base_step", "thermal_transient", "joint_step", "link_step"),
     "temperature": ("thermal_growth",),
+    "payload": ("payload_error",),
     "workspace": ("axes_skew", "measurement_scale"),
 }
 Judged = dict[str, Any]

@@ -9,7 +9,7 @@ import pytest
 
 from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import measure, session
-from identification import Arm, EffectSpec, Gravity, Measurements, Model, detectability, diagnose
+from identification import Arm, DHRow, EffectSpec, Gravity, Measurements, Model, chain_of, detectability, diagnose
 from identification.gap.blocks import hypotheses, untested_joints
 from identification.gap.fit import At, Rows
 from tests.identification.exponentials import Exponentials, drawing
@@ -103,6 +103,23 @@ def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     assert set(of_angles) == {1, 2, 3, 4, 5}
     assert any(b.key == "link_step:6" for b in found.members)  # what lies beyond the joint still grows
     assert found.skipped["backlash:6"] == "the joint slides, or hardly moves the measured point"
+
+
+def test_a_slide_has_play_but_no_encoder_disc() -> None:
+    """A slide along z that carries two joints: its play moves the tip along z alone, to the side it comes from."""
+    drawn = [DHRow(0.0, np.pi / 2.0, 0.0, type="prismatic", limits=(-400.0, 400.0)), DHRow(300.0, 0.0, 0.0)]
+    arm, generator = Arm(chain_of([*drawn, DHRow(250.0, 0.0, 0.0)]), sigma=0.03), np.random.default_rng(4)
+    q = generator.uniform([-400.0, -2.0, -2.0], [400.0, 2.0, 2.0], (60, 3))
+    positions = Model(arm).position(q) + 0.03 * generator.standard_normal((60, 3))
+    positions[:, 2] += 0.06 * np.sign(np.diff(q[:, 0], prepend=-np.inf))
+    found = diagnose(arm, Measurements(q, positions))
+    assert found.named.effects == ("backlash:1",)
+    (play,) = (row for row in found.named.to_json()["parameters"] if row["name"] == "backlash:1.b")
+    assert play["unit"] == "mm"
+    assert abs(play["value"] - 0.06) < 4.0 * play["std"] < 0.06
+    skipped = hypotheses(arm, frozenset(), Rows.of(Measurements(q, positions))).skipped
+    assert {"encoder_eccentricity:1", "joint_hysteresis:1"} <= {*skipped}
+    assert "gear_ratio:1" not in skipped
 
 
 def test_a_moment_that_is_rounding_is_no_effect() -> None:
