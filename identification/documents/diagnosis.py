@@ -43,7 +43,7 @@ SCATTER = {  # kind of a finding -> what it is, before its size
     "joint_noise": "larger the farther joint {joint} moves the point, by a relative variance of",
     "reach_noise": "larger far from the base, by a relative variance of",
     "time_noise": "larger {when} in the session, by a relative variance of",
-    "serial_correlation": "rows measured one after the other err alike, lag-1 correlation",
+    "serial_correlation": "rows measured one after the other err alike, as in a drift, lag-1 correlation",
     "repeats": "rows of one posture err alike, by a relative variance of",
 }
 NOISE_FROM = {"repeats": "repeats", "close_repeats": "repeats close in time", "sigma": "sigma_mm"}

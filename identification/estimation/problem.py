@@ -54,7 +54,7 @@ class Prior(ByValue):
     own_error : standard deviation [mm] of one coordinate of a posture's own error, of which other postures say nothing:
         to a fit it is noise
     factors : on `deviations` and `own_error`, of which a fit takes the likeliest: of sizes that are typical, some arms
-        have all less
+        have all less or more
     """
 
     deviations: Mapping[str, float] = field(default_factory=dict)

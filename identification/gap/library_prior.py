@@ -115,5 +115,5 @@ def library_prior(
     # a posture's own error, in one coordinate; calibrated robots keep 1e-4 of the reach in three coordinates
     own_error = 6e-5 * arm.reach if names is None else 0.0
     sizes = dict(zip(parameters, deviations, strict=True))
-    prior = Prior(sizes, own_error=own_error, factors=(1.0, 0.5, 0.25, 0.125))
+    prior = Prior(sizes, own_error=own_error, factors=(1.0, 4.0, 2.0, 0.5, 0.25, 0.125))
     return LibraryPrior(wide, tuple(added), prior, MappingProxyType(left_out), faster)
