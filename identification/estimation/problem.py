@@ -123,7 +123,7 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
 
     prior : of parameters that need no equation, besides those of the model
     """
-    if not isinstance(model, Model) and (lacking := [name for name in FITTED.split() if not hasattr(model, name)]):
+    if lacking := [name for name in FITTED.split() if not hasattr(model, name)]:
         allowed = f"allowed: a Model, as in Model(arm), or one with {lacking[0]}"
         raise InputError(f"model: found {type(model).__name__}, {allowed}")
     if not hasattr(measurements, "positions"):
