@@ -122,6 +122,11 @@ def test_a_plan_is_scored_by_its_weights_and_with_what_is_measured_already(folde
     sums = [angles[:, j + 1 : k + 1].sum(axis=1) for j in range(4) for k in range(j + 1, 4)]
     largest = max(abs(np.mean(np.exp(1j * each))) for each in sums)
     assert three["table_1_max_residual"] == pytest.approx(largest, abs=1e-9)
+    # seven rows that scatter 100 times as far tell next to nothing, and four runs no length better than sigma / sqrt(4)
+    cells = enumerate(folder.read("seven.csv").splitlines())
+    folder.write("poor.csv", "\n".join(line + (",10" if row else ",sigma_mm") for row, line in cells))
+    four = folder.said("design arm.toml --runs 4 --starts 5 --keep poor.csv")
+    assert min(four["std"]["length_mm"]) > 0.9999 * 0.1 / np.sqrt(4)
     printed = folder.armcal("design arm.toml --runs 3 --starts 5 --keep seven.csv").flat
     assert "these runs and the 7 measured already" in printed
 
