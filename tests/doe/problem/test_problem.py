@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, product
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,8 +15,8 @@ import pytest
 from doe import DesignProblem, score_plan, solve
 from doe.advise import advise
 from doe.bounds.column_generation import relax
-from doe.discrimination.t_optimal import RivalPredictions
-from doe.plan.accuracy import TipErrors
+from doe.discrimination.t_optimal import RivalPredictions, discriminate
+from doe.plan.accuracy import ExpectedDeviations, TipErrors
 from doe.problem.constraints import Expression
 from doe.problem.model import REQUIRED
 from doe.problem.postures import grid, listed_candidates, well_spread
@@ -43,6 +44,20 @@ def test_information_with_measured_postures_is_the_information_of_all_runs() -> 
     assert g == pytest.approx(
         [np.sum(gradient * f) for f in prior.information(np.swapaxes(jacobians, 1, 2) @ jacobians)], rel=1e-12
     )
+
+
+def test_rows_measured_already_count_by_their_own_scatter() -> None:
+    """Generalized least squares: cov^-1 = sum J^T J / sigma_i^2 over new and kept rows, each with its own sigma_i."""
+    plan, kept = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (2, 6, 4))
+    sigma, own = 0.1, np.array([0.02, 0.1, 0.2, 0.5, 1.0, 3.0])
+    case = problem(replace(FOUR, sigma=sigma), kept=kept, kept_excess=own**2 - sigma**2)
+    weighted = [(case.model.jacobian(q[None])[0], s) for q, s in zip([*plan, *kept], [sigma] * 6 + [*own], strict=True)]
+    deviations = np.sqrt(np.diag(np.linalg.inv(sum(j.T @ j / s**2 for j, s in weighted))))
+    expected = ExpectedDeviations.of(case, plan)
+    assert expected is not None
+    assert expected.values == pytest.approx(deviations, rel=1e-9)
+    scaled = case.model.parameters.scales * deviations / sigma  # of S (sum J^T J) S, 12 runs
+    assert np.diag(np.linalg.inv(case.information(plan))) / 12 == pytest.approx(scaled**2, rel=1e-9)
 
 
 def test_measured_postures_need_the_number_of_runs() -> None:
@@ -186,16 +201,20 @@ def test_the_next_posture_tells_a_sine_from_one_with_a_slope() -> None:
         0.25 * np.linalg.inv(rows(first, p).T @ rows(first, p)) / np.outer(s, s)
         for p, s in zip((2, 3), scales, strict=True)
     ]
-    shown = [problem.scaled_jacobians(FINE[:, None]) * s for problem, s in zip(problems, scales, strict=True)]
-    roots = [np.linalg.cholesky(covariance) for covariance in covariances]
-    places = np.array([np.zeros((len(FINE), 1)), 1.5 * FINE[:, None]]) / 0.5
-    jacobians = [jacobian @ root / 0.5 for jacobian, root in zip(shown, roots, strict=True)]
-    rivals = RivalPredictions(np.full(2, 0.5), np.zeros((2, 2)), places, jacobians)
-    chosen = rivals.best_beside([])
+    candidates = [SimpleNamespace(effects=(name,), delta_bic=0.0, probability=0.5) for name in ("sine", "slope")]
+
+    def predictions(q: Array, *_: object) -> list[tuple[Array, ...]]:
+        shown = [problem.scaled_jacobians(q) * s for problem, s in zip(problems, scales, strict=True)]
+        return list(zip((0.0 * q, 1.5 * q), shown, covariances, scales, strict=True))
+
+    diagnosis: Any = SimpleNamespace(candidates=candidates, predictions=predictions, sigma=0.5, needs=frozenset())
+    rivals = RivalPredictions.of(diagnosis, FINE[:, None], None, np.ones((len(FINE), 1)))
     delta = 1.5 * FINE
     spread = 0.25 + np.einsum("kp,pq,kq->k", rows(FINE), covariances[0] * np.outer(scales[0], scales[0]), rows(FINE))
     np.testing.assert_allclose(rivals.noncentrality([])[1][1, 0], delta**2 / spread, rtol=1e-9)
-    assert abs(FINE[chosen]) > 0.5
+    (chosen,) = discriminate(Sine(), diagnosis, 1).plan.postures[:, 0]
+    assert abs(chosen - FINE[rivals.best_beside([])]) < 0.02  # of 1,500 postures at random
+    assert abs(chosen) > 0.5
 
 
 def test_a_member_that_is_missing_is_named() -> None:
@@ -284,5 +303,7 @@ def test_a_five_bar_linkage_is_designed_identified_and_refused_a_diagnosis() -> 
     data = Measurements(design.plan.postures, exact + 0.05 * generator.standard_normal(exact.shape))
     fit = estimate(FiveBar(), data)  # type: ignore[arg-type]
     assert np.all(np.abs(fit.parameters - truth) < 4.0 * design.deviations.values)
+    with pytest.raises(InputError, match=r"FiveBar, allowed: a Model, as in Model\(arm\), or one with reach$"):
+        estimate(type("FiveBar", (), {name: value for name, value in vars(FiveBar).items() if name != "reach"})(), data)
     with pytest.raises(InputError, match=r"^arm: FiveBar, allowed: an Arm"):
         diagnose(FiveBar(), data)  # type: ignore[arg-type]
