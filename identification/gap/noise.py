@@ -1,7 +1,6 @@
 """The noise: its components, each with a marginal likelihood, and what is known of it without a model.
 
-A sigma from a data sheet may be too small, so that only a sigma of the rows and
-repeats have a say in the verdict.
+A sigma from a data sheet may be too small, so that only a sigma of the rows and repeats have a say in the verdict.
 """
 
 from __future__ import annotations
@@ -84,7 +83,8 @@ def noises(at: At) -> Iterator[NoiseModel]:
                 spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
                 more = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
                 yield NoiseModel(name, sign * ratio, more, float(np.log(UNEVEN / kinds)))
-    for rho in CORRELATIONS:
+    # numerical: what lasts for a fifth of the session is no noise but a drift, which blocks of time have
+    for rho in (rho for rho in CORRELATIONS if (1.0 - rho) * m >= 5.0):
         prior = float(np.log(UNEVEN / len(CORRELATIONS)))
         yield NoiseModel("serial_correlation", rho, replace(rows, correlation=rho), prior)
     if rows.posture_numbers.max() + 1 < m:
