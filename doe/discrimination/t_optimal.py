@@ -19,7 +19,7 @@ from doe.problem.problem import DesignProblem, Stop, never
 from identification import Array, InputError, Plan, Status
 
 if TYPE_CHECKING:
-    from identification import Arm, Diagnosis
+    from identification import Diagnosis
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class RivalPredictions:
     right: float = 1.0
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis, postures: Array, payload: Array, directions: Array) -> RivalPredictions:
+    def of(cls, diagnosis: Diagnosis, postures: Array, payload: Array | None, directions: Array) -> RivalPredictions:
         """Of every candidate, at postures (N, n), with payloads (N,) [kg] and directions of approach (N, n)."""
         positions, jacobians, sigma = [], [], diagnosis.sigma
         for position, jacobian, covariance, scales in diagnosis.predictions(postures, payload, directions):
@@ -126,7 +126,7 @@ class RivalPredictions:
 
 
 def discriminate(
-    arm: Arm,
+    model: Any,
     diagnosis: Diagnosis,
     runs: int,
     seed: int = 0,
@@ -135,6 +135,7 @@ def discriminate(
 ) -> NextPostures:
     """The `runs` measurements most likely to resolve an ambiguous diagnosis.
 
+    model : an arm, or any other;  diagnosis : what of it has `candidates`, `predictions`, `sigma` and `needs`
     payloads : [kg] that can be hung on the arm, default its own only;  stop : asked before every choice
 
     Raises `InputError` for a diagnosis that is not ambiguous, or `runs` < 1, or if no posture is allowed.
@@ -145,12 +146,11 @@ def discriminate(
         raise InputError(
             f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
         )
-    generator = np.random.default_rng(seed)
-    pool = random_postures(DesignProblem.of(arm), 1500, generator)  # effort
+    problem, generator = DesignProblem.of(model), np.random.default_rng(seed)
+    pool = random_postures(problem, 1500, generator)  # effort
     # a payload and directions of approach for each posture, at random
-    usual = 0.0 if arm.gravity is None else arm.gravity.payload
-    payload = generator.choice(np.array(payloads or (usual,)), len(pool))
-    directions = generator.choice(np.array([-1.0, 1.0]), (len(pool), arm.links))
+    payload = generator.choice(np.array(payloads), len(pool)) if payloads else None
+    directions = generator.choice(np.array([-1.0, 1.0]), pool.shape)
     rivals = RivalPredictions.of(diagnosis, pool, payload, directions)
     chosen = [rivals.best_beside([])]
     for k in [*range(1, runs), *range(runs), *range(runs)]:  # effort: two rounds of exchanges after the greedy choice
@@ -162,10 +162,10 @@ def discriminate(
     chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
     np.fill_diagonal(chance, 1.0)
     names = [" + ".join(candidate.effects) for candidate in diagnosis.candidates]
-    conditions = {"payload": payload[chosen]} if payloads else {}
+    conditions = {} if payload is None else {"payload": payload[chosen]}
     conditions |= {"directions": directions[chosen]} if "directions" in diagnosis.needs else {}
     return NextPostures(
-        Plan(pool[chosen], joint_types=diagnosis.arm.joint_types, conditions=conditions),
+        Plan(pool[chosen], joint_types=problem.model.joint_types, conditions=conditions),
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
         Status.time_limit if stop() else Status.local_optimum,

@@ -49,8 +49,7 @@ def estimate(
 ) -> Identification:
     """Least-squares estimates of the model's parameters (eq. 3), with covariance (eq. 16) and 95 % intervals.
 
-    model : a `Model`, or another, of any dimension, with the same parameters, prior, values, joints, effects, sigma,
-        reach, closed_form, position and linearize
+    model : a `Model`, or another, of any dimension, with the members that `problem.FITTED` lists
     sigma : standard deviation of one coordinate [mm], one number or (m,), which intervals then rely on; "given": the
         same with the data's sigma per row, else the arm's; "estimated": from the residuals, whatever the data say. Left
         out: as "given" as long as chi2 does not contradict it, else the scatter of the residuals

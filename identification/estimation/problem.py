@@ -40,6 +40,8 @@ from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
 RELIANCE = ("given", "estimated")
+# what a fit asks of a model
+FITTED = "parameters names scales values prior dimension joints effects sigma reach closed_form position linearize"
 
 
 # -- the prior ---------------------------------------------------------------------------------------------------------
@@ -121,8 +123,9 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
 
     prior : of parameters that need no equation, besides those of the model
     """
-    if not hasattr(model, "linearize"):
-        raise InputError(f"model: found {type(model).__name__}, allowed: a Model, as in Model(arm)")
+    if lacking := [name for name in FITTED.split() if not hasattr(model, name)]:
+        allowed = f"allowed: a Model, as in Model(arm), or one with {lacking[0]}"
+        raise InputError(f"model: found {type(model).__name__}, {allowed}")
     if not hasattr(measurements, "positions"):
         allowed = "allowed: Measurements, as load_measurements(path) gives"
         raise InputError(f"measurements: found {type(measurements).__name__}, {allowed}")

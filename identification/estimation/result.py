@@ -370,9 +370,10 @@ def corrected_values(
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
     of, lengths, zeros = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), [], []
-    for j, length in enumerate(arm.lengths.tolist() if chain.planar else (), start=1):
-        value = length + values.get(name := f"{LENGTH_ERROR}:{j}", 0.0)
-        lengths.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
+    for j, length in enumerate(arm.lengths.tolist(), start=1):
+        if (name := f"{LENGTH_ERROR}:{j}") in model.geometry_parameters.names:
+            value = length + values.get(name, 0.0)
+            lengths.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
     # what each joint adds to what is read, as the controller counts: of coupled joints what both add
     shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
     turned = any(spec.name == "base_offset" for spec in arm.effects)

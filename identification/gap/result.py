@@ -362,11 +362,11 @@ class Diagnosis(Documented):
         return replace(self.arm, effects=(*self.arm.effects, *chosen.specs), calibration=calibration)
 
     def predictions(
-        self, postures: Array, payload: Array, directions: Array
+        self, postures: Array, payload: Array | None, directions: Array
     ) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """What each candidate predicts at postures (N, n) in the middle of the session, with payloads (N,) [kg] and
-        directions of approach (N, n): positions (N, d), Jacobians (N, d, p), the covariance (p, p) of the parameters,
-        fitted to the data at hand, and their scales (p,)."""
+        """What each candidate predicts at postures (N, n) in the middle of the session, with payloads (N,) [kg], None:
+        that of the arm, and directions of approach (N, n): positions (N, d), Jacobians (N, d, p), the covariance (p, p)
+        of the parameters, fitted to the data at hand, and their scales (p,)."""
         conditions = Conditions(payload, None, np.full(len(postures), 0.5), directions)
         for candidate in self.candidates:
             model, fit = Model(self.extended_arm(candidate)), candidate.calibration

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, product
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from doe import DesignProblem, score_plan, solve
 from doe.advise import advise
 from doe.bounds.column_generation import relax
-from doe.discrimination.t_optimal import RivalPredictions
+from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.plan.accuracy import TipErrors
 from doe.problem.constraints import Expression
 from doe.problem.model import REQUIRED
@@ -186,16 +187,20 @@ def test_the_next_posture_tells_a_sine_from_one_with_a_slope() -> None:
         0.25 * np.linalg.inv(rows(first, p).T @ rows(first, p)) / np.outer(s, s)
         for p, s in zip((2, 3), scales, strict=True)
     ]
-    shown = [problem.scaled_jacobians(FINE[:, None]) * s for problem, s in zip(problems, scales, strict=True)]
-    roots = [np.linalg.cholesky(covariance) for covariance in covariances]
-    places = np.array([np.zeros((len(FINE), 1)), 1.5 * FINE[:, None]]) / 0.5
-    jacobians = [jacobian @ root / 0.5 for jacobian, root in zip(shown, roots, strict=True)]
-    rivals = RivalPredictions(np.full(2, 0.5), np.zeros((2, 2)), places, jacobians)
-    chosen = rivals.best_beside([])
+    candidates = [SimpleNamespace(effects=(name,), delta_bic=0.0, probability=0.5) for name in ("sine", "slope")]
+
+    def predictions(q: Array, *_: object) -> list[tuple[Array, ...]]:
+        shown = [problem.scaled_jacobians(q) * s for problem, s in zip(problems, scales, strict=True)]
+        return list(zip((0.0 * q, 1.5 * q), shown, covariances, scales, strict=True))
+
+    diagnosis: Any = SimpleNamespace(candidates=candidates, predictions=predictions, sigma=0.5, needs=frozenset())
+    rivals = RivalPredictions.of(diagnosis, FINE[:, None], None, np.ones((len(FINE), 1)))
     delta = 1.5 * FINE
     spread = 0.25 + np.einsum("kp,pq,kq->k", rows(FINE), covariances[0] * np.outer(scales[0], scales[0]), rows(FINE))
     np.testing.assert_allclose(rivals.noncentrality([])[1][1, 0], delta**2 / spread, rtol=1e-9)
-    assert abs(FINE[chosen]) > 0.5
+    (chosen,) = discriminate(Sine(), diagnosis, 1).plan.postures[:, 0]
+    assert abs(chosen - FINE[rivals.best_beside([])]) < 0.02  # of 1,500 postures at random
+    assert abs(chosen) > 0.5
 
 
 def test_a_member_that_is_missing_is_named() -> None:
@@ -284,5 +289,7 @@ def test_a_five_bar_linkage_is_designed_identified_and_refused_a_diagnosis() -> 
     data = Measurements(design.plan.postures, exact + 0.05 * generator.standard_normal(exact.shape))
     fit = estimate(FiveBar(), data)  # type: ignore[arg-type]
     assert np.all(np.abs(fit.parameters - truth) < 4.0 * design.deviations.values)
+    with pytest.raises(InputError, match=r"FiveBar, allowed: a Model, as in Model\(arm\), or one with reach$"):
+        estimate(type("FiveBar", (), {name: value for name, value in vars(FiveBar).items() if name != "reach"})(), data)
     with pytest.raises(InputError, match=r"^arm: FiveBar, allowed: an Arm"):
         diagnose(FiveBar(), data)  # type: ignore[arg-type]

@@ -109,7 +109,3 @@ def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: 
                 assert all(flat(word) in shown for word in cell.split()), cell
     assert "armcal test" in text
     assert "<links>" not in text
-
-
-def test_the_picture_of_a_page_is_not_drawn_for_a_terminal(every: dict[str, Document]) -> None:
-    assert "<svg" in page(every["diagnosis"])

@@ -115,12 +115,6 @@ def test_the_bound_is_nearly_reached_by_thirty_runs() -> None:
     assert max(problem.objective(plan) for plan in plain) < design.bound.value - 39 * 0.05
 
 
-def test_exchanges_between_climbed_plans_help() -> None:
-    problem = six_axis(LIMITED)
-    one, two = (solve(problem, 14, starts=n, seed=2, bound=NONE).value for n in (3, 6))
-    assert two > one
-
-
 def test_a_feasible_plan_better_than_the_best_list() -> None:
     """A box and a tracker that must see the reflector: exchanges on a list of 1,000 feasible postures fall short."""
     arm = replace(SIX_AXIS, constraints=(BOX, SIGHT))

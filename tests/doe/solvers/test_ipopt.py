@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, solve
-from doe.bounds.certificate import Bound
 from doe.solvers.ipopt import Climber
 from doe.solvers.solver import Budget
 from identification import InputError, Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
-
-UNKNOWN = Bound(np.inf, "grid")  # spares the time to find one
 
 
 def test_ends_are_stationary_within_the_limits() -> None:
@@ -35,18 +32,6 @@ def test_ends_are_stationary_within_the_limits() -> None:
         assert np.abs(slope[inside]).max() < 1e-6
         assert np.all(slope[plan[:, joints] == case.lower[joints]] < 1e-6)  # nothing to gain by moving in
         assert np.all(slope[plan[:, joints] == case.upper[joints]] > -1e-6)
-
-
-def test_a_singular_start_is_survived() -> None:
-    case = problem(FOUR)
-    same = np.tile((case.lower + case.upper) / 2 + 0.1, (4, 1))
-    assert Climber(case, 4, Budget(1))(same).shape == (4, 4)
-
-
-def test_solve_reaches_the_bound_from_random_starts() -> None:
-    design = solve(problem(FOUR), 20, "ipopt")
-    assert design.status is Status.bound_reached
-    assert design.value == pytest.approx(-0.0612353259, abs=1e-8)
 
 
 def test_ctrl_c_inside_ipopt_returns_the_best_so_far() -> None:
