@@ -12,7 +12,7 @@ the points fixed to their bodies, and zero for a joint beyond the body: the line
 Pluecker coordinates (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 2). Second derivatives are
 differences of these.
 
-Pieces contain their bodies, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
+Pieces contain surfaces, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
 joint connects are not looked at (`Cell.apart`), nor those that touch wherever the arm goes, which random postures tell;
 of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
 """
