@@ -152,7 +152,7 @@ def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[A
     wound &= problem.choices is None or problem.sampled
     for j in np.flatnonzero(wound):
         ends = np.linspace(lower[j], upper[j] - whole, 13)
-        at_ends = np.where(joints == j, ends[:, None, None], postures).reshape(-1, len(joints))
+        at_ends = np.where(joints == j, ends[:, None, None], postures[:200]).reshape(-1, len(joints))
         free = np.all(room.margin(at_ends) >= 0.0, axis=1).reshape(len(ends), -1).mean(axis=1)
         start[j] = ends[np.argmin(free + 1e-3 * np.abs(np.linspace(-1.0, 1.0, len(ends))))]  # the middle one of equals
         turned = np.where(joints == j, start[j] + (postures - start[j]) % whole, postures)

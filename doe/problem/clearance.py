@@ -138,10 +138,9 @@ class Clearance:
         near = np.argwhere(apart < self.asked - ROUNDING).tolist()
         return [{"run": run + 1, "bodies": [*self.pairs[k]], "distance_mm": float(apart[run, k])} for run, k in near]
 
-    def in_words(self, postures: Array, most: int = 6) -> list[str]:
-        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs, of
-        which so many are named."""
-        near, lines = self.too_near(postures), list[str]()
+    def in_words(self, postures: Array) -> list[str]:
+        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs."""
+        near, lines, most = self.too_near(postures), list[str](), 6
         many = len(np.unique(postures, axis=0))  # of data a posture may have many rows
         if near:
             those = len(np.unique(postures[[each["run"] - 1 for each in near]], axis=0))
