@@ -187,7 +187,8 @@ def noise_floor(residual: Array, measurements: Measurements, kept: Kept, sigma: 
     for left, repeats in (points[far], groups[far]), (points, groups * (stretch.max() + 1) + stretch):
         squares, freedom = pure_error(left, repeats)
         floors.append(float(np.sqrt(left.shape[1] * squares / freedom)) if freedom >= SPARE else None)
-    return NoiseFloor(*floors, None if sigma is None else float(np.sqrt(points.shape[1] * np.mean(np.square(sigma)))))
+    instrument = None if sigma is None else float(np.sqrt(points.shape[1] * np.mean(np.square(sigma))))
+    return NoiseFloor(floors[0], floors[1], instrument)
 
 
 def _repeats_in_time(measurements: Measurements, kept: Kept) -> tuple[NDArray[np.int64], Array, Kept]:
