@@ -1,8 +1,8 @@
 """What an arm and its cell take up in space: bodies as plain data, in millimetres.
 
-A body is made of convex pieces that together contain it, so that a clearance of the pieces is one of the body: capsules
-(all points within a radius of a segment; a segment of no length is a sphere), and boxes where the body does not move,
-the foot of an arm apart.
+A body is made of convex pieces that together contain its surface, so that a clearance of the pieces is one of the
+body: capsules (all points within a radius of a segment; a segment of no length is a sphere), and boxes where the body
+does not move, the foot of an arm apart.
 """
 
 from __future__ import annotations

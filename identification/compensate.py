@@ -35,7 +35,7 @@ from identification.model.placed import in_own_frame
 from identification.newton import newton_ascent
 from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.sessions import BASE
-from identification.simulate import servo_shift
+from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition
 
 TOLERANCE = 1e-6  # [mm] a target is reached if the model comes this close; so near may a constraint be missed
@@ -121,6 +121,9 @@ def compensate(
         sided = tuple(sorted({e.name for e in model.effects if not {"directions", "past"}.isdisjoint(e.needs)}))
         past = past_from_order(commands) if "past" in model.needs else None
         where = replace(where, directions=directions_from_order(commands), past=past)
+        rising, falling = (commands + servo_shift(arm, side * np.ones_like(commands)) for side in (1.0, -1.0))
+        apart = model.position(rising, conditions=where) - model.position(falling, conditions=where)
+        sided += (SERVO,) if distances(apart).max() > 0.1 * likely else ()  # convention: what counts beside the rest
     if nominal is not None or sided:
         commands = task._replace(near=commands, conditions=where).reached_within(boxes)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals

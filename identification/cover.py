@@ -1,4 +1,4 @@
-"""Few convex pieces that together contain a body: capsules, or boxes.
+"""Few convex pieces that together contain the surface of a body: capsules, or boxes.
 
 The surface is cut into small faces. A piece takes whole faces, all corners of which it contains; as it is convex, it
 contains the faces.

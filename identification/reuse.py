@@ -27,7 +27,7 @@ from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ER
 from identification.measurements import ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
 from identification.model import Model
 from identification.model.placed import with_markers
-from identification.origin import HELD_FROM, comes_from
+from identification.origin import HELD_FROM, comes_from, without_prior_effects
 from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import SESSIONS, with_base
 
@@ -150,6 +150,10 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         raise InputError("prior: found no covariance, allowed: a file written by `armcal identify --out`")
     if not same_drawing(calibrated, model.arm):
         raise InputError("prior: a calibration of another drawing, allowed: of the same lengths and frames")
+    of_its_model, of_this = ({e.label for e in m.effects} for m in (Model(without_prior_effects(calibrated)), model))
+    if lacking := sorted(of_its_model - {*of_this, "base_offset"}):
+        beside = f"it holds beside {', '.join(lacking)}, which the model has not; give the file as ARM, too"
+        warnings.warn(f"prior: {beside}", UserWarning, stacklevel=2)
     shared, of_its = 0.0, 0.0  # of these rows that are among its own, and of its own
     if comes_from(calibration.provenance, measurements):
         reason = "the calibration was fitted to these very measurements, which would count twice"

@@ -74,7 +74,13 @@ def design_problem(
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
     model, restrictions = design_model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
-        restrictions["kept"] = Plan.load(keep, arm.joint_types, carried_out=True).postures
+        measured = Plan.load(keep, arm.joint_types, carried_out=True)
+        names = measured.cells.get("marker") if arm.dimension == 3 else None
+        most = names and max(set(names), key=names.count)  # a run reads all reflectors: it counts with one of them
+        rows = [row for row in range(len(measured)) if not names or names[row] == most]
+        restrictions["kept"] = measured.postures[rows]
+        if arm.sigma is not None and (sigma := measured.conditions["sigma"]) is not None:
+            restrictions["kept_excess"] = sigma[rows] ** 2 - arm.sigma**2
     if candidates is not None:
         choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
         try:
@@ -183,9 +189,7 @@ def design_files(
             raise InputError(f"--clearance-mm: {lacks}")
         loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     if approach != "any" and loaded.chain.instrument.contact:
-        raise InputError(
-            f"--approach: found {approach} for contacts, allowed: any, since what is touched is in the way"
-        )
+        raise InputError(f"--approach: found {approach} for contacts, allowed: any, as what is touched is in the way")
     signs = () if loaded.counting is None else loaded.counting.sign
     progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)

@@ -108,7 +108,7 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
     d, p = problem.model.dimension, problem.parameters
     rows = np.zeros((-(-len(informed) // d) * d, p))
     rows[range(len(informed)), informed] = np.sqrt(problem.precisions[informed])
-    return np.concatenate([jacobians, problem.scaled_jacobians(problem.kept), rows.reshape(-1, d, p)])
+    return np.concatenate([jacobians, problem.kept_jacobians, rows.reshape(-1, d, p)])
 
 
 def observability(problem: DesignProblem, postures: Array, weights: Array | None = None) -> dict[str, float]:
@@ -179,7 +179,7 @@ class TipErrors:
         """
         problem, wide, p = self.problem, self.wide, self.problem.parameters
         sigma, noise = ((model.sigma or 0.0) ** 2 for model in (problem.model, wide.model))
-        information = information_matrix(wide.scaled_jacobians(np.concatenate([postures, problem.kept])))
+        information = information_matrix(np.concatenate([wide.scaled_jacobians(postures), wide.kept_jacobians]))
         posterior = inverses(information[:p, :p] + np.diag(problem.precisions))
         whole = inverses(information + np.diag(wide.precisions))  # infinite where not everything is identified
         errors = dict.fromkeys(("model_right", "effects_missing", "effects_missing_prior", "model_right_worst"), np.inf)
@@ -238,14 +238,10 @@ class ExpectedTip:
             errors = TipErrors(problem, problem, targets if targets.ndim == 4 else targets[:, None])
         if m > most or errors is None or not errors.wide.missing:
             return None
-        fitted, generator = (
-            "effects_missing_prior" if problem.fit else "effects_missing",
-            np.random.default_rng([seed, m]),
-        )
-        if anywhere.choices is not None:
-            pool = listed_candidates(problem, anywhere.choices)
-        else:
-            pool = random_postures(problem, min(plans * m, most), generator)
+        fitted = "effects_missing_prior" if problem.fit else "effects_missing"
+        generator = np.random.default_rng([seed, m])
+        listed, count = anywhere.choices, min(plans * m, most)
+        pool = random_postures(problem, count, generator) if listed is None else listed_candidates(problem, listed)
         drawn = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(plans)]
         plan, *random = (errors.of_plan(each)[fitted] for each in (postures, *drawn))
         return cls(plan, np.array(random), problem.fit)
@@ -265,10 +261,8 @@ class ExpectedTip:
         named = "effects of --missing" if "--missing" in self.fit else "effects and error curves"
         where = f"Expected error of the tip if the arm has {named} that its file does not name ({fit})"
         others = f"{self.median:.3g} mm by the median of {len(self.random)} random ones"
-        figures, share = (
-            f"{self.plan:.3g} mm by this plan, {others}",
-            f"better than {100.0 * self.better:.0f} % of them",
-        )
+        figures = f"{self.plan:.3g} mm by this plan, {others}"
+        share = f"better than {100.0 * self.better:.0f} % of them"
         if self.better > 0.5:  # else it is not worth its search
             return f"{where}: {figures}; {share}."
         instead = "" if self.fit else " armcal design --robust chooses postures for that."

@@ -75,12 +75,12 @@ def drive(
         sideways = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
         last = attempt == ATTEMPTS or stop()
         if last or not sideways:  # what is left then is approached from anywhere
-            path = route(postures, room, entries, order != "travel", seed, stop)
-        if last or not (lost := sideways or path.unreached):
+            run_rows, steps, unreached = route(postures, room, entries, order != "travel", seed, stop)
+        if last or not (lost := sideways or unreached):
             break
         postures = replaced(problem, postures, lost, room, turn, generator)
-    via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in path.ways])
-    measured, whole = (replace(plan, postures=q) for q in (postures[path.rows], np.concatenate(path.ways)))
+    via = np.concatenate([np.arange(len(way)) < len(way) - 1 for way in steps])
+    measured, whole = (replace(plan, postures=q) for q in (postures[run_rows], np.concatenate(steps)))
     many = len(plan) > MANY and order != "travel"
     around = rows if many else shortest_path(room.travel(postures[:, None], postures))
     ways = (plan.postures, whole.postures, measured.postures, postures[around])
@@ -92,8 +92,8 @@ def drive(
     if not solid and approach == "any":
         return Drive(measured, None, data, lines)
     runs, changed = np.where(via, 0, np.cumsum(~via)).tolist(), int(np.any(postures != given, axis=1).sum())
-    vias, no_approach = int(via.sum()), (np.flatnonzero(np.isin(path.rows, sideways)) + 1).tolist()
-    not_free = (unproven(problem.constraints, whole.postures) or []) if path.unreached or stop() else []
+    vias, no_approach = int(via.sum()), (np.flatnonzero(np.isin(run_rows, sideways)) + 1).tolist()
+    not_free = (unproven(problem.constraints, whole.postures) or []) if unreached or stop() else []
     data["moves"] = {
         "vias": vias,
         "replaced": changed,
@@ -152,7 +152,7 @@ def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[A
     wound &= problem.choices is None or problem.sampled
     for j in np.flatnonzero(wound):
         ends = np.linspace(lower[j], upper[j] - whole, 13)
-        at_ends = np.where(joints == j, ends[:, None, None], postures).reshape(-1, len(joints))
+        at_ends = np.where(joints == j, ends[:, None, None], postures[:200]).reshape(-1, len(joints))
         free = np.all(room.margin(at_ends) >= 0.0, axis=1).reshape(len(ends), -1).mean(axis=1)
         start[j] = ends[np.argmin(free + 1e-3 * np.abs(np.linspace(-1.0, 1.0, len(ends))))]  # the middle one of equals
         turned = np.where(joints == j, start[j] + (postures - start[j]) % whole, postures)

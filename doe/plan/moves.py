@@ -33,6 +33,7 @@ from identification import Array
 
 Numbers = NDArray[np.intp]
 APPROACH = float(np.radians(3.0))  # more than any backlash
+NARROWEST = 0.5  # [mm] of the way of a body, below which a stretch is not halved again
 
 
 class Room(NamedTuple):
@@ -57,11 +58,10 @@ class Room(NamedTuple):
         """[rad] travel along a way (v, n)."""
         return float(self.travel(way[:-1], way[1:]).sum())
 
-    def free(self, starts: Array, ends: Array, levels: int | None = None, narrowest: float = 0.5) -> NDArray[np.bool_]:
+    def free(self, starts: Array, ends: Array, levels: int | None = None) -> NDArray[np.bool_]:
         """(m,) whether the straight moves from postures (m, n) to postures (m, n) are proven to be free.
 
         levels : after so many halvings all count as free that nothing was found in the way of; None: until proven
-        narrowest : [mm] of the way of a body, below which a stretch is not halved again
         """
         ends_once, number = np.unique(np.concatenate([starts, ends]), axis=0, return_inverse=True)
         before, after = np.split(self.margin(ends_once)[number.reshape(-1)], 2)
@@ -70,7 +70,7 @@ class Room(NamedTuple):
         while len(move) and level != levels:
             ways = np.abs(last - first) @ self.levers.T
             near = before + after < ways
-            proven[move[np.any(near & (ways < narrowest), axis=1)]] = False
+            proven[move[np.any(near & (ways < NARROWEST), axis=1)]] = False
             left = np.any(near, axis=1) & proven[move]
             move, first, last, before, after = (each[left] for each in (move, first, last, before, after))
             middle, level = 0.5 * (first + last), level + 1
@@ -80,18 +80,6 @@ class Room(NamedTuple):
             before, after = np.concatenate([before, between]), np.concatenate([between, after])
             move = np.tile(move, 2)
         return proven
-
-
-class Route(NamedTuple):
-    """The order of a plan's postures (m, n), and the moves between them.
-
-    rows : (m,) of the plan, in the order of measurement;  ways : of each the (v, n) way-points that lead to it, and it
-    unreached : rows of the plan to which no free way was found from most of the others
-    """
-
-    rows: Numbers
-    ways: list[Array]
-    unreached: list[int]
 
 
 class Roadmap:
@@ -157,8 +145,10 @@ def route(
     keep_order: bool = False,
     seed: int = 0,
     stop: Stop = never,
-) -> Route:
-    """The shortest order of postures (m, n) with free moves, with way-points where there is no other.
+) -> tuple[Numbers, list[Array], list[int]]:
+    """The shortest order of postures (m, n) with free moves, with way-points where there is no other: their rows (m,)
+    in the order of measurement; of each the (v, n) way-points that lead to it, and it; and the rows to which no free
+    way leads from most of the others.
 
     entries : (m, n) from which each is approached, as the last way-point; None, or NaN: from anywhere
     keep_order : the postures stay in their order
@@ -193,7 +183,7 @@ def route(
     steps = [road.nodes[aims[order[:1]]], *(tightened(road.nodes[way], room)[1:] for way in ways)]
     alike = np.all(road.nodes[aims] == postures, axis=1)
     steps = [step if alike[row] else np.vstack([step, postures[row]]) for step, row in zip(steps, order, strict=True)]
-    return Route(order, steps, sorted(missing.tolist()))
+    return order, steps, missing.tolist()
 
 
 def tightened(way: Array, room: Room) -> Array:

@@ -12,7 +12,7 @@ the points fixed to their bodies, and zero for a joint beyond the body: the line
 Pluecker coordinates (R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 2). Second derivatives are
 differences of these.
 
-Pieces contain their bodies, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
+Pieces contain surfaces, so what keeps its distance here keeps it in truth; the reverse need not hold. Pairs that a
 joint connects are not looked at (`Cell.apart`), nor those that touch wherever the arm goes, which random postures tell;
 of a pair that is always near, as both neighbours of a short link, a quarter of its largest distance is asked at most.
 """
@@ -138,10 +138,9 @@ class Clearance:
         near = np.argwhere(apart < self.asked - ROUNDING).tolist()
         return [{"run": run + 1, "bodies": [*self.pairs[k]], "distance_mm": float(apart[run, k])} for run, k in near]
 
-    def in_words(self, postures: Array, most: int = 6) -> list[str]:
-        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs, of
-        which so many are named."""
-        near, lines = self.too_near(postures), list[str]()
+    def in_words(self, postures: Array) -> list[str]:
+        """What is to be said of postures (m, n): every pair that is too near, and what is asked of which pairs."""
+        near, lines, most = self.too_near(postures), list[str](), 6
         many = len(np.unique(postures, axis=0))  # of data a posture may have many rows
         if near:
             those = len(np.unique(postures[[each["run"] - 1 for each in near]], axis=0))

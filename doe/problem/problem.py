@@ -84,6 +84,7 @@ class DesignProblem:
     lower, upper : (n,) joint limits [rad], of prismatic joints [mm]; None: the model's
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
     kept : (k, n) postures already measured, which count in the information (`prior`); None: none
+    kept_excess : [mm^2] of them all or of each, (k,), by how much their variance exceeds that of the new runs
     choices : (N, n) postures to choose from, None: anything within limits and constraints
     sampled : True if the choices are a random sample that a search makes do with: bounds are then over all postures
     minimum_distance : [rad] two postures of a plan differ by this in some joint at least, in `joint_units`; 0: repeats
@@ -100,6 +101,7 @@ class DesignProblem:
     criterion: Criterion = field(default_factory=D)
     constraints: Sequence[Constraint] = ()
     kept: Array = None  # type: ignore[assignment]
+    kept_excess: ArrayLike = 0.0
     choices: Array | None = None
     sampled: bool = False
     minimum_distance: float = ONE_DEGREE
@@ -147,10 +149,7 @@ class DesignProblem:
         choices = model.tied_postures(free.lower, free.upper, free.joint_units, free.feasible)
         return replace(free, choices=choices)
 
-    @property
-    def joints(self) -> int:
-        """n, joints of a posture."""
-        return int(self.lower.size)
+    joints = property(lambda self: int(self.lower.size))  # n, joints of a posture
 
     @cached_property
     def joint_units(self) -> Array:
@@ -229,10 +228,13 @@ class DesignProblem:
     @cached_property
     def prior(self) -> PriorInformation:
         """The information of the postures measured already, and of what else is known beforehand."""
-        if not len(self.kept) and not self.deviations:
-            return PriorInformation()
-        measured = information_matrix(self.scaled_jacobians(self.kept))
-        return PriorInformation(measured + np.diag(self.precisions), len(self.kept))
+        return PriorInformation(information_matrix(self.kept_jacobians) + np.diag(self.precisions), len(self.kept))
+
+    @cached_property
+    def kept_jacobians(self) -> Array:
+        """(k, d, p) B of the postures measured already, in units of the noise of a new run."""
+        excess = np.asarray(self.kept_excess) / (self.model.sigma or 1.0) ** 2
+        return np.asarray(self.scaled_jacobians(self.kept) / np.sqrt(1.0 + excess)[..., None, None])
 
     @cached_property
     def precisions(self) -> Array:
@@ -280,10 +282,8 @@ class DesignProblem:
         moved = np.where(np.eye(self.joints, dtype=bool)[:, None], other, base)  # (n, 16, n)
         before, after = (information_of_each(self.scaled_jacobians(q)) for q in (base, moved))
         if not (np.all(np.isfinite(before)) and np.all(np.isfinite(after))):
-            allowed = "finite ones within the joint limits"
-            raise InputError(
-                f"model: derivatives by its parameters are not numbers at some postures, allowed: {allowed}"
-            )
+            wrong = "derivatives by its parameters are not numbers at some postures"
+            raise InputError(f"model: {wrong}, allowed: finite ones within the joint limits")
         changes = np.abs(after - before).max(axis=(1, 2, 3))
         return tuple(np.flatnonzero(changes > 1e-9 * np.abs(before).max()).tolist())
 

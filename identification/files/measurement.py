@@ -290,7 +290,7 @@ class Plan(ByValue):
     fit : how its measurements are to be fitted, as options of `armcal identify`; empty: by the model of the arm file
     via : (m,) rows that are way-points, where these were asked for; None: there are none
     cells : column of its file, but for `run` -> its texts, with decimal points
-    conditions : `payload` (m,) [kg], `temperature` (m,) [deg C], `directions` (m, n), None where the file has none
+    conditions : `payload` (m,) [kg], `temperature` (m,) [deg C], `sigma` (m,) [mm], `directions` (m, n), or None
     """
 
     postures: Array
@@ -363,7 +363,8 @@ class Plan(ByValue):
         (`UserWarning`) once about columns that are not used.
         """
         table = read_table(path, vias=vias)
-        postures, weights, via, conditions = read_postures(table, joints), None, None, dict[str, Any]()
+        postures, weights, via, given = read_postures(table, joints), None, None, _units_of(table, "sigma", LENGTH)
+        conditions = {"sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if carried_out and given else None}
         if vias and "kind" in table:
             via = (table.frame["kind"].str.strip_chars() == VIA).fill_null(False).to_numpy()
         if not carried_out:

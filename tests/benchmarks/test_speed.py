@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -250,38 +249,6 @@ def commands() -> tuple[float, str]:
     return seconds, f"10,000 targets, {np.count_nonzero(~held.reached):,} barred; without constraints {quick:.2f} s"
 
 
-PAPER = 'name = "paper"\nlinks_mm = [260.0, 180.0, 120.0, 100.0]\n[measurement]\nsigma_mm = 0.1\n'
-GRID = """arms = ["arm.toml"]
-runs = [20]
-plans = ["dft"]
-replications = {count}
-[[truths]]
-name = "paper"
-length_errors_mm = [1.5, -0.6, -0.4, 0.7]
-joint_offsets_deg = [0.5, -0.5, 0.7, -0.3]
-"""
-
-
-def study(bar: float, replications: int) -> tuple[float, str]:
-    """Simulation, fits and tables against one general fit at a time."""
-    from doe.studies.monte_carlo import Study, run_study
-
-    with TemporaryDirectory() as folder:
-        Path(folder, "arm.toml").write_text(PAPER)
-        studies = []
-        for count in (10, replications):
-            Path(folder, "study.toml").write_text(GRID.format(count=count))
-            studies.append(Study.load(Path(folder, "study.toml")))
-    run_study(studies[0])  # imports
-    _, q, positions = data_sets(SOME)
-    general = loop(q, positions, "lm")[1]
-    result, seconds = timed(lambda: run_study(studies[1]))
-    gain = replications * general / seconds
-    assert result["cells"]["fits"][0] == replications
-    assert gain >= bar
-    return seconds, f"{replications:,} data sets, {gain:.0f} x one general fit at a time (bar {bar:g})"
-
-
 FOUR_LINKS = dict.fromkeys((4, 8, 12, 20), -0.0612353 - 1e-7)
 FOUR_LINKS |= {5: -0.28088, 6: -0.29681, 7: -0.19866, 9: -0.13104, 10: -0.14289, 14: -0.10248, 18: -0.08609}
 SIX_LINKS = {8: -1.624468, 12: -1.433951, 20: -1.351505, 32: -1.299458}
@@ -298,7 +265,6 @@ JOBS = {
     "diagnosis_of_two_hundred_rows": Job(diagnosis_of_two_hundred_rows, 3.0),
     "diagnosis_of_a_robot": Job(diagnosis_of_a_robot, 60.0),
     "commands": Job(commands, 60.0),
-    "study_of_a_million": Job(partial(study, 60.0, 1_000_000), 5.0),
 }
 
 

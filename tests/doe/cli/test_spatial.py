@@ -118,6 +118,12 @@ def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
         np.testing.assert_allclose(pose(place, turn) @ motion, joint.origin, atol=1e-9)
 
 
+def test_a_kept_run_counts_once_however_many_reflectors_were_read(spatial: Folder) -> None:
+    drawn = "design truth.toml --runs 3 --solver random --keep"
+    plan, data = (spatial.said(f"{drawn} {name}.csv")["std"]["parameters"] for name in ("plan", "data"))
+    assert data == {name: [pytest.approx(std, rel=1e-6), unit] for name, (std, unit) in plan.items()}
+
+
 def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:
     spatial.write("arm.toml", ARM + '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 3\n')
     done = spatial.armcal("identify arm.toml data.csv --urdf corrected.urdf")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from doe import solve
-from doe.plan.moves import Room, Route, approaches, route
+from doe.plan.moves import Room, approaches, route
 from doe.plan.plan import shortest_path
 from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
 from identification import Arm, Array, Plan
@@ -299,9 +299,9 @@ def test_a_way_out_of_a_pocket() -> None:
 
 
 # -- orders ------------------------------------------------------------------------------------------------------------
-def whole_way(postures: Array, found: Route) -> Array:
-    np.testing.assert_array_equal([way[-1] for way in found.ways], postures[found.rows])
-    return np.concatenate(found.ways)
+def whole_way(postures: Array, found: tuple[Array, list[Array], list[int]]) -> Array:
+    np.testing.assert_array_equal([way[-1] for way in found[1]], postures[found[0]])
+    return np.concatenate(found[1])
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -326,9 +326,9 @@ def test_no_permutation_that_is_free_is_shorter_than_the_order(seed: int) -> Non
     straight = [length for order, length in lengths.items() if all(gap[pair] > 0.0 for pair in pairwise(order))]
     found = route(postures, room)
     way = whole_way(postures, found)
-    assert sorted(found.rows) == list(range(6))
+    assert sorted(found[0]) == list(range(6))
     assert sampled(room, way) >= 0.0
-    assert found.unreached == []
+    assert found[2] == []
     assert min(lengths.values()) - 1e-9 <= room.length(way) <= min(straight, default=np.inf) + 1e-9
     if straight and min(straight) == min(lengths.values()):
         assert len(way) == 6
@@ -338,8 +338,8 @@ def test_an_order_that_is_kept_goes_round() -> None:
     room = discs((0.0, 0.0, 0.5))
     postures = np.array([[-1.0, 0.0], [1.0, 0.1], [-1.0, 0.2], [1.0, 0.3]])
     found = route(postures, room, keep_order=True)
-    assert found.rows.tolist() == [0, 1, 2, 3]
-    assert [len(way) > 1 for way in found.ways] == [False, True, True, True]
+    assert found[0].tolist() == [0, 1, 2, 3]
+    assert [len(way) > 1 for way in found[1]] == [False, True, True, True]
     assert sampled(room, whole_way(postures, found)) >= 0.0
 
 
@@ -348,8 +348,8 @@ def test_one_posture_that_cannot_be_reached_is_named() -> None:
     room = discs(*((float(np.cos(a)), float(np.sin(a)), 0.15) for a in angles))
     postures = np.array([[1.5, 1.5], [-1.5, 1.5], [0.0, 0.0], [-1.5, -1.5], [1.5, -1.5]])
     for keep_order in (False, True):
-        assert route(postures, room, keep_order=keep_order).unreached == [2]
-    assert route(postures[:1], room).rows.tolist() == [0]
+        assert route(postures, room, keep_order=keep_order)[2] == [2]
+    assert route(postures[:1], room)[0].tolist() == [0]
 
 
 # -- the side from which a posture is reached --------------------------------------------------------------------------
@@ -362,8 +362,8 @@ def test_every_joint_comes_from_its_side() -> None:
     entries = approaches(postures, senses, room, generator)
     found = route(postures, room, entries)
     assert sampled(room, whole_way(postures, found)) >= 0.0
-    steps = postures[found.rows] - np.array([way[-2] for way in found.ways])
-    assert np.all(np.sign(steps) == senses[found.rows])
+    steps = postures[found[0]] - np.array([way[-2] for way in found[1]])
+    assert np.all(np.sign(steps) == senses[found[0]])
     assert np.abs(steps).max() < np.radians(10.0)
 
 

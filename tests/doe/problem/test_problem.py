@@ -16,7 +16,7 @@ from doe import DesignProblem, score_plan, solve
 from doe.advise import advise
 from doe.bounds.column_generation import relax
 from doe.discrimination.t_optimal import RivalPredictions, discriminate
-from doe.plan.accuracy import TipErrors
+from doe.plan.accuracy import ExpectedDeviations, TipErrors
 from doe.problem.constraints import Expression
 from doe.problem.model import REQUIRED
 from doe.problem.postures import grid, listed_candidates, well_spread
@@ -44,6 +44,20 @@ def test_information_with_measured_postures_is_the_information_of_all_runs() -> 
     assert g == pytest.approx(
         [np.sum(gradient * f) for f in prior.information(np.swapaxes(jacobians, 1, 2) @ jacobians)], rel=1e-12
     )
+
+
+def test_rows_measured_already_count_by_their_own_scatter() -> None:
+    """Generalized least squares: cov^-1 = sum J^T J / sigma_i^2 over new and kept rows, each with its own sigma_i."""
+    plan, kept = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (2, 6, 4))
+    sigma, own = 0.1, np.array([0.02, 0.1, 0.2, 0.5, 1.0, 3.0])
+    case = problem(replace(FOUR, sigma=sigma), kept=kept, kept_excess=own**2 - sigma**2)
+    weighted = [(case.model.jacobian(q[None])[0], s) for q, s in zip([*plan, *kept], [sigma] * 6 + [*own], strict=True)]
+    deviations = np.sqrt(np.diag(np.linalg.inv(sum(j.T @ j / s**2 for j, s in weighted))))
+    expected = ExpectedDeviations.of(case, plan)
+    assert expected is not None
+    assert expected.values == pytest.approx(deviations, rel=1e-9)
+    scaled = case.model.parameters.scales * deviations / sigma  # of S (sum J^T J) S, 12 runs
+    assert np.diag(np.linalg.inv(case.information(plan))) / 12 == pytest.approx(scaled**2, rel=1e-9)
 
 
 def test_measured_postures_need_the_number_of_runs() -> None:

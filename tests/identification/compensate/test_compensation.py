@@ -260,6 +260,8 @@ def test_the_side_of_the_approach_is_said() -> None:
     np.testing.assert_allclose(tip(found.commands + play, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
     missed = np.linalg.norm(tip(found.commands - play, lengths, offsets) - found.targets, axis=1)
     assert np.all(missed > 1.0)  # 2 x 2e-3 rad on some 390 mm
+    late = arm(EffectSpec("servo_error", 2, {"b": 0.0, "h": 2e-3}))
+    assert compensate(late, postures=nominal).warnings == [said.replace("backlash", "servo_error")]
     given = Conditions(directions=np.ones((2, 4)))
     assert compensate(played, postures=nominal, conditions=given).warnings == []
     assert compensate(arm(), postures=nominal).warnings == []

@@ -152,6 +152,10 @@ def test_priors_that_do_not_fit() -> None:
     other = replace(ARM, chain=LENGTHS + 1.0, calibration=replace(FIXED, covariance=np.eye(1)))
     with pytest.raises(InputError, match="prior: a calibration of another drawing"):
         earlier(other, Model(ARM), session(1, 5, (0.0, 0.0))[0])
+    played = Model(ARM.with_effects(*ARM.effects, EffectSpec("gear_ratio", 2)))
+    calibrated = estimate(played, session(1, 12, (0.0, 0.0))[0], sigma="given").calibrated_arm()
+    with pytest.warns(UserWarning, match="prior: it holds beside gear_ratio:2, which the model has not"):
+        earlier(calibrated, Model(ARM), session(2, 5, (0.0, 0.0))[0])
 
 
 def test_a_held_base_that_stands_elsewhere_is_said() -> None:

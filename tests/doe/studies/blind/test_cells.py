@@ -36,7 +36,7 @@ from doe.studies.blind.simulator import (
     relays,
     session,
 )
-from identification import Arm, Array, Calibration, EffectSpec, Gravity, Model
+from identification import Arm, Array, Calibration, EffectSpec, Gravity, Model, fitted_arm
 from identification.effects import build_all
 from identification.model.minimal import practical
 
@@ -242,3 +242,15 @@ def test_what_is_outside_the_library_is_of_the_size_asked_for_in_space(number: i
     assert effect[0] in names
     inside = column(truth, run, ("encoder_eccentricity", 3, {"a": 0.3, "b": -0.4}))
     assert np.linalg.norm(off(library, inside)) < 1e-6 * np.linalg.norm(inside)
+
+
+def test_outliers_are_15_sigma_away() -> None:
+    """Beside the same arm without them, which is the true model fitted to the other rows."""
+    data = data_set("space, three outliers, lambda 8", 900)
+    arm = fitted_arm(data.arm, data.measurements, data.specs, data.wrong_rows)
+    rows, model = data.measurements, Model(arm)
+    missed = np.linalg.norm(rows.positions - model.position(rows.postures, model.values, rows.conditions), axis=1)
+    wrong = np.flatnonzero(missed > 10.0 * data.arm.sigma) + 1
+    assert tuple(wrong.tolist()) == data.wrong_rows
+    assert len(wrong) == 3
+    assert missed[wrong - 1] / data.arm.sigma == pytest.approx(15.0, abs=5.0)  # noise of 3 coordinates, and its share
