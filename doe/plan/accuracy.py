@@ -154,16 +154,17 @@ class TipErrors:
 
     @classmethod
     def of(cls, problem: DesignProblem) -> TipErrors | None:
-        """Over the `workspace`; None where there is no sigma to weigh sizes against, or no library for the model, or
-        effects may be missing in it already.
+        """Over the `workspace`, or where criterion I is judged; None without a sigma to weigh sizes by, or a library.
 
         Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
         """
-        model = problem.model
-        if model.sigma is None or not offers(model, "missing_effects") or problem.missing:
+        model, at = problem.model, problem.criterion
+        if model.sigma is None or not offers(model, "missing_effects"):
             return None
+        if problem.missing and isinstance(at, I):
+            return cls(problem, problem, at.jacobians)
         poses, wide = workspace(problem), problem  # once: rare postures take long to find
-        if not getattr(model, "complete", False):
+        if not (problem.missing or getattr(model, "complete", False)):
             wide = robust_problem(problem, missing_effects(problem), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
 
@@ -231,12 +232,8 @@ class ExpectedTip:
         """
         m, plans, most = len(postures), 50, 2000  # random plans that it is compared with, and postures of all of them
         anywhere = replace(problem, choices=None) if problem.sampled else problem
-        errors = None if problem.missing or m > most else TipErrors.of(problem)
-        if problem.missing:
-            at = problem.criterion
-            targets = at.jacobians if isinstance(at, I) else tip_jacobians(problem, workspace(anywhere))
-            errors = TipErrors(problem, problem, targets if targets.ndim == 4 else targets[:, None])
-        if m > most or errors is None or not errors.wide.missing:
+        errors = TipErrors.of(anywhere) if m <= most else None
+        if errors is None or not errors.wide.missing:
             return None
         fitted = "effects_missing_prior" if problem.fit else "effects_missing"
         generator = np.random.default_rng([seed, m])
