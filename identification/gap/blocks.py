@@ -303,14 +303,14 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
 def untested_joints(at: At) -> frozenset[int]:
     """Joints (from 1) at which no joint effect is tested.
 
-    Their RMS lever is below a thousandth of the reach, or of the way that they slide: a reflector on the last axis does
-    not move with that joint, and a fraction of a micrometre would correspond to degrees. Levers are those of the arm as
-    best known: a fit that is nonsense may shrink the arm to nothing.
+    Their RMS lever is below 0.005 of the reach, or of the way that they slide: a reflector on the last axis does not
+    move with that joint, where an error of usual size moves it by micrometres, and one that can be seen would be of
+    degrees, and not linear. Levers are those of the arm as best known: a fit that is nonsense may shrink the arm.
     """
     levers = at.model.joint_levers(at.rows.postures, None, at.rows.conditions)
     sizes = np.sqrt(np.mean(np.sum(levers**2, axis=1), axis=0))
     full = [1.0 if kind == PRISMATIC else at.model.reach for kind in at.model.joint_types]
-    return frozenset((np.flatnonzero(sizes < 1e-3 * np.array(full)) + 1).tolist())
+    return frozenset((np.flatnonzero(sizes < 5e-3 * np.array(full)) + 1).tolist())
 
 
 def slope_by_angle(effect: Effect, joint: int, model: Model) -> Callable[[Array], Array] | None:
