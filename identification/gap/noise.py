@@ -24,7 +24,7 @@ from identification.gap.likelihood import orthonormal
 from identification.measurements import POINT, Measurements
 
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
-LASTING = 5e-5  # the same of noise that is nearly a drift: 60 rows of one are told from the other by 17 in log odds
+LASTING = 5e-4  # the same of noise that is nearly a drift: of less, rows that err alike are called one now and then
 RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
 CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 APART = 0.1  # convention: of the session, between two rows that share no slow error
