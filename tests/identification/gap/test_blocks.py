@@ -12,16 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification import (
-    Array,
-    InputError,
-    Measurements,
-    Model,
-    diagnose,
-    load_arm,
-    planar_chain,
-    with_effects,
-)
+from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_effects
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import Chain, Effect, Parameter, Setting, base, build
 from identification.gap.blocks import Block, Library, hypotheses
