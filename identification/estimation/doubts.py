@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # reasons: identification/README.md, "Doubtful fits"
 FAR_ZERO = np.radians(5.0)  # an offset that is no machining error
-FAR = 0.05  # of the reach: residuals of another arm, frame or unit
+FAR = 0.05  # of the reach, or a radian: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
 OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
@@ -64,8 +64,11 @@ def doubts(
 
 def far_off(residual: Array, model: Model) -> list[str]:
     """Residuals that no effect of an arm explains, nor the noise that its file gives."""
-    left, reach = rms_distance(residual), model.reach
-    noise = getattr(getattr(model, "arm", None), "sigma", None) or 0.0
+    left, reach, arm = rms_distance(residual), model.reach, getattr(model, "arm", None)
+    noise, scale = getattr(arm, "sigma", None) or 0.0, arm.chain.angle_scale if arm else None
+    if scale and (turned := rms_distance(residual[:, POINT.stop :]) / scale) > max(FAR, 2.0 * noise * 3**0.5 / scale):
+        leaves = f"the fit leaves orientations {np.degrees(turned):.3g} deg off, RMS"
+        return [f"implausible: {leaves}; other axes or units, or another order of the angles? armcal check tells"]
     if left <= max(FAR * reach, 2.0 * noise * np.sqrt(model.dimension)):
         return []
     share = f"{100.0 * left / reach:.0f} % of the reach"

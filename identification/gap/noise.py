@@ -1,7 +1,6 @@
 """The noise: its components, each with a marginal likelihood, and what is known of it without a model.
 
-A sigma from a data sheet may be too small, so that only a sigma of the rows and
-repeats have a say in the verdict.
+A sigma from a data sheet may be too small, so that only a sigma of the rows and repeats have a say in the verdict.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from identification.gap.likelihood import orthonormal
 from identification.measurements import POINT, Measurements
 
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
+LASTING = 5e-4  # the same of noise that is nearly a drift: of less, rows that err alike are called one now and then
 RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
 CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 APART = 0.1  # convention: of the session, between two rows that share no slow error
@@ -85,7 +85,8 @@ def noises(at: At) -> Iterator[NoiseModel]:
                 more = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
                 yield NoiseModel(name, sign * ratio, more, float(np.log(UNEVEN / kinds)))
     for rho in CORRELATIONS:
-        prior = float(np.log(UNEVEN / len(CORRELATIONS)))
+        # what lasts for a fifth of the session is likelier a drift, which blocks of time have
+        prior = float(np.log((UNEVEN if (1.0 - rho) * m >= 5.0 else LASTING) / len(CORRELATIONS)))
         yield NoiseModel("serial_correlation", rho, replace(rows, correlation=rho), prior)
     if rows.posture_numbers.max() + 1 < m:
         for ratio in RATIOS:
@@ -175,21 +176,20 @@ def misfit(residual: Array, rank: int, measurements: Measurements, sigma: float 
     return Misfit(chi2, freedom, float(chdtrc(freedom, chi2)), float(np.sqrt(chi2 / freedom)))
 
 
-def noise_floor(residual: Array, measurements: Measurements, kept: Kept, sigma: float | None) -> NoiseFloor:
+def noise_floor(residual: Array, measurements: Measurements, kept: Kept, sigma: float | Array | None) -> NoiseFloor:
     """Noise floor from repeats and from the instrument.
 
     residual : (m, d) [mm] of a fitted model, which removes the effect of small differences between repeated postures
-    sigma : of the arm file [mm], None: unknown
+    sigma : of all rows or of each that is kept [mm], None: repeats alone
     """
     groups, time, far = _repeats_in_time(measurements, kept)
     points, stretch = residual[kept, POINT], np.floor(time / APART).astype(np.int64)
-    if measurements.sigma is not None:
-        sigma = float(np.sqrt(np.mean(measurements.sigma[kept] ** 2)))
     floors: list[float | None] = []
     for left, repeats in (points[far], groups[far]), (points, groups * (stretch.max() + 1) + stretch):
         squares, freedom = pure_error(left, repeats)
         floors.append(float(np.sqrt(left.shape[1] * squares / freedom)) if freedom >= SPARE else None)
-    return NoiseFloor(floors[0], floors[1], None if sigma is None else sigma * float(np.sqrt(points.shape[1])))
+    instrument = None if sigma is None else float(np.sqrt(points.shape[1] * np.mean(np.square(sigma))))
+    return NoiseFloor(floors[0], floors[1], instrument)
 
 
 def _repeats_in_time(measurements: Measurements, kept: Kept) -> tuple[NDArray[np.int64], Array, Kept]:

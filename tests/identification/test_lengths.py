@@ -203,6 +203,9 @@ def test_an_arm_of_another_parametrization() -> None:
     assert np.sqrt(np.mean(np.sum(left[:, 3:] ** 2, axis=1))) < 2.0 * expected
     assert found.rms_angles is not None
     assert found.to_json()["rms_after_deg"] == pytest.approx(np.sqrt(3.0) * SIGMA_DEG, rel=0.2)
+    inverted = estimate(Model(SIX), replace(data, orientations=np.swapaxes(data.orientations, 1, 2)))
+    assert inverted.status is Status.implausible  # no file is written, though points may be near
+    assert f"orientations {inverted.to_json()['rms_after_deg']:.3g} deg off" in inverted.warnings[0]
 
 
 def test_residuals_are_rotation_vectors() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification import Arm, Measurements, Model, estimate
+from identification import Arm, Measurements, Model, diagnose, estimate
 from identification.documents.identification import fit_facts
 from identification.gap.fit import Rows, fit
 from identification.gap.noise import NoiseFloor, misfit, noise_floor, repeat_finding, with_repeats_doubted
@@ -73,8 +73,9 @@ def test_without_repeats_the_floor_is_the_instrument_or_unknown() -> None:
     assert noise_floor(data.positions, data, every, None) == NoiseFloor(None, None, None)
     assert noise_floor(data.positions, data, every, None).value is None
     assert noise_floor(data.positions, data, every, 0.05).value == pytest.approx(0.05 * np.sqrt(2.0))
+    assert noise_floor(data.positions, data, every, np.repeat([0.1, 0.7], 20)).value == pytest.approx(np.sqrt(0.5))
     by_row = replace(data, sigma=np.full(40, 0.2))
-    assert noise_floor(data.positions, by_row, every, 0.05).value == pytest.approx(0.2 * np.sqrt(2.0))
+    assert noise_floor(data.positions, by_row, every, None).value is None  # what repeats scatter by, and there are none
 
 
 def test_three_reflectors_of_one_posture_say_nothing_of_the_noise() -> None:
@@ -132,3 +133,14 @@ def test_chi_square_of_what_is_left_by_sigma_of_the_rows_then_of_the_arm() -> No
         assert result.p_value == pytest.approx(stats.chi2(86).sf(chi2))
         assert significant is None or result.significant is significant
     assert misfit(left, 6, data, None, kept) is None
+
+
+def test_what_drifts_is_no_noise() -> None:
+    """Ten times the noise, fast at first and slowly back: 40 rows tell it from serial correlation."""
+    arm, generator = Arm([260.0, 180.0, 120.0, 100.0], sigma=0.1), np.random.default_rng(0)
+    t, q = np.linspace(0.0, 1.0, 40), generator.uniform(-1.6, 1.6, (40, 4))
+    drift = (1.0 - np.exp(-t / 0.05)) - 0.9 * (1.0 - np.exp(-t / 0.6))
+    moved = np.outer(drift / np.ptp(drift), [0.6, -0.8]) + 0.1 * generator.standard_normal((40, 2))
+    found = diagnose(arm, Measurements(q, Model(arm).position(q) + moved)).to_json()
+    assert "base_drift" in found["effects"]
+    assert not found["scatter"]
