@@ -58,6 +58,8 @@ def repeats_of(postures: NDArray[np.int64], marker: ArrayLike | None, session: A
     """(m,) equal numbers for rows of equal posture (m,), marker and session: reflectors of one posture are no repeats,
     since what the model leaves of each is another error."""
     columns = [np.asarray(numbers) for numbers in (postures, marker, session) if numbers is not None]
+    if len(columns) == 1:
+        return postures
     return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
 
 

@@ -130,7 +130,8 @@ def solve(
         deadline = None if limit is None else began + limit
 
         def tell() -> None:
-            progress(whole.used(done), whole.starts, f"best {best_value:.7g}")
+            first = not np.isfinite(best_value)
+            progress(whole.used(done), whole.starts, "the first plan" if first else f"best {best_value:.7g}")
 
         whole = Budget(starts or chosen.starts_for(problem), deadline, starts is None, began, tell)
         # a bound for many parameters takes seconds, which are no part of the search's time; a theorem takes none;

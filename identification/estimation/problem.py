@@ -106,6 +106,8 @@ class Prior(ByValue):
     def rows(self, parameters: ParameterSet, noise: float = 1.0) -> Array:
         """(r, p) rows for the Jacobian, F^-1, one for each parameter that has a prior; its residuals are rows @ (center
         - values);  noise : standard deviation of the other residuals, 1 where those are divided by sigma"""
+        if not self.names:
+            return np.zeros((0, len(parameters)))
         factor = self.factor(parameters)
         held = factor.any(axis=1)
         sizes = np.linalg.norm(factor[held], axis=1)

@@ -393,7 +393,7 @@ def corrected_values(
         # what the arm file says of them is where fits start
         if all(p.name in values for p in chain.instrument.parameters)
     ]
-    rows = zeros if chain.frame_kinds else [*lengths, *of_instrument, *zeros]
+    rows = [*lengths, *zeros]
     if chain.frame_kinds:
         drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
         steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
@@ -411,7 +411,7 @@ def corrected_values(
                 value = value - _turns(value - nominal, key)
             axis, _, unit = key.rpartition("_")
             rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
-        rows += of_instrument
+    rows += of_instrument
     for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
         meaning = STANDS if effect.name == "base_offset" else meaning

@@ -139,7 +139,8 @@ def diagnose(
     figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
 
     # what these rows show
-    floor = noise_floor(after, measurements, kept, library.arm.sigma)
+    sigma = library.arm.sigma if measurements.sigma is None else measurements.sigma[kept]
+    floor = noise_floor(after, measurements, kept, sigma)
     sees = assess(library, whole, products, posterior.noises[0].rows, predicting.sigma)
     place = likely.place if unknown else None
     curves = tuple(c for c in predicting.curves if c.joint in {b.span[0] + 1 for b in shown.blocks if b.span})

@@ -24,7 +24,7 @@ from identification.gap.likelihood import orthonormal
 from identification.measurements import POINT, Measurements
 
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
-LASTING = 5e-5  # the same of noise that is nearly a drift: 60 rows of one are told from the other by 17 in log odds
+LASTING = 5e-4  # the same of noise that is nearly a drift: of less, rows that err alike are called one now and then
 RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
 CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 APART = 0.1  # convention: of the session, between two rows that share no slow error
@@ -176,21 +176,20 @@ def misfit(residual: Array, rank: int, measurements: Measurements, sigma: float 
     return Misfit(chi2, freedom, float(chdtrc(freedom, chi2)), float(np.sqrt(chi2 / freedom)))
 
 
-def noise_floor(residual: Array, measurements: Measurements, kept: Kept, sigma: float | None) -> NoiseFloor:
+def noise_floor(residual: Array, measurements: Measurements, kept: Kept, sigma: float | Array | None) -> NoiseFloor:
     """Noise floor from repeats and from the instrument.
 
     residual : (m, d) [mm] of a fitted model, which removes the effect of small differences between repeated postures
-    sigma : of the arm file [mm], None: unknown
+    sigma : of all rows or of each that is kept [mm], None: repeats alone
     """
     groups, time, far = _repeats_in_time(measurements, kept)
     points, stretch = residual[kept, POINT], np.floor(time / APART).astype(np.int64)
-    if measurements.sigma is not None:
-        sigma = float(np.sqrt(np.mean(measurements.sigma[kept] ** 2)))
     floors: list[float | None] = []
     for left, repeats in (points[far], groups[far]), (points, groups * (stretch.max() + 1) + stretch):
         squares, freedom = pure_error(left, repeats)
         floors.append(float(np.sqrt(left.shape[1] * squares / freedom)) if freedom >= SPARE else None)
-    return NoiseFloor(floors[0], floors[1], None if sigma is None else sigma * float(np.sqrt(points.shape[1])))
+    instrument = None if sigma is None else float(np.sqrt(points.shape[1] * np.mean(np.square(sigma))))
+    return NoiseFloor(floors[0], floors[1], instrument)
 
 
 def _repeats_in_time(measurements: Measurements, kept: Kept) -> tuple[NDArray[np.int64], Array, Kept]:

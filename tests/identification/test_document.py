@@ -58,7 +58,7 @@ class Texts(HTMLParser):
         self.open: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: object) -> None:
-        self.open += [tag] if tag != "img" else []
+        self.open += [tag] if tag not in ("meta", "br", "img") else []
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag

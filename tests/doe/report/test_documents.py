@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from identification.documents.identification import entry_document, identificati
 from identification.effects.catalogue import entry
 from identification.inspection.inspection import inspect
 from identification.validate import validate
+from tests.identification.test_document import Texts
 
 ARM = Arm([300.0, 200.0], sigma=0.05, name="two <links>")
 REAL = Arm(
@@ -66,16 +66,12 @@ NAMES = (
 )
 
 
-class Words(HTMLParser):
-    """The words that a reader sees."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.words = ""
-        self.feed(text)
-
-    def handle_data(self, data: str) -> None:
-        self.words += f" {data}"
+def words(text: str) -> str:
+    """What a reader sees of a page or a notebook."""
+    parser = Texts()
+    parser.feed(text)
+    assert parser.open == []
+    return " ".join(parser.texts)
 
 
 def flat(text: str) -> str:
@@ -100,7 +96,7 @@ def test_a_result_is_whole_in_every_rendering(every: dict[str, Document], name: 
     (tmp_path / "data.csv").write_text("q1_deg\n")
     text = page(document, origin("armcal test", 3, [tmp_path / "data.csv"]))
     assert len(document.verdict) > 0 or name in ("weights", "library")
-    for rendered, folded in ((terminal, False), (Words(notebook).words, True), (Words(text).words, True)):
+    for rendered, folded in ((terminal, False), (words(notebook), True), (words(text), True)):
         shown = flat(rendered)
         for sentence in (*document.warnings, *document.verdict, *(action.command for action in document.actions)):
             assert flat(sentence) in shown

@@ -4,44 +4,31 @@ models that have the effect."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import ClassVar
 from unittest.mock import patch
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from identification import (
-    Array,
-    InputError,
-    Measurements,
-    Model,
-    diagnose,
-    effects,
-    load_arm,
-    planar_chain,
-    with_effects,
-)
+from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_effects
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.effects import base, build
+from identification.effects import Chain, Effect, Parameter, Setting, base, build
 from identification.gap.blocks import Block, Library, hypotheses
 from identification.gap.fit import At, Rows
-
-SOURCE = '''
-import casadi as ca
-from identification.effects import Effect, Scope, Setting
 
 
 class Breathing(Effect):
     """All links grow and shrink with a period of the session: a whole-arm effect with a setting that is not whole."""
 
     name, summary, needs = "breathing", "links breathe", frozenset({"time"})
-    settings = {"rate": Setting(0.1, 40.0, values=(1.5, 3.5, 7.25))}
+    settings: ClassVar = {"rate": Setting(0.1, 40.0, values=(1.5, 3.5, 7.25))}
 
-    def define(self):
+    def define(self) -> tuple[Parameter, ...]:
         return tuple(self.parameter(short, "1", scale=self.reach) for short in "ab")
 
-    def extensions(self, chain, values, lengths):
+    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
         angle = self.chosen["rate"] * chain.time
         return lengths * (values[0] * ca.cos(angle) + values[1] * ca.sin(angle))
 
@@ -51,11 +38,11 @@ class Settling(Effect):
 
     name, summary, needs = "settling", "base settles", frozenset({"time"})
 
-    def define(self):
+    def define(self) -> tuple[Parameter, ...]:
         tau = self.parameter("tau", "1", scale=1.0, lower=0.05, upper=5.0)
         return (self.parameter("x", "mm", scale=1.0), tau)
 
-    def base_translation(self, chain, values):
+    def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
         return ca.vertcat(values[0] * ca.exp(-(chain.time + 0.5) / values[1]), 0)
 
 
@@ -63,12 +50,12 @@ class Series(Effect):
     """A series whose number of terms is its setting, which is no place for a symbol."""
 
     name, summary, per_joint = "series", "a series", "required"
-    settings = {"terms": Setting(2, 3, whole=True, symbolic=False)}
+    settings: ClassVar = {"terms": Setting(2, 3, whole=True, symbolic=False)}
 
-    def define(self):
+    def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("a", "rad", scale=self.link_length),)
 
-    def joint_angles(self, chain, values):
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         q = chain.q[self.joint_index]
         return values[0] * sum(ca.cos(k * q) for k in range(1, self.chosen["terms"] + 1))
 
@@ -78,15 +65,15 @@ class Lag(Effect):
 
     name, summary, per_joint, needs = "lag", "stays behind", "required", frozenset({"past"})
 
-    def define(self):
+    def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("c", "1", scale=self.link_length),)
 
-    def joint_angles(self, chain, values):
+    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
         j = self.joint_index
         return values[0] * (chain.previous[j] - chain.q[j])
-'''
-pytestmark = pytest.mark.filterwarnings("ignore:armcal.effects of installed packages")
-NAMES = {"lag": "Lag", "breathing": "Breathing", "settling": "Settling", "series": "Series"}
+
+
+NAMES = {"lag": Lag, "breathing": Breathing, "settling": Settling, "series": Series}
 ARM = Arm(
     [300.0, 200.0, 150.0],
     gravity=Gravity([0.0, -9.81], [4.0, 3.0, 1.0], [0.5, 0.5, 0.5], 2.0),
@@ -97,16 +84,12 @@ BASE = {"length_error:2": 1.0, "joint_offset:1": 0.02, "joint_offset:3": -0.01, 
 
 
 @pytest.fixture(autouse=True)
-def installed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """The user's own effects, found by their entry points and forgotten afterwards."""
-    (tmp_path / "effects_of_a_user.py").write_text(SOURCE)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    points = [EntryPoint(name, f"effects_of_a_user:{cls}", "armcal.effects") for name, cls in NAMES.items()]
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
-    effects.library.cache_clear()
+def registered() -> Iterator[None]:
+    """The user's own effects, forgotten afterwards."""
     with patch.dict(base._LIBRARY):
+        for effect in NAMES.values():
+            base.register(effect)
         yield
-    effects.library.cache_clear()
 
 
 def rows() -> Rows:

@@ -13,13 +13,7 @@ from identification import Arm, Measurements
 from identification.documents.diagnosis import holds_in_words
 from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_of
 from identification.gap.blocks import hypotheses
-from identification.gap.confirmation import (
-    Confirmation,
-    HeldOut,
-    Placed,
-    confirm,
-    predicted_from_others,
-)
+from identification.gap.confirmation import Confirmation, HeldOut, Placed, confirm, predicted_from_others
 from identification.gap.fit import Rows
 from identification.gap.search import posterior_of
 

@@ -73,8 +73,9 @@ def test_without_repeats_the_floor_is_the_instrument_or_unknown() -> None:
     assert noise_floor(data.positions, data, every, None) == NoiseFloor(None, None, None)
     assert noise_floor(data.positions, data, every, None).value is None
     assert noise_floor(data.positions, data, every, 0.05).value == pytest.approx(0.05 * np.sqrt(2.0))
+    assert noise_floor(data.positions, data, every, np.repeat([0.1, 0.7], 20)).value == pytest.approx(np.sqrt(0.5))
     by_row = replace(data, sigma=np.full(40, 0.2))
-    assert noise_floor(data.positions, by_row, every, 0.05).value == pytest.approx(0.2 * np.sqrt(2.0))
+    assert noise_floor(data.positions, by_row, every, None).value is None  # what repeats scatter by, and there are none
 
 
 def test_three_reflectors_of_one_posture_say_nothing_of_the_noise() -> None:

@@ -42,6 +42,7 @@ def test_good_data_have_no_problem() -> None:
     assert 1.0 < read["rms_drawing_mm"] < 5.0
     assert read["rms_fitted_mm"] == pytest.approx(0.05 * np.sqrt(2.0 * (1.0 - 6.0 / 80.0)), rel=0.3)
     assert any("no posture is repeated" in note for note in found.notes)
+    assert "repeats scatter by" not in str(inspect(ARM, replace(data(), sigma=np.full(40, 0.05))).document("a", "b"))
 
 
 @pytest.mark.parametrize("unit", [np.radians(1.0), 1.0])

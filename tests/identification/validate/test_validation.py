@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,6 @@ from identification import (
     chain_of,
     diagnose,
     estimate,
-    load_arm,
 )
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.error_curve import ErrorCurve
@@ -35,7 +33,7 @@ from identification.inspection.readings import read_differently
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_angles, pose
-from identification.measurements import Measurements, distances, load_measurements
+from identification.measurements import Measurements, distances
 from identification.origin import outside
 from identification.sessions import pooled_sessions, with_sessions
 from identification.validate import Figures, beside_geometry, extrapolation, judged, prior_judged, validate
@@ -43,7 +41,6 @@ from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
 
-UR10 = Path(__file__).parents[2] / "data" / "ur10_planar"
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 ERRORS, OFFSETS = np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3])
 A, B = 0.002, -0.001  # [rad] of an eccentric encoder at joint 2
@@ -206,24 +203,6 @@ def test_what_cannot_be_validated(arm: Arm, m: int, refit: str, sentence: str) -
     q = postures(m, 12)
     with pytest.raises(InputError, match=sentence):
         validate(arm, Measurements(q, tip(q)), refit)
-
-
-def test_what_one_session_of_the_real_robot_taught_carries_over_to_another() -> None:
-    """README.md and notebook 5: error curves found in series A, series C predicted; positions in complex numbers."""
-    arm, data = load_arm(UR10 / "ur10_from_A.toml"), load_measurements(UR10 / "measurements.csv")
-    lengths = arm.lengths + arm.calibration.length_errors
-    plain = data.postures + arm.calibration.joint_offsets
-    bent = plain.copy()
-    for spec in arm.effects:
-        if spec.curve is not None:
-            bent[:, spec.joint - 1] += spec.curve.at(data.postures[:, spec.joint - 1])
-    left = []
-    for angles in (plain, bent):
-        z = (lengths * np.exp(1j * np.cumsum(angles, axis=1))).sum(axis=1)
-        left.append(np.sqrt(np.mean(rigid(np.column_stack([z.real, z.imag]), data.positions) ** 2)))
-    found = validate(arm, data)
-    assert found.model.rms == pytest.approx(left[1], rel=1e-6)
-    assert found.model.rms < 0.33 < 0.8 * left[0]
 
 
 def test_what_happened_in_one_session_is_over_in_the_next() -> None:
