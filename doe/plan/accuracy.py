@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from doe.criteria import A, Criterion, D, Ds, DStar, E, I, information_matrix, inverses
 from doe.problem.model import offers
-from doe.problem.postures import listed_candidates, random_postures
+from doe.problem.postures import connected, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.problem.uncertain import average_error, missing_effects, robust_problem, tip_jacobians, workspace
 from identification import Array, ParameterSet, spectrum
@@ -240,8 +240,10 @@ class ExpectedTip:
             return None
         fitted = "effects_missing_prior" if problem.fit else "effects_missing"
         generator = np.random.default_rng([seed, m])
-        listed, count = anywhere.choices, min(plans * m, most)
-        pool = random_postures(problem, count, generator) if listed is None else listed_candidates(problem, listed)
+        if anywhere.choices is None:
+            pool = connected(problem, random_postures(problem, min(plans * m, most), generator))
+        else:
+            pool = listed_candidates(problem, anywhere.choices)
         drawn = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(plans)]
         plan, *random = (errors.of_plan(each)[fitted] for each in (postures, *drawn))
         return cls(plan, np.array(random), problem.fit)
@@ -261,9 +263,8 @@ class ExpectedTip:
         named = "effects of --missing" if "--missing" in self.fit else "effects and error curves"
         where = f"Expected error of the tip if the arm has {named} that its file does not name ({fit})"
         others = f"{self.median:.3g} mm by the median of {len(self.random)} random ones"
-        figures = f"{self.plan:.3g} mm by this plan, {others}"
-        share = f"better than {100.0 * self.better:.0f} % of them"
-        if self.better > 0.5:  # else it is not worth its search
-            return f"{where}: {figures}; {share}."
+        beside = f"{self.plan:.3g} mm by this plan, {others}; better than {100.0 * self.better:.0f} % of them."
+        if self.plan < 0.95 * self.median:  # differences below change with the arm
+            return f"{where}: {beside}"
         instead = "" if self.fit else " armcal design --robust chooses postures for that."
-        return f"{where}: {figures}. In this the plan is no better than postures chosen at random ({share}).{instead}"
+        return f"{where}: {beside} In this the plan is no better than postures chosen at random.{instead}"

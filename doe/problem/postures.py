@@ -52,6 +52,19 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
     return np.concatenate([feasible, np.where(problem.feasible(moved)[:, None], moved, near)])[:count]
 
 
+def connected(problem: DesignProblem, postures: Array) -> Array:
+    """Those of postures (k, n) on the side that has most of them, where bodies and walls leave none of many random ones
+    in half a radian of a joint: no move passes there, as it does where the tracker does not see."""
+    if not problem.constraints or any(each.kind == "line_of_sight" for each in problem.constraints):
+        return postures
+    drawn = problem.comparable(random_postures(problem, 1000, np.random.default_rng(0)))
+    inside = np.ones(len(postures), dtype=bool)
+    for angles, row in zip(problem.comparable(postures).T, np.sort(drawn.T), strict=True):
+        side = max(np.split(row, np.flatnonzero(np.diff(row) > 0.5) + 1), key=len)
+        inside &= (angles > side[0] - 0.25) & (angles < side[-1] + 0.25)
+    return postures[inside]
+
+
 def put_inside(problem: DesignProblem, postures: Array) -> Array:
     """(m, n) postures moved by as little as satisfies the constraints that are broken, most of them into all."""
     inside = np.array(postures)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from doe.criteria import I
 from doe.problem.model import NEEDS_SIGMA, offered, offers
-from doe.problem.postures import half_at_limits, listed_candidates, random_postures
+from doe.problem.postures import connected, half_at_limits, listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from identification import Array, InputError
 
@@ -60,7 +60,7 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     if listed is None:
         generator, sampled = np.random.default_rng(0), True
         anywhere, others = (random_postures(problem, 1000, generator) for _ in range(2))
-        listed = half_at_limits(problem, anywhere, others, generator)
+        listed = connected(problem, half_at_limits(problem, anywhere, others, generator))
     return replace(problem, choices=listed if also is None else np.concatenate([listed, also]), sampled=sampled)
 
 
@@ -78,8 +78,8 @@ def tip_jacobians(problem: DesignProblem, poses: ArrayLike) -> Array:
 
 
 def workspace(problem: DesignProblem) -> Array:
-    """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints, as
-    where a probe is to touch something."""
+    """(k, n) postures where the arm will work: all that may be chosen, or random ones within limits and constraints,
+    `connected`, as where a probe is to touch something."""
     if problem.choices is not None and not getattr(problem.model, "tied", False):
         return listed_candidates(problem, problem.choices)
-    return random_postures(problem, 1000, np.random.default_rng(0))
+    return connected(problem, random_postures(problem, 1000, np.random.default_rng(0)))

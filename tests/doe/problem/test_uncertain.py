@@ -14,6 +14,7 @@ from doe.bounds.column_generation import ContinuousSet, column_generation, conti
 from doe.criteria import A, D
 from doe.problem.uncertain import missing_effects, robust_problem, with_choices, workspace
 from identification import Arm, Array, Conditions, DHRow, InputError, Model, chain_of
+from identification.workspace import KeepOutCircle
 
 LENGTHS = np.array([300.0, 200.0])
 ARM_ROBUST = Arm(LENGTHS, np.radians([-170, -100]), np.radians([170, 100]), 0.1)
@@ -163,3 +164,12 @@ def test_only_a_list_of_its_own_making_is_a_sample() -> None:
     listed = replace(CASE, choices=POSTURES)
     assert not with_choices(listed).sampled
     assert not with_choices(listed, POSTURES[:1] + 0.1).sampled
+
+
+def test_the_workspace_is_on_one_side_of_what_no_move_passes() -> None:
+    """A post beside the base, which the first link would hit within 32 degrees; and the list that is chosen from."""
+    post = replace(ARM_ROBUST, constraints=(KeepOutCircle((150.0, 0.0), 80.0),))
+    case = DesignProblem.of(Model(post))
+    for postures in (workspace(case), with_choices(case).choices):
+        assert np.abs(np.sign(postures[:, 0]).sum()) == len(postures) > 200
+        assert np.abs(postures[:, 0]).min() > np.arcsin(80.0 / 150.0)
