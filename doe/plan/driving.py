@@ -156,7 +156,7 @@ def one_turn(problem: DesignProblem, room: Room, postures: Array) -> Callable[[A
         free = np.all(room.margin(at_ends) >= 0.0, axis=1).reshape(len(ends), -1).mean(axis=1)
         start[j] = ends[np.argmin(free + 1e-3 * np.abs(np.linspace(-1.0, 1.0, len(ends))))]  # the middle one of equals
         turned = np.where(joints == j, start[j] + (postures - start[j]) % whole, postures)
-        wound[j] = problem.feasible(turned).all()
+        wound[j] = np.array_equal(problem.feasible(turned), problem.feasible(postures))
         wound[j] &= abs(problem.objective(turned) - problem.objective(postures)) < 1e-6
     return lambda q: np.where(wound, start + (q - start) % whole, q)
 

@@ -200,9 +200,9 @@ def tightened(way: Array, room: Room) -> Array:
 
 def approaches(postures: Array, senses: Array, room: Room, generator: np.random.Generator, tries: int = 40) -> Array:
     """(m, n) way-points from which each joint moves in its sense, (m, n) of +1 and -1, to postures (m, n); NaN of a
-    posture to which none leads, of so many, 0.2 to 3 times as far as is usual."""
+    posture to which none leads, of so many, a ninth to 3 times as far as is usual."""
     m, n = postures.shape
-    steps = np.concatenate([np.full((1, m, n), APPROACH), generator.uniform(0.2, 3.0, (tries, m, n)) * APPROACH])
+    steps = APPROACH * 3.0 ** np.concatenate([np.zeros((1, m, n)), generator.uniform(-2.0, 1.0, (tries, m, n))])
     begun = postures - senses * room.units * steps  # (tries + 1, m, n)
     good = np.all((begun >= room.lower) & (begun <= room.upper), axis=2)
     good[good] = room.free(begun[good], np.broadcast_to(postures, begun.shape)[good])

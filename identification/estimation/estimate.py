@@ -250,21 +250,18 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
     decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
     if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
-    x, rss = np.full((len(measured), len(model.names)), np.nan), np.full(len(measured), np.nan)
-    status = np.full(len(measured), Status.not_identifiable, dtype=object)
-    solution = Solution(x, rss, status)
+    x, rss = np.empty((len(measured), len(model.names))), np.empty(len(measured))
     if (form := problem.exact_form) is not None:
         # one pseudo-inverse for all (identification/README.md, "Closed form")
         solve = form.solver(problem.postures, problem.weights, problem.tolerance)
         for part in _chunks(len(measured), m):
             x[part], rss[part] = solve(measured[part])
-        status[:] = outcomes(np.isfinite(rss), Status.converged, Status.solver_failed)
-        return solution
+        return Solution(x, rss, outcomes(np.isfinite(rss), Status.converged, Status.solver_failed))
     # from the closed form, by the chord method with one matrix for all, then one about where that led the others; what
     # neither brings to an end, by Levenberg-Marquardt
     for part in _chunks(len(measured), m):
         x[part] = starts(problem.rows(part))
-    rest = np.arange(len(measured))
+    rest, status = np.arange(len(measured)), np.full(len(measured), Status.not_identifiable, dtype=object)
     for _ in range(2):
         usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
         center = np.mean(usable, axis=0) if len(usable) else problem.start
@@ -278,7 +275,7 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
         each = problem.rows(sets := rest[part]).minimized(x[sets])
         x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
-    return solution
+    return Solution(x, rss, status)
 
 
 def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -27,7 +27,7 @@ from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
-from identification.gap.fit import Fit, Rows, fit
+from identification.gap.fit import Fit, Rows, determined, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
 from identification.gap.replication import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, probabilities
@@ -35,7 +35,6 @@ from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
 from identification.model import Model
-from identification.model.minimal import practical
 from identification.running import Progress, Status, single_thread
 from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 
@@ -52,7 +51,7 @@ def diagnose(
 
     arm : its effects are part of the base model; whatever they do not fix is estimated again. A spatial arm is given a
         minimal set of identifiable geometric parameters, without a prior, and the base that the closed form finds
-        (`practical`).
+        (`determined`).
     measurements : of one session, or of several distinguished by their column `session`, each with its own base
     holdout : measurements of the same arm, used for the confirmation only
     seed : the same seed gives the same diagnosis
@@ -64,7 +63,7 @@ def diagnose(
     copies, numbers = copied_rows(measurements), np.unique(measurements.originals)
     measurements = measurements.without_copies() if copies else measurements
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
-    given = practical(arm, measurements)
+    given = determined(arm, measurements)
     arm, rows, generator = with_sessions(given, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:
         raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")

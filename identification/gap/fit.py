@@ -22,8 +22,9 @@ from identification.information import column_space, spectrum
 from identification.levenberg_marquardt import Index
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
-from identification.model.minimal import practical
+from identification.model.minimal import PRACTICAL, practical
 from identification.running import Status
+from identification.sessions import with_sessions
 
 
 @dataclass(frozen=True)
@@ -207,12 +208,22 @@ class Fit(At):
         return full
 
 
+def determined(arm: Arm, measurements: Measurements) -> Arm:
+    """`practical`, with what so many rows of so little scatter determine, too: three standard errors of a mean."""
+    given = practical(arm, measurements)
+    if given is arm:
+        return arm
+    base = fit(Model(with_sessions(given, measurements)), Rows.of(measurements))
+    least = 3.0 * base.sigma / float(np.sqrt(len(base.residual)))
+    return practical(arm, measurements, least) if least < PRACTICAL else given
+
+
 def fitted_arm(
     arm: Arm, measurements: Measurements, specs: Sequence[EffectSpec] = (), left_out: Collection[int] = ()
 ) -> Arm:
     """The arm with these effects added, none: its geometry only, calibrated by rows that are not `left_out` (from 1),
     whatever a diagnosis would say of them."""
-    arm = practical(arm, measurements)
+    arm = determined(arm, measurements)
     model = Model(arm.with_effects(*arm.effects, *specs))
     kept = ~np.isin(np.arange(len(measurements)) + 1, list(left_out))
     return replace(model.arm, calibration=Calibration(fit(model, Rows.of(measurements).pick(kept)).by_name))

@@ -48,18 +48,18 @@ def minimal(model: Model, least: float = DISTINCT, rows: Measurements | None = N
     return _fixing(model, (parameters[k].name for k in order if k not in kept))
 
 
-def practical(arm: Arm, measurements: Measurements) -> Arm:
+def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
-    measurements hardly determine as drawn; of contacts what the surfaces show at the
+    measurements hardly determine (`least`, as of `minimal`) as drawn; of contacts what the surfaces show at the
     postures measured. A planar arm, and a spatial one whose set was chosen, stays as it is."""
     if not arm.chain.redundant:
         return arm
     model, instrument = Model(arm), arm.chain.instrument
     placed = placed_model(model, measurements)
     if not instrument.contact:
-        return minimal(placed, PRACTICAL).arm
+        return minimal(placed, least).arm
     if instrument.own_targets:
-        shown = minimal(placed, PRACTICAL, measurements)
+        shown = minimal(placed, least, measurements)
     else:
         # what they show together, each beside a base of its own: a level surface does not show where axes lie along it
         bases, others, names = list[Array](), list[Array](), list[str]()
@@ -78,7 +78,7 @@ def practical(arm: Arm, measurements: Measurements) -> Arm:
         if longest := longest_step(placed, names):
             tall[:, names.index(longest)] = 0.0
         own = sum(base.shape[1] for base in bases)
-        kept = {k - own for k in independent(np.column_stack([block_diag(*bases), tall]), PRACTICAL)}
+        kept = {k - own for k in independent(np.column_stack([block_diag(*bases), tall]), least)}
         return _fixing(placed, (name for k, name in enumerate(names) if k not in kept)).arm
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
     # next to nothing: the longest step that is a parameter stays as drawn

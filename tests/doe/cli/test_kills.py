@@ -22,6 +22,7 @@ from click.testing import CliRunner
 from doe.cli import main
 from doe.plan.spacing import separated
 from doe.report.design import design_document
+from identification import Plan
 from tests.doe.cli.conftest import Folder, without_progress
 from tests.doe.faults import COMMANDS, ROOT, Command, Reference, content, prepare, verdict
 
@@ -148,10 +149,8 @@ def prepare_six(folder: Path) -> Path:
     (folder / "six.toml").write_text(arm)
     true = '[calibration]\nvalues = {"joint_offset:2" = 0.3, "joint_offset:5" = -0.2, "translation_x:4" = 0.4}\n'
     (folder / "truth.toml").write_text(arm + true)
-    generator = np.random.default_rng(4)
-    lines = [",".join(["run", *(f"q{j}_deg" for j in range(1, 7))])]
-    lines += [",".join(map(repr, [k, *generator.uniform(-150.0, 150.0, 6).tolist()])) for k in range(1, 31)]
-    (folder / "plan.csv").write_text("\n".join(lines) + "\n")
+    postures = np.random.default_rng(4).uniform(-150.0, 150.0, (30, 6))
+    (folder / "plan.csv").write_text(Plan(np.radians(postures)).text())
     arm, plan, truth, out = (str(folder / name) for name in ("six.toml", "plan.csv", "truth.toml", "measured.csv"))
     done = CliRunner().invoke(main, ["simulate", arm, plan, "--truth", truth, "--out", out], catch_exceptions=False)
     assert done.exit_code == 0, done.output

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from tests.doe.cli.conftest import Folder, table
+from identification import Plan
+from tests.doe.cli.conftest import Folder
 from tests.identification.exponentials import TABLE
 
 ROWS = "".join(f"[[dh]]\na_mm = {a}\nalpha_deg = {np.degrees(alpha)}\nd_mm = {d}\n" for a, alpha, d in TABLE)
@@ -39,10 +38,6 @@ TRUTH = TOOL + VALUES + '"base.x" = 9.0\n'
 ECCENTRIC = '[[effects]]\nname = "encoder_eccentricity"\njoint = 3\na_deg = 0.05\nb_deg = 0.04\n'
 
 
-def of_postures(postures: np.ndarray, **columns: Any) -> str:
-    return table({f"q{j}_deg": q for j, q in enumerate(np.degrees(postures).T, start=1)} | columns)
-
-
 @pytest.fixture
 def cell(folder: Folder) -> Folder:
     """With arm.toml of a ball bar, truth.toml, and plan.csv and fresh.csv of 120 random postures each."""
@@ -50,7 +45,7 @@ def cell(folder: Folder) -> Folder:
     folder.write("truth.toml", SIX + BAR + TRUTH)
     generator = np.random.default_rng(1)
     for name in ("plan", "fresh"):
-        folder.write(f"{name}.csv", of_postures(generator.uniform(-2.0, 2.0, (120, 6)), run=range(1, 121)))
+        folder.write(f"{name}.csv", Plan(generator.uniform(-2.0, 2.0, (120, 6))).text())
     return folder
 
 

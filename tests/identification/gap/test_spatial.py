@@ -11,7 +11,7 @@ from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import measure, session
 from identification import Arm, DHRow, EffectSpec, Gravity, Measurements, Model, chain_of, detectability, diagnose
 from identification.gap.blocks import hypotheses, untested_joints
-from identification.gap.fit import At, Rows
+from identification.gap.fit import At, Rows, determined, fit
 from tests.identification.exponentials import Exponentials, drawing
 
 ARM = Arm(drawing(), sigma=0.05)
@@ -51,6 +51,19 @@ def test_another_reflector_in_the_hold_out() -> None:
     # of three coordinates, and what 28 parameters from 180 equations add; the root of 240 squares scatters by 4.6 %
     assert found.gap.held_out_after < 0.05 * np.sqrt(3.0) * np.sqrt(1.0 + 28.0 / 180.0) * 1.15
     assert any("another set-up" in warning for warning in found.warnings)
+
+
+def test_what_many_rows_show_of_an_axis_near_the_reflector_belongs_to_the_geometry() -> None:
+    """1.8 mm off the last axis, milliradians of which move it by micrometres, as much as the noise; what is left is
+    noise."""
+    generator, tool = np.random.default_rng(4), np.eye(4)
+    tool[:3, 3] = [1.5, -1.0, 60.0]
+    arm, q = Exponentials(generator, tool), generator.uniform(-2.5, 2.5, (300, 6))
+    points = arm.poses(q + 5e-3 * generator.standard_normal(6))[:, :3, 3]
+    data = Measurements(q, points + 0.002 * generator.standard_normal((300, 3)))
+    fitted = fit(Model(determined(ARM, data)), Rows.of(data))
+    chi2 = float(np.sum(np.square(fitted.residual / 0.002)))
+    assert abs(chi2 - fitted.freedom) < 4.0 * np.sqrt(2.0 * fitted.freedom)
 
 
 def test_an_axis_that_wobbles_is_unknown_at_its_joint() -> None:
