@@ -151,12 +151,6 @@ class At:
         """(m, d, n) of the joints [mm/rad]."""
         return self.model.joint_levers(self.rows.postures, self.values, self.rows.conditions)
 
-    @cached_property
-    def torques(self) -> Array:
-        """(m, n) moments of gravity about the joints, their mean square 1."""
-        torques = self.model.torques(self.rows.postures, self.rows.conditions)
-        return np.asarray(torques / max(float(np.sqrt(np.mean(np.square(torques)))), 1e-300))
-
     @property
     def left(self) -> Array:
         """(m, d) measured less computed positions [mm], not whitened."""
