@@ -87,10 +87,12 @@ def diagnosis_verdict(data: Data) -> list[str]:
         return [*lines, f"Most likely, but with a probability below one half: {named}."]
     if verdict == "ambiguous":
         likeliest = number(sets[0]["probability"], 2)
-        spelt = [effects_in_words(c["effects"]) or "nothing" for c in sets[:MOST]]
+        shared = [e for e in sets[0]["effects"] if all(e in c["effects"] for c in sets)]
+        spelt = [effects_in_words([e for e in c["effects"] if e not in shared]) or "nothing" for c in sets[:MOST]]
         spelt += [f"{len(sets) - MOST} more"] * (len(sets) > MOST)
         count = f"{len(sets)} explanations remain, the most likely with probability {likeliest}."
-        return [*lines, count, as_sentence("; or ".join(spelt))]
+        common = f"In all of them: {effects_in_words(shared)}. Besides: " if shared else ""
+        return [*lines, count, as_sentence(common + "; or ".join(spelt))]
     lines.append(f"Something that the library does not have is missing, {place_in_words(data)}.")
     if is_described(data):
         curves = sorted(curve["joint"] for curve in data["curves"])
@@ -285,8 +287,11 @@ def missing_parts(data: Data) -> list[Part]:
     # the probabilities in one line, with those of other sets, and whether the rows are too few for a test
     few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
     among = " (too few rows to confirm it on others)" if few else ""
-    every = ", ".join(f"{name} {p:.2f}" for name, p in data["probabilities"].items() if p >= 0.005)
-    other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in data["other_sets"])
+    listed = {" + ".join(c["effects"]) for c in data["candidates"]} if several else set()  # they stand in the table
+    shares = {name: p for name, p in data["probabilities"].items() if p >= 0.005 and name not in listed}
+    every = ", ".join(f"{name} {p:.2f}" for name, p in shares.items())
+    short = [one for one in data["other_sets"] if len(one["effects"]) <= MOST]
+    other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in short)
     parts: list[Part] = [*findings(data), f"Probability{among}: {every}{f' (of that {other})' if other else ''}."]
     parts += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
     return [*parts, Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
