@@ -62,7 +62,7 @@ def connected(problem: DesignProblem, postures: Array) -> Array:
     for angles, row in zip(problem.comparable(postures).T, np.sort(drawn.T), strict=True):
         side = max(np.split(row, np.flatnonzero(np.diff(row) > 0.5) + 1), key=len)
         inside &= (angles > side[0] - 0.25) & (angles < side[-1] + 0.25)
-    return postures[inside]
+    return postures[inside] if inside.any() else postures
 
 
 def put_inside(problem: DesignProblem, postures: Array) -> Array:

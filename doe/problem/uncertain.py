@@ -59,7 +59,8 @@ def with_choices(problem: DesignProblem, also: Array | None = None) -> DesignPro
     listed, sampled = problem.choices, problem.sampled
     if listed is None:
         generator, sampled = np.random.default_rng(0), True
-        anywhere, others = (random_postures(problem, 1000, generator) for _ in range(2))
+        count = 10**6 // len(workspace(problem))  # of which 1,000 are `connected`
+        anywhere, others = (random_postures(problem, count, generator) for _ in range(2))
         listed = connected(problem, half_at_limits(problem, anywhere, others, generator))
     return replace(problem, choices=listed if also is None else np.concatenate([listed, also]), sampled=sampled)
 
