@@ -89,8 +89,7 @@ class Confirmation:
 def confirm(
     before: Array,
     after: Array,
-    predicted: float,
-    excess: Mean,
+    predicted: Mean,
     sigma: float,
     by_groups: Sequence[Groups],
     transfer: str,
@@ -101,17 +100,17 @@ def confirm(
     """Test whether the gap shrinks and whether it exceeds the prediction, each one-sided at half of `level`.
 
     before, after : (m, d) residuals [mm] of base and tested model;  predicted : expected mean square of the latter
-    excess : of its mean square over that, with the variance that it has if the model is right
     sigma : noise of one coordinate [mm];  by_groups : groupings of the rows, (m,) each;  others : see `Confirmation`
 
     If the model is right, the mean gain of m rows is normal with mean R = mean square distance between the models and
     variance 4 sigma^2 R / m. The absence of any gain then has probability Phi(-sqrt(m R) / 2 sigma); where that is
     below the level, a gain that is not positive refutes the model.
     """
-    m = len(after)
+    m, d = after.shape
     squares, left = np.square(before).sum(axis=1), np.square(after).sum(axis=1)
     moved = float(np.sum(np.square(before - after)))  # m R
     gain = mean_of(squares - left, by_groups, 4.0 * sigma**2 * moved / m**2)
+    excess = mean_of(left, by_groups, 2.0 * d * sigma**4 / m) - predicted
     named, shrinks = named and moved > 0.0, None
     if named and gain.p_above() <= level / 2.0:
         shrinks = True
@@ -121,7 +120,7 @@ def confirm(
     exceeds = excess.p_above() <= level / 2.0
     # whether a test at `LEVEL` would detect a true mean of the size predicted with power `POWER`
     quantiles = stdtrit(excess.freedom, 1.0 - LEVEL / 2.0) + stdtrit(excess.freedom, POWER)
-    detects = excess.variance < np.inf and predicted >= quantiles * np.sqrt(excess.variance)
+    detects = excess.variance < np.inf and predicted.value >= quantiles * np.sqrt(excess.variance)
     return Confirmation(
         transfer=transfer,
         by=by,
@@ -129,7 +128,7 @@ def confirm(
         groups=min(int(groups.max()) + 1 for groups in by_groups),
         before=float(np.sqrt(np.mean(squares))),
         after=float(np.sqrt(np.mean(left))),
-        predicted=float(np.sqrt(predicted)),
+        predicted=float(np.sqrt(predicted.value)),
         largest_before=float(np.sqrt(squares.max())),
         largest_after=float(np.sqrt(left.max())),
         p_shrinks=gain.p_above() if named else None,
@@ -311,13 +310,8 @@ class HeldOut:
         left, added = mean_of(squares, groups_of(data, kept), white), self.parameter_part(model)
         scale = more * len(squares) * model.model.dimension / max(model.freedom, 1)
         predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
-        # new rows scatter as those of the data: where the model is wrong, what they scatter themselves is large, too
-        chance = left.variance + white * (len(squares) / len(after) - 1.0)
-        reached = Mean(float(np.mean(np.square(after).sum(axis=1))), scale**2 * chance, left.freedom)
-        sigma, by_groups = float(np.sqrt(scale * left.value / after.shape[1])), groups_of(self.rows)
-        result = confirm(
-            before, after, predicted.value, reached - predicted, sigma, by_groups, self.transfer, named=named
-        )
+        sigma = float(np.sqrt(scale * left.value / after.shape[1]))
+        result = confirm(before, after, predicted, sigma, groups_of(self.rows), self.transfer, named=named)
         file = self.rows.provenance.get("file") if self.transfer == SESSION else None
         return replace(result, file=file, refitted=refitted)
 
@@ -346,13 +340,9 @@ def cross_validation(
     tests = []
     predicted_rows = predicted_from_others(posterior, kept, [*parts.values()], more)
     for transfer, (before, after, expected) in zip(parts, predicted_rows, strict=True):
-        (m, d), sigma = after.shape, float(np.sqrt(expected / after.shape[1]))
+        predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
         level = LEVEL / len(parts)  # Bonferroni
-        left = mean_of(np.square(after).sum(axis=1), by_groups, 2.0 * d * sigma**4 / m)
-        excess = left - Mean(expected, 0.0, np.inf)
-        tests.append(
-            confirm(before, after, expected, excess, sigma, by_groups, transfer, "cross-validation", level, named)
-        )
+        tests.append(confirm(before, after, predicted, sigma, by_groups, transfer, "cross-validation", level, named))
     return tuple(tests)
 
 

@@ -46,8 +46,7 @@ def test_without_noise_any_two_models_differ_for_sure(move: float, sigma: float,
     """Eight rows where nothing is gained: refuted if the models differ there at all, else the rows do not tell."""
     before, after = np.tile([1.0, 0.0], (8, 1)), np.tile([np.cos(move), np.sin(move)], (8, 1))
     after *= np.array([0.5, 1.5] * 4)[:, None] / np.sqrt(1.25)  # more and less, on average the same
-    groups, excess = (np.arange(8),), Mean(0.0, 1.0, 7.0)
-    found = confirm(before, after if move else before, 1.0, excess, sigma, groups, "other postures")
+    found = confirm(before, after if move else before, Mean(1.0, 1.0, 7.0), sigma, (np.arange(8),), "other postures")
     assert found.shrinks is expected
 
 
@@ -78,9 +77,7 @@ def held_out(rng: np.random.Generator, m: int, size: float, present: float = 1.0
     after = after + SIGMA * np.sqrt(0.08) * rng.normal(size=2)
     predicted = Mean(2.0 * 1.08 * variance, (2.0 * variance) ** 2 * 2.0 / 100, 7.0)
     groups = groupings(rng.uniform(size=(m, 3)), np.arange(m), np.arange(m))
-    sigma = float(np.sqrt(variance))
-    excess = mean_of(np.square(after).sum(axis=1), groups, 4.0 * sigma**4 / m) - predicted
-    return confirm(before, after, predicted.value, excess, sigma, groups, "other postures")
+    return confirm(before, after, predicted, float(np.sqrt(variance)), groups, "other postures")
 
 
 @pytest.mark.parametrize(
@@ -113,8 +110,7 @@ def test_errors_shared_by_a_stretch_of_time_do_not_refute() -> None:
         shared = np.repeat(SIGMA * rng.normal(size=(8, 2)), 20, axis=0)
         squares = np.square(shared).sum(axis=1)
         groups = groupings(rng.uniform(size=(160, 3)), np.arange(160), np.arange(160))
-        excess = mean_of(squares, groups) - Mean(2.0 * SIGMA**2, 0.0, 7.0)
-        found = confirm(shared, shared, 2.0 * SIGMA**2, excess, SIGMA, groups, "other postures")
+        found = confirm(shared, shared, Mean(2.0 * SIGMA**2, 0.0, 7.0), SIGMA, groups, "other postures")
         refuted += found.confirmed is False
         naive += stats.ttest_1samp(squares, 2.0 * SIGMA**2, alternative="greater").pvalue <= 0.025
     assert refuted <= 12  # 2.5 % of 200 and 3 standard errors
@@ -126,8 +122,7 @@ def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None
     left = np.sqrt(np.repeat([0.2, 0.2, 6.0, 0.2, 0.3, 0.2, 8.0, 0.9], 20))
     after, before = np.column_stack([left, np.zeros(160)]), np.column_stack([left, np.full(160, np.sqrt(30.0))])
     groups = groupings(np.random.default_rng(7).uniform(size=(160, 3)), np.arange(160), np.arange(160))
-    excess = mean_of(np.square(left), groups) - Mean(1.0, 1e-4, 100.0)
-    found = confirm(before, after, 1.0, excess, 0.7, groups, "a later time")
+    found = confirm(before, after, Mean(1.0, 1e-4, 100.0), 0.7, groups, "a later time")
     assert (found.confirmed, found.shrinks, found.as_predicted) == (True, True, None)
     assert holds_in_words(found.to_json())[0] == "shrinks"
 
