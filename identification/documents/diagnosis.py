@@ -287,7 +287,8 @@ def missing_parts(data: Data) -> list[Part]:
     # the probabilities in one line, with those of other sets, and whether the rows are too few for a test
     few = data["effects"] and tests and all(test["confirmed"] is None for test in tests)
     among = " (too few rows to confirm it on others)" if few else ""
-    listed = {" + ".join(c["effects"]) for c in data["candidates"]} if several else set()  # they stand in the table
+    # long ones stand in the table alone
+    listed = {" + ".join(c["effects"]) for c in data["candidates"] if several and len(c["effects"]) > MOST}
     shares = {name: p for name, p in data["probabilities"].items() if p >= 0.005 and name not in listed}
     every = ", ".join(f"{name} {p:.2f}" for name, p in shares.items())
     short = [one for one in data["other_sets"] if len(one["effects"]) <= MOST]
