@@ -102,17 +102,16 @@ def test_without_a_distance_the_size_is_open() -> None:
     assert np.std(errors / lengths) * lengths.mean() < 2.0 * NOISE
 
 
-def test_no_motion_of_arm_and_cups_together_is_a_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:
     """Six joints have 27 parameters with one measured point; of the six that place the arm none is left, and the cups
     have three each. A distance ties one; without one the size is that of the drawing."""
-    monkeypatch.setattr(minimal, "PRACTICAL", minimal.DISTINCT)
     generator = np.random.default_rng(3)
     data = rows(Exponentials(generator), CUPS, 30, 0.0, generator)
     for pairs, count in (([("A", "B")], 21 + 11), (list(combinations("ABC", 2)), 21 + 9), ([], 21 + 12 - 1)):
         instrument = Socket(distances=tuple((a, b, apart(CUPS, a, b)) for a, b in pairs))
         arm = Arm(replace(drawing(), instrument=instrument), sigma=NOISE)
         assert not [name for name in Model(arm).names if name.startswith("base")]
-        kept = Model(minimal.practical(arm, data))
+        kept = Model(minimal.practical(arm, data, minimal.DISTINCT))
         fit = estimate(kept, data)
         assert fit.rms_after < (1e-9 if pairs else 1.0)  # of an arm of the drawn size
         jacobian = fit.model.jacobian(data.postures, fit.parameters, data.conditions)
