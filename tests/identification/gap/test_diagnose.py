@@ -196,6 +196,14 @@ def test_sigma_of_the_data_sheet_does_not_decide() -> None:
     assert any("times the sigma_mm" in note for note in nothing.notes)
 
 
+def test_a_sigma_of_the_rows_decides_that_something_is_missing() -> None:
+    """Four times as much as it is left, which no set explains: nothing is missing at most with chi-square's p."""
+    stated = diagnose(ARM, replace(measured(None), sigma=np.full(60, 0.005)))
+    assert (stated.verdict, stated.where, stated.effects) == ("unknown", None, ())
+    assert stated.misfit is not None
+    assert stated.probabilities.none <= stated.misfit.p_value < 1e-3
+
+
 def test_outliers_are_listed_and_left_out_and_many_far_rows_are_structure() -> None:
     """A fifth of the rows; and 40 sigma of each of the first twelve: the tracker was bumped after them."""
     data, rng = measured("backlash"), np.random.default_rng(4)
