@@ -348,10 +348,11 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     free = np.array([name not in fit.held for name in fit.names])
     whole = rows.jacobian[..., free], fit.model.scales[free], RANK_TOLERANCE, problem.prior_rows[:, free]
     columns = rows.jacobian[..., free] @ spectrum(*whole).root
-    leverages, vectors, scores = decomposed_groups(columns, rows.residual, rows.postures)
-    if leverages.max() > 1.0 - ALONE:
-        return None
-    pull = ((scores / (1.0 - leverages))[:, None, :] @ vectors)[:, 0]
+    pull = np.empty((int(rows.postures.max()) + 1, columns.shape[2]))
+    for alike, leverages, vectors, scores in decomposed_groups(columns, rows.residual, rows.postures):
+        if leverages.max() > 1.0 - ALONE:
+            return None
+        pull[alike] = ((scores / (1.0 - leverages))[:, None, :] @ vectors)[:, 0]
     without = rows.residual + np.einsum("mdr,mr->md", columns, pull[rows.postures])
     kept = problem.weights > 0.0
     return np.asarray((without / problem.root_weights[kept])[np.cumsum(kept)[measurements.originals] - 1])

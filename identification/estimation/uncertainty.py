@@ -250,31 +250,35 @@ def sandwich(
     jacobian : (m, d, p) and residual : (m, d), whitened;  root : (p, rank), root @ root.T = (J^T J + R^T R)^-1
     groups : (m,) number of the group of each row, 0, 1, ...;  variance : of white noise, beside a prior
     """
-    columns = jacobian @ root
-    leverages, vectors, scores = decomposed_groups(columns, residual, groups)
-    if leverages.max() > 1.0 - ALONE:
-        return None
-    factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
-    # (p, G): what each group adds to the estimates
-    corrected = root @ ((factors * scores)[:, None, :] @ vectors)[:, 0].T
+    columns, adds = jacobian @ root, list[Array]()
+    diagonals, lengths, turns = list[Array](), list[Array](), list[Array]()  # of groups as large as each other
+    count = int(groups.max()) + 1
+    for _, leverages, vectors, scores in decomposed_groups(columns, residual, groups):
+        if leverages.max() > 1.0 - ALONE:
+            return None
+        factors = 1.0 / np.sqrt(1.0 - np.maximum(leverages, 0.0))
+        adds.append(((factors * scores)[:, None, :] @ vectors)[:, 0])
+        # 2 E^2 / var of the variance |P^T e|^2 of a parameter under white noise e of variance one,
+        # P^T P = diag(d) - W W^T: d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a, which is V_g w_g with orthonormal V_g
+        turned = (root @ vectors.reshape(-1, root.shape[1]).T).reshape(len(root), *leverages.shape)
+        weights = leverages * factors * turned  # (p, g, k)
+        diagonals.append(np.sum(weights * factors * turned, axis=2))
+        lengths.append(np.sum(weights**2, axis=2))
+        if count <= 1000:  # of more groups what two of them share through the fit changes t by less than a third digit
+            turns.append((weights[:, :, None, :] @ vectors)[:, :, 0])
+    corrected = root @ np.concatenate(adds).T  # (p, G): what each group adds to the estimates
     held = np.eye(root.shape[1]) - np.einsum("mdr,mds->rs", columns, columns, optimize=True)  # R^T R; without it zero
     held = root @ held @ root.T
-    freedom = np.full(len(root), np.inf)
-    every = (root @ vectors.reshape(-1, root.shape[1]).T).reshape(len(root), *leverages.shape)
-    for k, turned in enumerate(every):
-        # 2 E^2 / var of the variance |P^T e|^2 under white noise e of variance one, P^T P = diag(d) - W W^T:
-        # d_g = |A_g Q_g a|^2 and W_g = Q_g^T A_g Q_g a, which is V_g w_g with orthonormal V_g
-        diagonal = np.sum(leverages * np.square(factors * turned), axis=1)
-        weights = leverages * factors * turned
-        lengths = np.sum(weights**2, axis=1)
-        if len(vectors) > 1000:  # groups: what two of them share through the fit changes t by less than its third digit
-            squares = np.sum(lengths**2)
-        else:
-            inner = (weights[:, None, :] @ vectors)[:, 0]
-            squares = np.sum(np.square(inner.T @ inner if inner.shape[0] > inner.shape[1] else inner @ inner.T))
-        first = diagonal.sum() - lengths.sum() + max(held[k, k], 0.0)
-        second = np.sum(diagonal**2) - 2.0 * np.sum(diagonal * lengths) + squares
-        freedom[k] = first**2 / second if second > 0.0 else np.inf
+    diagonal, length = np.concatenate(diagonals, axis=1), np.concatenate(lengths, axis=1)  # (p, G)
+    if turns:
+        each = np.concatenate(turns, axis=1)
+        grams = (w.T @ w if w.shape[0] > w.shape[1] else w @ w.T for w in each)
+        squares = np.array([np.sum(np.square(gram)) for gram in grams])
+    else:
+        squares = np.sum(length**2, axis=1)
+    first = np.sum(diagonal - length, axis=1) + np.maximum(np.diag(held), 0.0)
+    second = np.sum(diagonal * (diagonal - 2.0 * length), axis=1) + squares
+    freedom = np.where(second > 0.0, first**2 / np.where(second > 0.0, second, 1.0), np.inf)
     return corrected @ corrected.T + variance * held, freedom
 
 
@@ -287,20 +291,14 @@ def rows_of_groups(groups: Groups) -> Iterator[tuple[Groups, Groups]]:
         yield of_size, order[starts[of_size, None] + np.arange(size)]
 
 
-def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> tuple[Array, Array, Array]:
-    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: (G, k) l, (G, k, r) V^T and (G, k) V^T Q_g^T r_g, zero where a
-    group has fewer than k directions."""
-    d, r = columns.shape[1:]
-    counts = np.bincount(groups)
-    shape = len(counts), min(r, d * int(counts.max()))
-    values, vectors, scores = np.zeros(shape), np.zeros((*shape, r)), np.zeros(shape)
+def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterator[tuple[Groups, Array, Array, Array]]:
+    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: of the groups of each size their numbers (g,), (g, k) l,
+    (g, k, r) V^T and (g, k) V^T Q_g^T r_g."""
     for of_size, rows in rows_of_groups(groups):
-        k = min(r, d * rows.shape[1])
-        left, singular, right = np.linalg.svd(columns[rows].reshape(len(of_size), -1, r), full_matrices=False)
-        values[of_size, :k], vectors[of_size, :k] = singular**2, right
+        tall = columns[rows].reshape(len(of_size), -1, columns.shape[2])
+        left, singular, right = np.linalg.svd(tall, full_matrices=False)
         projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)
-        scores[of_size, :k] = singular * projected[:, :, 0]
-    return values, vectors, scores
+        yield of_size, singular**2, right, singular * projected[:, :, 0]
 
 
 # -- intervals ---------------------------------------------------------------------------------------------------------
