@@ -84,9 +84,12 @@ def design_problem(
     if candidates is not None:
         choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
         try:
-            listed_candidates(DesignProblem.of(model, choices=choices), choices)
+            left = len(listed_candidates(DesignProblem.of(model, choices=choices), choices))
         except InputError as error:  # none is within limits and constraints
             raise InputError(f"{candidates}: {error}") from None
+        if left < len(choices):
+            apart = f"{len(choices) - left} of {len(choices)} postures are outside the limits or a constraint"
+            warnings.warn(f"{candidates}: {apart}, and not chosen from", UserWarning, stacklevel=2)
     if repeats:
         restrictions["minimum_distance"] = 0.0
     problem = DesignProblem.of(model, **restrictions)

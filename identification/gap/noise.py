@@ -24,7 +24,7 @@ from identification.gap.likelihood import orthonormal
 from identification.measurements import POINT, Measurements
 
 UNEVEN = 0.05  # prior probability of each kind of noise that is not white
-LASTING = 5e-4  # the same of noise that is nearly a drift: of less, rows that err alike are called one now and then
+LASTING = 5e-4  # the same where it lasts as a drift does; with less, such noise is called a drift now and then
 RATIOS = (0.5, 2.0, 8.0, 32.0)  # of the further variance to the white one; numerical: likelihoods are flat over a step
 CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.95)  # of one row with the next; numerical, as `RATIOS`
 APART = 0.1  # convention: of the session, between two rows that share no slow error
@@ -85,7 +85,7 @@ def noises(at: At) -> Iterator[NoiseModel]:
                 more = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
                 yield NoiseModel(name, sign * ratio, more, float(np.log(UNEVEN / kinds)))
     for rho in CORRELATIONS:
-        # what lasts for a fifth of the session is likelier a drift, which blocks of time have
+        # errors that stay alike for a fifth of the session are likelier a drift, which is a block of time
         prior = float(np.log((UNEVEN if (1.0 - rho) * m >= 5.0 else LASTING) / len(CORRELATIONS)))
         yield NoiseModel("serial_correlation", rho, replace(rows, correlation=rho), prior)
     if rows.posture_numbers.max() + 1 < m:

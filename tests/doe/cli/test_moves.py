@@ -53,6 +53,12 @@ def rows_of(folder: Folder, name: str) -> list[dict[str, str]]:
     return list(csv.DictReader(folder.read(name).splitlines()))
 
 
+def test_candidates_that_are_left_out_are_counted(folder: Folder) -> None:
+    folder.write("list.csv", folder.read("list.csv") + "401,0,0,0,3000\n")
+    done = folder.armcal("relax arm.toml --candidates list.csv --no-check")
+    assert (done.code, "list.csv: 1 of 401 postures are outside the limits" in " ".join(done.err.split())) == (0, True)
+
+
 def test_a_plan_among_posts(cell: Folder) -> None:
     """Every move is free by a fine sample; program agrees, and says of another order what collides."""
     data = cell.said(f"{DESIGN} --out plan.csv --force")

@@ -116,6 +116,12 @@ def test_many_explanations_are_counted_and_the_first_spelt_out() -> None:
     assert count == "6 explanations remain, the most likely with probability 0.40."
     assert "(backlash:4); or 2 more." in spelt
     assert "backlash:5" not in spelt
+    sets = [{"effects": ["gear_ratio:1", *more], "probability": 0.4} for more in ([], joints[:1], joints[1:2])]
+    _, spelt = diagnosis_verdict(said("ambiguous") | {"candidates": sets})
+    shared, _, each = spelt.partition(" Besides: ")
+    assert (shared[:17], shared.count("gear_ratio:1"), spelt.count("gear_ratio:1")) == ("In all of them: g", 1, 1)
+    assert each.startswith("nothing; or gear play")
+    assert each.endswith("(backlash:2).")
 
 
 @pytest.mark.parametrize("verdict", ["none", "named", "ambiguous", "unknown"])
