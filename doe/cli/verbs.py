@@ -61,7 +61,6 @@ def design_problem(
 ) -> DesignProblem:
     """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     from doe.criteria import NAMES, criterion
-    from doe.problem.postures import listed_candidates
     from doe.problem.problem import DesignProblem
     from doe.problem.uncertain import missing_effects, robust_problem, tip_jacobians
     from identification import Plan, design_model
@@ -83,13 +82,7 @@ def design_problem(
             restrictions["kept_excess"] = sigma[rows] ** 2 - arm.sigma**2
     if candidates is not None:
         choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
-        try:
-            left = len(listed_candidates(DesignProblem.of(model, choices=choices), choices))
-        except InputError as error:  # none is within limits and constraints
-            raise InputError(f"{candidates}: {error}") from None
-        if left < len(choices):
-            apart = f"{len(choices) - left} of {len(choices)} postures are outside the limits or a constraint"
-            warnings.warn(f"{candidates}: {apart}, and not chosen from", UserWarning, stacklevel=2)
+        tell_of_candidates(candidates, DesignProblem.of(model, choices=choices), choices)
     if repeats:
         restrictions["minimum_distance"] = 0.0
     problem = DesignProblem.of(model, **restrictions)
@@ -115,6 +108,20 @@ def design_problem(
         )
         problem = replace(problem, criterion=chosen)
     return problem
+
+
+def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> None:
+    """Warn of those (N, n) of a file that are not allowed. Raises `InputError`, with the file's name, for none that
+    is."""
+    from doe.problem.postures import listed_candidates
+
+    try:
+        left_out = len(postures) - len(listed_candidates(problem, postures))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if left_out:
+        apart = f"{left_out} of {len(postures)} postures are outside the limits or a constraint, and not chosen from"
+        warnings.warn(f"{path}: {apart}", UserWarning, stacklevel=2)
 
 
 def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
@@ -393,6 +400,7 @@ def relax_files(
         raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
     if candidates is not None:
         places: Any = Plan.load(candidates, problem.model.joint_types).postures
+        tell_of_candidates(candidates, problem, places)
     elif problem.choices is not None:
         places = problem.choices
         if grid is not None:
