@@ -407,7 +407,7 @@ class Task(NamedTuple):
         much; the others, by what they leave."""
         k, s, n = starts.shape
         box, rounding = (self.lower, self.upper), np.full(k * s, 1e-5 * TOLERANCE)
-        settings = {"metric": self.units, "iterations": QUICK}
+        settings: dict[str, Any] = {"metric": self.units, "iterations": QUICK}
         problem = LeastSquares(lambda q, rows: self.gaps(q, rows // s), *box, self.units, rounding, **settings)
         solution = levenberg_marquardt(problem, starts.reshape(-1, n))
         postures, left = solution.parameters.reshape(k, s, n), np.sqrt(solution.rss).reshape(k, s)
