@@ -264,7 +264,7 @@ class KinematicChain(ByValue):
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
 
         q : (n,) positions of the joints [rad, mm];  values : parameter name -> value, zero where missing
-        added : what effects add at each place of the chain (identification/effects/chain.py)
+        added : what effects add at each place of the chain (identification/effects/base.py)
         """
         names, d, turns = error_names(BASE), self.dimension, len(self.turning)
         shift = ca.vertcat(*(values.get(name, 0.0) for name in names[:3]))
