@@ -24,7 +24,7 @@ from identification.document import Document, Documented, Sheet, number
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
 from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt

@@ -27,8 +27,7 @@ from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
-from identification.kinematics.chain import BASE, TOOL
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import pose, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance

@@ -26,8 +26,16 @@ from identification.estimation.doubts import hardly_determined, tip_of
 from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.information import VISIBLE
-from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
-from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
+from identification.kinematics.chain import (
+    STANDARD,
+    CorrectedGeometry,
+    DHRow,
+    KinematicChain,
+    Link,
+    corrected,
+    corrected_links,
+    drawn_links,
+)
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
@@ -61,8 +69,7 @@ Values = Mapping[str, float]  # parameter name -> value [API unit]
 class Identification(Documented):
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
-    parameters : (p,);  covariance : (p, p), zero along what is not estimable; NaN if sigma is unknown and no equation is
-        left over to estimate it
+    parameters : (p,);  covariance : (p, p), zero along what is not estimable; NaN without sigma and spare equations
     identifiable : (p,) True where the parameter itself is estimable
     not_identifiable : combinations of parameters that the data do not determine, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative

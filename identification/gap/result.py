@@ -31,7 +31,7 @@ from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
-from identification.kinematics.corrected import CorrectedGeometry
+from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.counting import joint_range
 from identification.measurements import Measurements, repeats_of
 from identification.model import Model

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments.search import Placement, Unplaced, searched
+from identification.instruments.search import Placement, Unplaced, placed, searched
 from identification.kinematics.frames import from_quaternions, to_angles
 from identification.kinematics.parameters import AXES, Parameter
 from identification.vectorized import vectorize
@@ -151,6 +151,24 @@ class Instrument:
     def of_table(cls, table: Mapping[str, Any]) -> Instrument:
         """Of a table `[instrument]`."""
         return cls()
+
+
+@dataclass(frozen=True)
+class Tracker(Instrument):
+    """A laser tracker, a camera system, a coordinate measuring machine: positions of one or several reflectors in the
+    frame of the instrument, in the plane the first two coordinates, or the pose of a measured frame."""
+
+    coordinates = tuple(Coordinate(axis) for axis in AXES)
+    reads_positions = True
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        return point
+
+    def place(self, rows: Unplaced) -> Placement:
+        return placed(rows)
+
+
+TRACKER = Tracker()
 
 
 @dataclass(frozen=True)
