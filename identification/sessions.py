@@ -14,7 +14,7 @@ from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments import KINDS
-from identification.instruments.search import registered
+from identification.instruments.base import registered
 from identification.kinematics.chain import BASE as STAND
 from identification.kinematics.chain import TOOL
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet

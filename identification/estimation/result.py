@@ -412,7 +412,7 @@ def corrected_values(
     # what the arm file says of the instrument is where fits start
     known = all(p.name in values for p in chain.instrument.parameters)
     for own in chain.instrument.own_values(values) if known else ():
-        rows.append(of.row(*own[:2], None, *own[2:]))
+        rows.append(of.row(own.name, own.parameter, None, own.value, own.slopes, own.unit, own.convention))
     for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
         meaning = STANDS if effect.name == "base_offset" else meaning
