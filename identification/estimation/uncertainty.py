@@ -60,16 +60,12 @@ class WhiteRows:
     @classmethod
     def of(cls, problem: Problem, data: Measurements, parameters: Array) -> WhiteRows:
         """Of the rows of weight above zero, linear about parameters (p,); the rank is left to the caller."""
-        kept, prior = problem.weights > 0.0, problem.prior_rows
+        kept, prior, roots = problem.weights > 0.0, problem.prior_rows, problem.root_weights
         position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
-        residual = problem.root_weights * (problem.positions[0] - position)
-        weighted = problem.root_weights[:, :, None] * jacobian
-        postures, repeats = (
-            np.unique(n[kept], return_inverse=True)[1] for n in (data.posture_numbers, data.repeat_numbers)
-        )
+        rows = (roots[:, :, None] * jacobian)[kept], (roots * (problem.positions[0] - position))[kept]
+        numbers = [np.unique(n[kept], return_inverse=True)[1] for n in (data.posture_numbers, data.repeat_numbers)]
         sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
-        pull = prior.T @ (prior @ (problem.prior_center - parameters))
-        return cls(weighted[kept], residual[kept], 0.0, sequence, postures, repeats, pull)
+        return cls(*rows, 0.0, sequence, *numbers, prior.T @ (prior @ (problem.prior_center - parameters)))
 
     freedom = property(lambda self: self.residual.size - self.rank)  # equations less combinations estimated
     squares = property(lambda self: float(np.sum(self.residual**2)))  # sum of squared whitened residuals
@@ -111,11 +107,9 @@ class WhiteRows:
 
         root : (p, rank), as of `of_postures`
         """
-        columns, squares = self.jacobian @ root, 0.0
-        for _, rows in rows_of_groups(self.postures):  # sum l^2 = |Q_g Q_g^T|^2 = |Q_g^T Q_g|^2
-            block = columns[rows].reshape(len(rows), -1, columns.shape[2])
-            block = block if block.shape[1] <= block.shape[2] else np.swapaxes(block, 1, 2)
-            squares += float(np.sum(np.square(block @ np.swapaxes(block, 1, 2))))
+        columns = self.jacobian @ root
+        every = [leverages for _, leverages, *_ in decomposed_groups(columns, self.residual, self.postures)]
+        squares = sum(float(np.sum(np.square(leverages))) for leverages in every)
         share = 1.0 - squares / float(np.sum(np.square(columns))) if columns.any() else 1.0
         return max(share, np.finfo(float).eps)  # of no equation more than unknowns it is rounding
 
@@ -282,19 +276,14 @@ def sandwich(
     return corrected @ corrected.T + variance * held, freedom
 
 
-def rows_of_groups(groups: Groups) -> Iterator[tuple[Groups, Groups]]:
-    """Numbers (k,) of groups as large as each other, and their rows (k, size);  groups : (m,) number of each row's"""
+def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterator[tuple[Groups, Array, Array, Array]]:
+    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: of the groups of each size their numbers (g,), (g, k) l,
+    (g, k, r) V^T and (g, k) V^T Q_g^T r_g;  groups : (m,) number of each row's, from 0"""
     order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
     starts = np.cumsum(counts) - counts
     for size in np.unique(counts):
         of_size = np.flatnonzero(counts == size)
-        yield of_size, order[starts[of_size, None] + np.arange(size)]
-
-
-def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterator[tuple[Groups, Array, Array, Array]]:
-    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: of the groups of each size their numbers (g,), (g, k) l,
-    (g, k, r) V^T and (g, k) V^T Q_g^T r_g."""
-    for of_size, rows in rows_of_groups(groups):
+        rows = order[starts[of_size, None] + np.arange(size)]
         tall = columns[rows].reshape(len(of_size), -1, columns.shape[2])
         left, singular, right = np.linalg.svd(tall, full_matrices=False)
         projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)
