@@ -22,11 +22,11 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import Conditions
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import PRISMATIC, Parameter
+from identification.measurements import Conditions
 
 SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
 

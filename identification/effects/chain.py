@@ -20,12 +20,12 @@ import numpy as np
 
 from identification.arm import Arm, Gravity
 from identification.arrays import slices
-from identification.conditions import REMEMBERED
 from identification.effects.base import Effect
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import LENGTH_ERROR, REVOLUTE
+from identification.measurements import REMEMBERED
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
 BY_JOINT = ("joint_angles", "extensions", "joint_turns", "joint_shifts")

@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import Conditions
 from identification.effects import library
 from identification.errors import InputError
 from identification.instruments import TRACKER, Unplaced
 from identification.kinematics.chain import BASE, DIMENSION, TOOL, KinematicChain
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.frames import nearest_rotation
-from identification.measurements import Measurements
+from identification.measurements import Conditions, Measurements
 from identification.model.arm_model import Model
 
 UNNAMED = "1"  # measured point, as an arm file has it that names none
