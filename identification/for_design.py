@@ -32,8 +32,7 @@ from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
 from identification.measurements import BY_ORDER, REMEMBERED, Conditions, Measurements
 from identification.model import Model
-from identification.model.minimal import PRACTICAL, minimal
-from identification.model.placed import led_to_contact, of_positions, tip_jacobian
+from identification.model.placed import PRACTICAL, led_to_contact, minimal, of_positions, tip_jacobian
 from identification.workspace import circle_across
 
 if TYPE_CHECKING:

@@ -610,8 +610,7 @@ def effects(name: str | None = None) -> Answer:
     packages (entry points armcal.effects) are in the list.
     """
     from identification.documents.identification import entry_document, library_document
-    from identification.effects import library
-    from identification.effects.catalogue import entry
+    from identification.effects import entry, library
 
     if name is not None:
         effect = entry(name.partition(":")[0])

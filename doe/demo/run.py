@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
-from doe.plan.driving import drive
+from doe.plan.moves import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report.design import design_verdict, plan_section

@@ -23,7 +23,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
 from identification.effects import Effect, Scope, build, build_all, of_dimension
-from identification.effects.chain import OF_LOAD, Chain, contribution, state_slices, widths
+from identification.effects.base import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.error_curve import spline_table
 from identification.gap.fit import At, Rows

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem
-from doe.plan.driving import MOVING, drive, one_turn, room_of, with_approach
-from doe.plan.moves import APPROACH
+from doe.plan.moves import APPROACH, MOVING, drive, one_turn, room_of, with_approach
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
