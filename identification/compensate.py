@@ -31,8 +31,7 @@ from identification.levenberg_marquardt import Index, LeastSquares, levenberg_ma
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
-from identification.sessions import BASE
+from identification.sessions import BASE, check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition
 

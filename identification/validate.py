@@ -33,9 +33,19 @@ from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
-from identification.origin import check_calibrated, comes_from, extrapolated, identified, outside
 from identification.sessions import BASE as PLANAR_BASE
-from identification.sessions import placing, start_at_bases, with_base_offset, with_sessions, without_sessions
+from identification.sessions import (
+    check_calibrated,
+    comes_from,
+    extrapolated,
+    identified,
+    outside,
+    placing,
+    start_at_bases,
+    with_base_offset,
+    with_sessions,
+    without_sessions,
+)
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis

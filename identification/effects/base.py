@@ -27,12 +27,12 @@ import numpy as np
 
 from identification.arm import Arm, Gravity
 from identification.arrays import Array, slices
-from identification.conditions import REMEMBERED, Conditions
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import LENGTH_ERROR, PRISMATIC, REVOLUTE, Parameter
+from identification.measurements import REMEMBERED, Conditions
 
 OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
 BY_JOINT = ("joint_angles", "extensions", "joint_turns", "joint_shifts")

@@ -22,7 +22,6 @@ from pydantic import BaseModel
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
-from identification.bodies import Cell
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
 from identification.files.bodies import ShapedBodies, pairs_apart
@@ -44,7 +43,7 @@ from identification.kinematics.chain import (
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, PRISMATIC, REVOLUTE, Parameter
-from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import Cell, ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 if TYPE_CHECKING:
     from identification.effects import Effect

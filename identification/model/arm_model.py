@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 
 from identification.arm import Arm
 from identification.arrays import Array, slices
-from identification.conditions import Conditions, condition_columns
 from identification.effects import Chain, Effect, build_all
 from identification.effects.base import position_and_state, widths
 from identification.error_curve import ErrorCurve
@@ -34,6 +33,7 @@ from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.measurements import Conditions, condition_columns
 from identification.vectorized import Evaluate, vectorize
 
 Given = ArrayLike | None

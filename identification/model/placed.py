@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import Conditions
 from identification.effects import library
 from identification.errors import InputError
 from identification.instruments import TRACKER, Unplaced
@@ -35,7 +34,7 @@ from identification.kinematics.chain import (
 )
 from identification.kinematics.frames import nearest_rotation
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import Measurements
+from identification.measurements import Conditions, Measurements
 from identification.model.arm_model import Model
 
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
