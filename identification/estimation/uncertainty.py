@@ -63,9 +63,11 @@ class WhiteRows:
         kept, prior, roots = problem.weights > 0.0, problem.prior_rows, problem.root_weights
         position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
         rows = (roots[:, :, None] * jacobian)[kept], (roots * (problem.positions[0] - position))[kept]
-        numbers = [np.unique(n[kept], return_inverse=True)[1] for n in (data.posture_numbers, data.repeat_numbers)]
+        postures = np.unique(data.posture_numbers[kept], return_inverse=True)[1]
+        repeats = np.unique(data.repeat_numbers[kept], return_inverse=True)[1]
         sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
-        return cls(*rows, 0.0, sequence, *numbers, prior.T @ (prior @ (problem.prior_center - parameters)))
+        pull = prior.T @ (prior @ (problem.prior_center - parameters))
+        return cls(*rows, 0.0, sequence, postures, repeats, pull)
 
     freedom = property(lambda self: self.residual.size - self.rank)  # equations less combinations estimated
     squares = property(lambda self: float(np.sum(self.residual**2)))  # sum of squared whitened residuals
