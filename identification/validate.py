@@ -254,7 +254,7 @@ def _refitted(
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
                 raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
             values = problem.minimized(values[None]).parameters[0]
-            left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
+            left_open += len(values) - spectrum(problem.rows_about(values)[1], model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         # where base and measured points are, by the names of their parameters, in place of their corrections
         stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
