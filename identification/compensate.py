@@ -34,7 +34,6 @@ from identification.model import Model
 from identification.model.placed import in_own_frame
 from identification.newton import newton_ascent
 from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
-from identification.sessions import BASE
 from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition
 
@@ -74,8 +73,6 @@ def compensate(
     Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
     """
     check_calibrated(arm)
-    if orientations is not None and not arm.chain.frame_kinds:
-        raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
     keeps_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     posed, arm = orientations is not None or keeps_nominal, in_own_frame(arm)
     arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))  # of an angle of a pose
@@ -89,8 +86,8 @@ def compensate(
         # the nominal arm, without effects; where its base is not given it stands where the calibration has it, a planar
         # one turned by the offset of joint 1, and a spatial one with its points
         chain = arm.chain if arm.calibration is None else standing_in(arm.chain, arm.calibration.values)
-        stands = tuple(spec for spec in arm.effects if spec.name == "base_offset")
-        place = Calibration({name: model.best_known.get(name, 0.0) for name in BASE}) if stands else None
+        stands = tuple(spec for spec in arm.effects if spec.name in chain.standing_effects)
+        place = Calibration({name: model.best_known.get(name, 0.0) for name in chain.standing}) if stands else None
         drawing = Model(replace(arm, effects=stands, calibration=place, chain=chain))
         points = drawing.position(nominal)[:, POINT]
         orientations = drawing.orientations(nominal) if keeps_nominal else orientations

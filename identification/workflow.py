@@ -261,7 +261,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.links != loaded.links:
         raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
-        kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
+        kinds = [f"{a.chain.kind}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
     wanted = Plan.load(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
@@ -323,6 +323,7 @@ def identify_files(
     from identification.files.arm import corrected_urdf, load_arm
     from identification.gap.library_prior import library_prior
     from identification.gap.noise import with_repeats_doubted
+    from identification.kinematics.corrected import corrected_geometry
     from identification.measurements import rms_distance
     from identification.model import Model
     from identification.origin import diagnosed, identified, without_prior_effects
@@ -332,7 +333,7 @@ def identify_files(
 
     # the arm and its rows
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
-    if urdf is not None and loaded.chain.planar:
+    if urdf is not None and corrected_geometry(loaded.chain, {}) is None:
         raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)

@@ -216,7 +216,7 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
 def _anywhere(arm: Arm) -> Arm:
     """The arm as drawn, where it stands left open, and in space what is measured on it."""
     chain = arm.chain
-    tip = chain.settled.difference(chain.frame_kinds) & {TOOL}
+    tip = chain.drawn & {TOOL}
     return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument.unplaced))
 
 
@@ -431,7 +431,7 @@ def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, 
     """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
     the drawing: far from them a fit may end with frames turned over."""
     start = placed_model(model, measurements)
-    if start is model or not (arm := model.arm).chain.frame_kinds or arm.calibration is not None:
+    if start is model or (arm := model.arm).calibration is not None:
         return start, {}
     rows = spread_rows(measurements, measurements.session_rows[0])  # later ones have another base
     left = rows.positions - start.position(rows.postures, conditions=rows.conditions)
