@@ -323,7 +323,6 @@ def identify_files(
     from identification.files.arm import corrected_urdf, load_arm
     from identification.gap.library_prior import library_prior
     from identification.gap.noise import with_repeats_doubted
-    from identification.kinematics.corrected import corrected_geometry
     from identification.measurements import rms_distance
     from identification.model import Model
     from identification.origin import diagnosed, identified, without_prior_effects
@@ -333,8 +332,6 @@ def identify_files(
 
     # the arm and its rows
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
-    if urdf is not None and corrected_geometry(loaded.chain, {}) is None:
-        raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)
@@ -436,8 +433,8 @@ def identify_files(
             calibration = reuse.with_data_of(calibration, before, bare.joint_types)
         specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
         files |= arm_files(arm, specs, calibration, out, "calibrated arm")
-    if urdf is not None and fitted.geometry is not None:
-        files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry.real)
+    if urdf is not None:
+        files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry)
         labels = ", ".join(effect.label for effect in fitted.model.effects)
         lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
     document = identification_document(fitted, result, hidden).plus(*lines)

@@ -27,14 +27,8 @@ from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.information import VISIBLE
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
-from identification.kinematics.corrected import (
-    CorrectedGeometry,
-    Link,
-    corrected,
-    corrected_geometry,
-    corrected_links,
-    drawn_links,
-)
+from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
+from identification.kinematics.counting import Counting
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
@@ -426,9 +420,14 @@ def corrected_values(
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
+def corrected_geometry(chain: KinematicChain, values: Values, counting: Counting | None) -> CorrectedGeometry | None:
+    """Base, measured points and joints where the errors bring them; None where lists of lengths and zeros say all."""
+    return None if chain.lists else CorrectedGeometry(chain, values, counting)
+
+
 def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], float]:
     """Place and key -> number in file units: frame of each joint, base, measured points."""
-    if (geometry := corrected_geometry(chain, values)) is None:
+    if (geometry := corrected_geometry(chain, values, None)) is None:
         return {}
     tables = geometry.tables()
     rows = {f"joint {row.pop('joint')}": row for row in tables["geometry"]}

@@ -32,7 +32,7 @@ from identification.files.schema import CURVE, CalibrationTable, EffectTable, Po
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
 from identification.instruments import KINDS
 from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.corrected import CorrectedGeometry, standing_in
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE, Parameter, by_joint
@@ -379,9 +379,12 @@ def _calibration(
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------
-def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
-    """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
-    file = validated_arm(read_toml(path))
+def corrected_urdf(path: PathLike, geometry: CorrectedGeometry | None) -> str:
+    """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none.
+    Raises `InputError` where there is no such geometry."""
+    if geometry is None:
+        raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
+    file, chain = validated_arm(read_toml(path)), geometry.real
     if (urdf := _urdf(file, Path(path).parent)) is None:
         return urdf_text(chain, file.name)
     return urdf.with_origins(file.base_link, file.tip_link, [joint.origin for joint in chain.joints])

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import combinations
+from itertools import accumulate, combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,10 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import require
 from identification.instruments import Unplaced
-from identification.kinematics.chain import TOOL
+from identification.kinematics.chain import TOOL, KinematicChain
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, to_angles
-from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC
+from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, spread_rows
@@ -239,6 +239,20 @@ def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
     return measurements.postures[rows][near], x[near], x.size < 3 * unknowns
 
 
+def parallel_joints(chain: KinematicChain) -> list[tuple[int, tuple[int, ...]]]:
+    """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
+    whether it turns as the first does (1) or the other way (-1)."""
+    turns = accumulate((joint.origin[:3, :3] for joint in chain.joints), np.matmul)
+    axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, chain.joints, strict=True)]
+    runs = [(0, [1])]
+    for j, (before, axis) in enumerate(pairwise(axes), start=1):
+        if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
+            runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
+        else:
+            runs.append((j, [1]))
+    return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
+
+
 @lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings
 def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
     """`read_differently` of an arm that may stand anywhere."""
@@ -328,7 +342,7 @@ def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
             order = list(best.order)
             order[a], order[b] = order[b], order[a]
             yield replace(best, order=tuple(order))
-        for first, senses in arm.chain.parallel_joints:
+        for first, senses in parallel_joints(chain):
             last = first + len(senses)
             for start in range(first, last - 1):
                 every = best.matrix

@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import accumulate, pairwise
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -151,20 +150,6 @@ class KinematicChain(ByValue):
         if self.angle_scale is not None:
             return 2 * DIMENSION
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
-
-    @property
-    def parallel_joints(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of
-        each whether it turns as the first does (1) or the other way (-1)."""
-        turns = accumulate((joint.origin[:3, :3] for joint in self.joints), np.matmul)
-        axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, self.joints, strict=True)]
-        runs = [(0, [1])]
-        for j, (before, axis) in enumerate(pairwise(axes), start=1):
-            if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
-                runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
-            else:
-                runs.append((j, [1]))
-        return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
     @cached_property
     def link_poses(self) -> tuple[Array, ...]:

@@ -121,13 +121,6 @@ class CorrectedGeometry:
         return self.real.joints[j - 1].origin @ _moved(self.chain.joints[j - 1], -offset)
 
 
-def corrected_geometry(
-    chain: KinematicChain, values: Numbers, counting: Counting | None = None
-) -> CorrectedGeometry | None:
-    """None of a chain of which lengths of links and zeros of joints say all, as lists."""
-    return None if chain.lists else CorrectedGeometry(chain, values, counting)
-
-
 class Link(NamedTuple):
     """Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta) from the axis of a joint to the next [rad, mm]; beta None: axes are not
     parallel."""
