@@ -28,7 +28,7 @@ from identification.files.measurement import angle_columns, posture_columns
 from identification.kinematics.corrected import standing_in
 from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
-from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
+from identification.levenberg_marquardt import Index, levenberg_marquardt
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
@@ -424,9 +424,16 @@ class Task(NamedTuple):
                 residual, jacobian = np.hstack([residual, missed]), np.concatenate([jacobian, slope], axis=1)
             return residual, jacobian
 
-        rounding = np.full(k * s, 1e-5 * TOLERANCE)
-        problem = LeastSquares(gaps, self.lower, self.upper, self.units, rounding, metric=self.units, iterations=steps)
-        solution = levenberg_marquardt(problem, starts.reshape(-1, n))
+        solution = levenberg_marquardt(
+            gaps,
+            starts.reshape(-1, n),
+            lower=self.lower,
+            upper=self.upper,
+            scales=self.units,
+            rounding=np.full(k * s, 1e-5 * TOLERANCE),
+            metric=self.units,
+            iterations=steps,
+        )
         postures, left = solution.parameters.reshape(k, s, n), np.sqrt(solution.rss).reshape(k, s)
         distance = np.linalg.norm((postures - self.near[:, None]) * self.units / self.model.reach, axis=2)
         missed = np.zeros((k, s))
