@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
-from identification.bodies import Cell
 from identification.document import Document, Sheet, html
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, require
@@ -31,7 +30,7 @@ from identification.kinematics.parameters import (
     by_joint,
     chain_parameters,
 )
-from identification.workspace import ColumnLimits, WorkspaceConstraint
+from identification.workspace import Cell, ColumnLimits, WorkspaceConstraint
 
 # what files may say: beyond these, squares overflow and sines of angles are noise
 LARGEST = 1e9  # of any magnitude [mm, kg, m/s^2]

@@ -27,8 +27,7 @@ from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ER
 from identification.measurements import ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
 from identification.model import Model
 from identification.model.placed import with_markers
-from identification.origin import HELD_FROM, comes_from, without_prior_effects
-from identification.sessions import SESSIONS, with_base
+from identification.sessions import HELD_FROM, SESSIONS, comes_from, with_base, without_prior_effects
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {

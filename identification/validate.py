@@ -34,8 +34,18 @@ from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
-from identification.origin import check_calibrated, comes_from, extrapolated, identified, outside
-from identification.sessions import SESSIONS, start_at_base, with_open_base, with_sessions, without_sessions
+from identification.sessions import (
+    SESSIONS,
+    check_calibrated,
+    comes_from,
+    extrapolated,
+    identified,
+    outside,
+    start_at_base,
+    with_open_base,
+    with_sessions,
+    without_sessions,
+)
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis

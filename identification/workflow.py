@@ -76,8 +76,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """
+    from identification.files.measurement import load_measurements
     from identification.inspection.readings import data_warnings, read_differently
-    from identification.measurements import load_measurements
     from identification.sessions import pooled_sessions
 
     real = [os.path.realpath(path) for path in paths]
@@ -207,9 +207,8 @@ def check_files(
 
     from identification.files.arm import load_arm
     from identification.files.csv import read_table
-    from identification.files.measurement import Plan
+    from identification.files.measurement import Plan, load_measurements
     from identification.inspection.inspection import inspect
-    from identification.measurements import load_measurements
     from identification.model import Model
 
     loaded = load_arm(arm, package_dir)
@@ -325,8 +324,14 @@ def identify_files(
     from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
     from identification.model import Model
-    from identification.origin import diagnosed, identified, without_prior_effects
-    from identification.sessions import SESSIONS, with_sessions, without_sessions
+    from identification.sessions import (
+        SESSIONS,
+        diagnosed,
+        identified,
+        with_sessions,
+        without_prior_effects,
+        without_sessions,
+    )
     from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
@@ -546,7 +551,7 @@ def validate_files(
     """
     from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.origin import check_calibrated
+    from identification.sessions import check_calibrated
     from identification.validate import validate
 
     arm = load_arm(model)
@@ -582,7 +587,7 @@ def compensate_files(
     from identification.files.arm import load_arm
     from identification.files.measurement import Targets
     from identification.model import Model
-    from identification.origin import check_calibrated
+    from identification.sessions import check_calibrated
 
     arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
@@ -603,8 +608,7 @@ def effects(name: str | None = None) -> Answer:
     packages (entry points armcal.effects) are in the list.
     """
     from identification.documents.identification import entry_document, library_document
-    from identification.effects import library
-    from identification.effects.catalogue import entry
+    from identification.effects import entry, library
 
     if name is not None:
         effect = entry(name.partition(":")[0])

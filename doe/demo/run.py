@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from doe.design import Design, optimality_in_words
-from doe.plan.driving import drive
+from doe.plan.moves import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.report.design import design_verdict, plan_section
@@ -117,12 +117,12 @@ def run_demo(
         return Written(directory / name)
 
     def measured(name: str, postures: Array) -> Measurements:
-        """Simulated measurements as the commands read them from the file, rounding included."""
+        """Simulated measurements, which commands read from the file."""
         exact = scenario.real(postures)
-        noise = (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
-        table = Measurements(postures, exact + noise).to_frame(joint_types=arm.joint_types)
-        write(name, table.write_csv())
-        return Measurements.from_frame(table, arm)
+        positions = exact + (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
+        columns = dict(zip(("x_mm", "y_mm", "z_mm"), positions.T, strict=False))
+        write(name, Plan(postures).text(arm.joint_types, columns))
+        return Measurements(postures, positions)
 
     progress(0, 8, "arm files")
     for name, text in scenario.files.items():

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import Conditions
 from identification.documents.identification import reading_unit
 from identification.estimation.uncertainty import quantile_95
 from identification.kinematics.parameters import FILE_UNITS, JOINT_UNITS
-from identification.measurements import POINT, distances, rms_distance
+from identification.measurements import POINT, Conditions, distances, rms_distance
 from identification.model import Model
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.effects.base import LEVER, REACH, Effect, Number, Scope, Setting, add_effect, at_joint, clock
-from identification.effects.chain import Chain
+from identification.effects.base import LEVER, REACH, Chain, Effect, Number, Scope, Setting, add_effect, at_joint, clock
 from identification.instruments import distance_to_center
 from identification.kinematics.frames import rotation_to_z
 

@@ -22,7 +22,6 @@ from pydantic import BaseModel
 
 from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
 from identification.arrays import Array, readonly
-from identification.bodies import Cell
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
 from identification.files.bodies import ShapedBodies, pairs_apart
@@ -36,7 +35,7 @@ from identification.kinematics.corrected import CorrectedGeometry, standing_in
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE, Parameter, by_joint
-from identification.workspace import ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
+from identification.workspace import Cell, ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 if TYPE_CHECKING:
     from identification.effects import Effect

@@ -22,15 +22,15 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.conditions import BY_ORDER, FOLLOWING, condition_columns
 from identification.effects import Effect, Scope, build, build_all, of_dimension
-from identification.effects.chain import OF_LOAD, Chain, contribution, state_slices, widths
+from identification.effects.base import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.error_curve import spline_table
 from identification.gap.fit import At, Rows
 from identification.gap.likelihood import SIZES, Products
 from identification.information import RANK_TOLERANCE, VISIBLE, column_space, significant
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
+from identification.measurements import BY_ORDER, FOLLOWING, condition_columns
 from identification.model import Model
 from identification.vectorized import Evaluate, vectorize
 

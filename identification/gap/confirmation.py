@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
 from identification.arrays import Array, slices
-from identification.effects.chain import widths
+from identification.effects.base import widths
 from identification.errors import InputError
 from identification.estimation.doubts import FALL
 from identification.estimation.uncertainty import GROUPS, Groups, Mean, groups_of, mean_of

@@ -22,7 +22,7 @@ from identification.information import column_space, spectrum
 from identification.levenberg_marquardt import Index
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
-from identification.model.minimal import PRACTICAL, practical
+from identification.model.placed import PRACTICAL, practical
 from identification.running import Status
 from identification.sessions import with_sessions
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array, readonly
-from identification.conditions import Conditions
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
 from identification.documents.identification import unit_key
@@ -33,7 +32,7 @@ from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
 from identification.kinematics.corrected import CorrectedGeometry
 from identification.kinematics.counting import joint_range
-from identification.measurements import Measurements, repeats_of
+from identification.measurements import Conditions, Measurements, repeats_of
 from identification.model import Model
 
 Names = tuple[str, ...]

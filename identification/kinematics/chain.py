@@ -104,7 +104,7 @@ class KinematicChain(ByValue):
     # name of each measured point -> (3,) its place in the tip's frame [mm]
     tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
     settled: frozenset[str] = frozenset()  # those of `base` and `tool` that are given, and not to be found
-    fixed: frozenset[str] = frozenset()  # names of parameters that are not estimated (model/minimal.py)
+    fixed: frozenset[str] = frozenset()  # names of parameters that are not estimated (model/placed.py)
     angle_scale: float | None = None  # [mm/rad] a radian of a measured orientation counts as; None: only points are
     tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
@@ -251,7 +251,7 @@ class KinematicChain(ByValue):
         """n + 2 frames in CasADi symbols: base, each joint after it moved, tip.
 
         q : (n,) positions of the joints [rad, mm];  values : parameter name -> value, zero where missing
-        added : what effects add at each place of the chain (identification/effects/chain.py)
+        added : what effects add at each place of the chain (identification/effects/base.py)
         """
         names, d, turns = error_names(BASE), self.dimension, len(self.turning)
         shift = ca.vertcat(*(values.get(name, 0.0) for name in names[:3]))

@@ -21,13 +21,13 @@ from identification import (
     diagnose,
     estimate,
 )
-from identification.conditions import condition_columns
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock
 from identification.gap.blocks import hypotheses
 from identification.instruments import TRACKER, Distance, Instrument, Sphere
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
+from identification.measurements import condition_columns
 from identification.model.placed import in_own_frame, tip_jacobian
 from identification.simulate import simulate
 from tests.doe.six_axis import CHAIN, REFLECTOR
