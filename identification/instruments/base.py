@@ -30,7 +30,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.frames import Frame, from_angles, from_quaternions, nearest_rotation, pose, to_angles
 from identification.kinematics.parameters import AXES, Parameter, error_names
-from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
+from identification.levenberg_marquardt import Index, levenberg_marquardt
 from identification.vectorized import Evaluate, vectorize
 
 PLACE = "base"  # kind of a parameter that says where something stands, as that of the base
@@ -200,9 +200,8 @@ class Instrument:
                 return residuals, (slopes @ unknown.T).reshape(*residuals.shape, -1)
 
             rounding = np.full(len(chosen), 1e-12 * rows.reach * np.sqrt(len(frames)))  # of lengths 1e-12 reaches
-            bounds = np.full(len(moves), -np.inf), np.full(len(moves), np.inf)
-            problem = LeastSquares(linearize, *bounds, moves, rounding, iterations=steps)
-            solution = levenberg_marquardt(problem, changes[chosen])
+            settings: dict[str, Any] = {"scales": moves, "rounding": rounding, "iterations": steps}
+            solution = levenberg_marquardt(linearize, changes[chosen], **settings)
             changes[chosen] = solution.parameters
             return np.sqrt(np.nan_to_num(solution.rss, nan=np.inf) / len(frames))
 
