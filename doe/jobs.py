@@ -15,7 +15,6 @@ import json
 import logging
 import multiprocessing
 import os
-import re
 import signal
 import threading
 import time
@@ -299,13 +298,12 @@ def cluster(address: str, patience: float = 10.0) -> Iterator[tuple[Executor, in
 
 
 # -- one call in a process of its own ----------------------------------------------------------------------------------
-def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -> tuple[Any, Row]:
-    """`function(*arguments)` in a new process, killed `seconds` [s] after it was called: what it returned, and a row.
+def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
+    """`function(*arguments)` in a new process, which is killed `seconds` [s] after the call: what it returned.
 
     function : importable by name there;  arguments : picklable
 
-    `status` : "done", "failed" (it raised), "timeout" (killed) or "crashed" (the process died), where the value is None
-    `error` : one line on what went wrong;  `seconds` : of the call itself, without starting the process
+    Raises what it raises, and `JobError` where it was killed or its process died.
     """
 
     def silenced() -> Any:  # in the new process: solvers print banners
@@ -313,19 +311,14 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None) -
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         return function(*arguments)
 
-    value, status, error = None, "done", None
+    limit = 60.0  # to start and import, which is not part of the limit on the call itself
     with _pool(1) as process:
-        began = time.monotonic()
         try:
-            # a minute to start and import, which is not part of the limit on the call itself
-            process.submit(id, function).result(60.0)  # its module is imported by now
-            began = time.monotonic()
-            value = process.submit(silenced).result(seconds)
+            process.submit(id, function).result(limit)  # its module is imported by now
+            limit = seconds
+            return process.submit(silenced).result(limit)
         except TimeoutError:
-            status, error = "timeout", f"killed after {seconds or 60.0:g} s"
-        except BrokenExecutor as lost:  # loky says how in its message
-            code = re.search(r"\((-?)(\d+)\)\}", str(lost)) or ("", "", "1")
-            status, error = "crashed", f"{'signal' if code[1] else 'exit code'} {code[2]}"
-        except Exception as raised:  # noqa: BLE001 - every failure becomes a row
-            status, error = "failed", one_line(raised)
-        return value, {"status": status, "error": error, "seconds": time.monotonic() - began}
+            raise JobError(f"killed after {limit:g} s") from None
+        except BrokenExecutor as lost:
+            how = str(lost).partition("{")[2].partition("}")[0]  # as loky's message has it
+            raise JobError(f"the process died of {how}") from None

@@ -20,11 +20,11 @@ from identification.errors import InputError
 from identification.estimation.result import corrected_values
 from identification.files.arm import load_arm
 from identification.files.csv import read_table
-from identification.files.measurement import UNITS, Plan
+from identification.files.measurement import UNITS, Plan, load_measurements
 from identification.instruments import TRACKER
-from identification.measurements import Measurements, load_measurements
-from identification.origin import comes_from, diagnosed, identified
+from identification.measurements import Measurements
 from identification.reuse import same_drawing
+from identification.sessions import comes_from, diagnosed, identified
 from identification.validate import Validation, validate
 from identification.workflow import dh_lines
 

@@ -22,12 +22,12 @@ ROOT = Path(__file__).parents[1]
 ORDER = {
     "identification": (
         "arrays errors running document vectorized",
-        "files kinematics kinematics.frames kinematics.parameters instruments arm bodies cover workspace error_curve "
+        "files kinematics kinematics.frames kinematics.parameters instruments arm cover workspace error_curve "
         "newton information levenberg_marquardt",
-        "documents effects conditions measurements files.schema files.arm files.measurement files.first_files",
+        "documents effects measurements files.schema files.arm files.measurement files.first_files",
         "model",
         "simulate",
-        "documents.identification estimation inspection.readings origin sessions inspection",
+        "documents.identification estimation inspection.readings sessions inspection",
         "documents.diagnosis documents.pictures compensate reuse validate gap",
         "for_design inspection.inspection",
         "workflow replications",

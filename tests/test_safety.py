@@ -64,7 +64,7 @@ def test_no_module_of_the_working_directory_is_run(tmp_path: Path) -> None:
     task.write_text(
         "from os import getcwd\nfrom doe.jobs import call, executor_of\n"
         "if __name__ == '__main__':\n"
-        "    assert call(abs, -3, seconds=60.0)[0] == 3\n"
+        "    assert call(abs, -3, seconds=60.0) == 3\n"
         "    with executor_of(2) as (pool, _):\n        assert pool.submit(abs, -4).result() == 4\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1"}

@@ -155,7 +155,7 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
         return constraints_of(model)
 
     def moves(kept: Any, postures: Any) -> Any:
-        from doe.plan.driving import in_sentences, unproven
+        from doe.plan.moves import in_sentences, unproven
 
         return (may_collide := unproven(kept, postures) or []), in_sentences(may_collide)
 

@@ -61,8 +61,8 @@ def design_problem(
 ) -> DesignProblem:
     """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     from doe.criteria import NAMES, criterion
+    from doe.plan.accuracy import missing_effects, robust_problem, tip_jacobians
     from doe.problem.problem import DesignProblem
-    from doe.problem.uncertain import missing_effects, robust_problem, tip_jacobians
     from identification import Plan, design_model
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
@@ -74,7 +74,7 @@ def design_problem(
     model, restrictions = design_model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
         measured = Plan.load(keep, arm.joint_types, carried_out=True)
-        names = measured.cells.get("marker") if arm.dimension == 3 else None
+        names = measured.cells.get(arm.chain.point_column)
         most = names and max(set(names), key=names.count)  # a run reads all reflectors: it counts with one of them
         rows = [row for row in range(len(measured)) if not names or names[row] == most]
         restrictions["kept"] = measured.postures[rows]
@@ -181,9 +181,8 @@ def design_files(
     picture : Draw the postures (.png, .svg, .pdf).
     out : Write the plan (CSV).
     """
-    from doe.plan.accuracy import ExpectedTip
-    from doe.plan.driving import drive, with_approach
-    from doe.problem.uncertain import with_choices
+    from doe.plan.accuracy import ExpectedTip, with_choices
+    from doe.plan.moves import drive, with_approach
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
     from identification import load_arm
@@ -261,10 +260,9 @@ def score_files(
     missing : Only these effects, for --robust: backlash,gear_ratio
     """
     from doe.design import score_plan
-    from doe.plan.accuracy import criterion_values, error_at_poses, observability
-    from doe.plan.driving import in_sentences, unproven
+    from doe.plan.accuracy import average_error, criterion_values, error_at_poses, observability, with_choices
+    from doe.plan.moves import in_sentences, unproven
     from doe.problem.problem import DesignProblem
-    from doe.problem.uncertain import average_error, with_choices
     from doe.report.design import design_document
     from identification import Plan, design_model, load_arm
 
@@ -382,7 +380,7 @@ def relax_files(
     """
     from doe.bounds.column_generation import LARGEST, relax
     from doe.cross_check import cross_check
-    from doe.problem.uncertain import with_choices
+    from doe.plan.accuracy import with_choices
     from doe.report.design import relax_document
     from identification import Plan, load_arm
 
@@ -498,7 +496,7 @@ def program_files(
     template : Jinja2 template of your own; its variables: doe/README.md, "Programs".
     out : Write the program, which takes the name of the file.
     """
-    from doe.plan.driving import in_sentences
+    from doe.plan.moves import in_sentences
     from doe.program.program import program
     from identification import Plan, load_arm
 

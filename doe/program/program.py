@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from doe.plan.driving import clearance_of, room_of, unproven
+from doe.plan.moves import clearance_of, room_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
 from identification import Arm, InputError, Plan

@@ -12,7 +12,7 @@ import numpy as np
 
 from doe.bounds.certificate import ApproximateDesign, bound_in_words, postures_in_words
 from doe.design import BEST_KNOWN, Design, optimality_in_words
-from doe.plan.driving import unproven
+from doe.plan.moves import unproven
 from doe.plan.spacing import distance_to_keep
 from doe.problem.clearance import COLLISIONS, Clearance, distance_in_words
 from doe.problem.model import offers
@@ -222,8 +222,7 @@ def plan_steps(
 
     problem : of an arm;  name : of the edited file, without its ending
     """
-    from doe.report.figures import outlines
-    from doe.report.scene import scene
+    from doe.report.figures import outlines, scene
 
     def rounded(values: Array, digits: int) -> Any:
         return np.vectorize(lambda value: float(f"{value:.{digits}g}"), otypes=[float])(values).tolist()

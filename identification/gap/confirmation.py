@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
 from identification.arrays import Array, slices
-from identification.effects.chain import widths
+from identification.effects.base import widths
 from identification.errors import InputError
 from identification.estimation.doubts import FALL
 from identification.estimation.uncertainty import GROUPS, Groups, Mean, groups_of, mean_of
@@ -259,7 +259,7 @@ class HeldOut:
         both = []
         for one in (base, model):
             left, chain, axes = one.residuals(self.rows, self.conditions)[:, POINT], one.model.arm.chain, None
-            if chain.frame_kinds and chain.instrument.reads_positions:
+            if chain.point_column and chain.instrument.reads_positions:
                 levers = one.model.place_levers(self.rows.postures, one.values, self.conditions)[0]
                 axes = levers[:, POINT, slices(widths(chain))["tool"]]
             names = np.full(len(left), "") if self.rows.marker is None else np.asarray(self.rows.marker)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem
-from doe.problem.uncertain import workspace
+from doe.plan.accuracy import workspace
 from identification import Arm, ArmModel, InputError, Model, Plan, for_design
 from identification.instruments import Plane, Sphere
 from identification.kinematics.chain import BASE, TOOL

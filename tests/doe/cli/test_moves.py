@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 import pytest
 
-from doe.plan.driving import room_of
+from doe.plan.moves import room_of
 from doe.problem.constraints import constraints_of
 from identification import Model, Plan, design_model, load_arm, load_measurements
 from tests.doe.cli.conftest import ARM, Folder, table

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from doe.demo.run import Demo, demo_document, overview_figure, run_demo, spatial
-from doe.plan.driving import room_of
+from doe.plan.moves import room_of
 from identification import Plan, load_arm
 from identification.files.urdf import read_urdf
 from tests.doe.plan.test_plan import sampled

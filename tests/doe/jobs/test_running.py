@@ -199,15 +199,14 @@ def test_bad_address_is_one_line_at_once(address: str, said: str) -> None:
 # -- one call in a process of its own ----------------------------------------------------------------------------------
 def test_ends_of_calls_are_told_apart() -> None:
     """Python's own signals and timers would wait for the interpreter, which compiled code does not give back."""
-    value, row = call(work.hang, 0.1, seconds=60.0)
-    assert (value, row["status"], row["error"], 0.1 < row["seconds"] < 30.0) == ("awake", "done", None, True)
-    for function, seconds, status, error in (
-        (work.hang_in_compiled_code, 0.5, "timeout", "killed after 0.5 s"),
-        (work.fail, 10.0, "failed", "ArithmeticError: no answer"),
-        (work.crash, 10.0, "crashed", "signal 11"),
+    assert call(work.hang, 0.1, seconds=60.0) == "awake"
+    for function, seconds, error, words in (
+        (work.hang_in_compiled_code, 0.5, JobError, "killed after 0.5 s"),
+        (work.fail, 10.0, ArithmeticError, "no\nanswer"),
+        (work.crash, 10.0, JobError, r"the process died of SIGSEGV\(-11\)"),
     ):
-        value, row = call(function, seconds=seconds)
-        assert (value, row["status"], row["error"]) == (None, status, error)
+        with pytest.raises(error, match=words):
+            call(function, seconds=seconds)
 
 
 def test_call_from_a_daemon() -> None:
@@ -215,7 +214,7 @@ def test_call_from_a_daemon() -> None:
     queue = multiprocessing.get_context("spawn").Queue()
     process = multiprocessing.get_context("spawn").Process(target=work.call_from_here, args=(queue,), daemon=True)
     process.start()
-    assert queue.get(timeout=60.0) == "done"
+    assert queue.get(timeout=60.0) == "awake"
     process.join()
 
 

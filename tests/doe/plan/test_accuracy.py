@@ -15,11 +15,15 @@ from doe.plan.accuracy import (
     ExpectedDeviations,
     ExpectedTip,
     TipErrors,
+    average_error,
     criterion_values,
     error_at_poses,
+    missing_effects,
     observability,
+    robust_problem,
+    tip_jacobians,
+    workspace,
 )
-from doe.problem.uncertain import average_error, missing_effects, robust_problem, tip_jacobians, workspace
 from identification import Arm, Array, Calibration, EffectSpec, Model
 from identification.gap.library_prior import library_prior
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem

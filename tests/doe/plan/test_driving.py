@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem
-from doe.plan.driving import MOVING, drive, one_turn, room_of, with_approach
-from doe.plan.moves import APPROACH
+from doe.plan.moves import APPROACH, MOVING, drive, one_turn, room_of, with_approach
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
-from identification.bodies import Body, Cell
-from identification.workspace import LineOfSight, WorkspaceBox
+from identification.workspace import Body, Cell, LineOfSight, WorkspaceBox
 from tests.doe.problem.test_clearance import cell_of
 from tests.doe.six_axis import SIX_AXIS
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from doe import solve
-from doe.plan.moves import Room, approaches, route
-from doe.plan.plan import shortest_path
+from doe.plan.moves import Room, approaches, route, shortest_path
 from doe.plan.spacing import distance_to_keep, separated, spread_free_joints, too_near, with_additions
 from identification import Arm, Array, Plan
 from tests.doe.arms import FOUR, OFFSET, problem

@@ -16,12 +16,11 @@ from doe import DesignProblem, score_plan, solve
 from doe.advise import advise
 from doe.bounds.column_generation import relax
 from doe.discrimination.t_optimal import RivalPredictions, discriminate
-from doe.plan.accuracy import ExpectedDeviations, TipErrors
+from doe.plan.accuracy import ExpectedDeviations, TipErrors, robust_problem
 from doe.problem.constraints import Expression
 from doe.problem.model import REQUIRED
 from doe.problem.postures import grid, listed_candidates, well_spread
 from doe.problem.problem import PriorInformation
-from doe.problem.uncertain import robust_problem
 from identification import Array, InputError, Measurements, Parameter, ParameterSet, diagnose, estimate, vectorize
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 

@@ -16,16 +16,15 @@ from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 
 from doe.report.design import plan_section
+from doe.report.figures import WHOLE, error_arrows, scene, shape, simplified
 from doe.report.page import page
-from doe.report.scene import WHOLE, error_arrows, scene, shape, simplified
 from identification import Arm, Calibration, Measurements, Model, Plan, design_model
-from identification.bodies import Body, Cell
 from identification.document import Document
 from identification.instruments import Distance
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.validate import Validation
-from identification.workspace import LineOfSight
+from identification.workspace import Body, Cell, LineOfSight
 from tests.doe.report.conftest import Watched
 
 RANDOM = np.random.default_rng(31)

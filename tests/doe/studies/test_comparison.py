@@ -40,7 +40,7 @@ ROWS = frame_of(
         row("a", 1, -0.1 - 1e-7, 4.0),
         row("b", 0, -0.1, 2.0),
         row("b", 1, -0.3, 1.0),
-        row("c", 0, None, 9.0, status="timeout", error="killed after 9 s", correct=None, parameters=None),
+        row("c", 0, None, 9.0, status="failed", error="JobError: killed after 9 s", correct=None, parameters=None),
         row("c", 1, 0.7, 1.0, correct=False),
     ]
 )
@@ -89,8 +89,8 @@ def test_judged_by_the_problem() -> None:
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares the start of a process per run where the test is not about that."""
 
-    def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> tuple[Any, dict[str, Any]]:
-        return function(*arguments), {"status": "done", "error": None, "seconds": 0.1}
+    def call(function: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
+        return function(*arguments)
 
     monkeypatch.setattr("doe.studies.comparison.call", call)
 
