@@ -34,16 +34,15 @@ from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
-from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import (
+    SESSIONS,
     check_calibrated,
     comes_from,
     extrapolated,
     identified,
     outside,
-    placing,
-    start_at_bases,
-    with_base_offset,
+    start_at_base,
+    with_open_base,
     with_sessions,
     without_sessions,
 )
@@ -211,10 +210,12 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
-    if not arm.chain.frame_kinds or len(measurements.sessions) < 2:
+    if len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, "base", arm)[1]
-    model = Model(with_sessions(replace(drawing, chain=replace(arm.chain, settled=frozenset())), measurements))
-    free = {model.names[k] for k in placing(model.parameters)}
+    chain = replace(arm.chain, settled=arm.chain.drawn)
+    model = Model(with_sessions(replace(drawing, chain=chain), measurements))
+    free = {p.name for p in model.parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")}
+    free |= {*chain.standing}
     held = {name: value for name, value in model.best_known.items() if name not in free}
     return estimate(replace(model, held=held), measurements).residuals_after
 
@@ -347,18 +348,9 @@ def prior_judged(
 
 # -- set up anew -------------------------------------------------------------------------------------------------------
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
-    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; in space the
-    offsets of the first joint and the last stay, which base and points stand for."""
-    planar, last = not arm.chain.frame_kinds, arm.links - (TOOL in arm.chain.frame_kinds)
-    free = {f"{JOINT_OFFSET}:{j}" for j in range(2, last + 1)} if refit == "offsets" else set[str]()
-    if refit != "none" and arm.chain.positions_in_plane:
-        values = Model(arm).best_known
-        free |= {*PLANAR_BASE}
-        model = Model(with_base_offset(arm), {name: value for name, value in values.items() if name not in free})
-        start = model.parameters.vector(values)
-        computed = model.position(measurements.postures, start, conditions)
-        return model, start_at_bases(start, model, computed, measurements.positions)
-    chain, known = arm.chain, frozenset({BASE, TOOL})
+    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; the offsets of
+    the first joint, and of the last where points are to be found, stay: base and points stand for these."""
+    chain, known, free = arm.chain, frozenset({BASE, TOOL}), set[str]()
     if len(chain.tools) == 1 == len(measurements.marker_names):
         # it is that which is measured, whatever the data call it
         measurements = replace(measurements, marker=None, marker_names=())
@@ -369,12 +361,13 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
             raise InputError(f"{error}; or --refit base, which finds where they are") from None
         model = Model(replace(arm, chain=with_markers(chain, measurements)))
     else:
-        chain = chain if planar else replace(one_unnamed(chain, measurements), settled=frozenset())
-        model = placed_model(Model(replace(arm, chain=chain)), measurements)
-        free |= {p.name for p in model.geometry_parameters if p.kind in known}
-        free |= {p.name for p in model.arm.chain.instrument.parameters} if planar else set()
+        chain = replace(one_unnamed(chain, measurements), settled=chain.drawn)
+        model = placed_model(Model(replace(with_open_base(arm), chain=chain)), measurements)
+        free |= {p.name for p in model.geometry_parameters if p.kind in known} | {*chain.standing}
+        if refit == "offsets":
+            free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
-    return model, model.values
+    return model, start_at_base(model, measurements, conditions)
 
 
 def extrapolation(arm: Arm, postures: Array) -> str | None:

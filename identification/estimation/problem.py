@@ -30,7 +30,6 @@ from identification.kinematics.parameters import JOINT_OFFSET, Parameter, Parame
 from identification.levenberg_marquardt import (
     ITERATIONS,
     Index,
-    LeastSquares,
     Linearize,
     Solution,
     compressed,
@@ -292,10 +291,17 @@ class Problem:
     def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
         """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
         rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
-        parameters, scales = self.model.parameters, self.model.scales
-        bounds = parameters.lower, parameters.upper
-        form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
-        return levenberg_marquardt(form, starts)
+        parameters = self.model.parameters
+        return levenberg_marquardt(
+            rows,
+            starts,
+            lower=parameters.lower,
+            upper=parameters.upper,
+            scales=self.model.scales,
+            rounding=self.rounding,
+            tolerance=self.tolerance,
+            iterations=iterations,
+        )
 
 
 # -- noise and sizes ---------------------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_ke
 from identification.information import VISIBLE
 from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
 from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
+from identification.kinematics.counting import Counting
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
@@ -207,9 +208,7 @@ class Identification(Documented):
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        if self.arm is None or not self.arm.chain.frame_kinds:
-            return None
-        return CorrectedGeometry(self.arm.chain, self.values, self.arm.counting)
+        return None if self.arm is None else corrected_geometry(self.arm.chain, self.values, self.arm.counting)
 
     def calibration(self) -> Calibration:
         """What an arm file keeps of this: all of `parameters`, and the known values."""
@@ -394,23 +393,22 @@ def corrected_values(
         if all(p.name in values for p in chain.instrument.parameters)
     ]
     rows = [*lengths, *zeros]
-    if chain.frame_kinds:
-        drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
-        steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
-        slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
-        for (place, key), value in corrected_tables.items():
-            turned_about, nominal = ", turned about its own x, y and z axis", None
-            meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
-            if place == "base":
-                meaning = f"pose of the base for the instrument{turned_about}"
-            if place.startswith("joint "):
-                j = int(place.removeprefix("joint "))
-                frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME
-                meaning = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
-                nominal = drawn[place, key] + 0.0  # no -0
-                value = value - _turns(value - nominal, key)
-            axis, _, unit = key.rpartition("_")
-            rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
+    drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
+    steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
+    slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
+    for (place, key), value in corrected_tables.items():
+        turned_about, nominal = ", turned about its own x, y and z axis", None
+        meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
+        if place == "base":
+            meaning = f"pose of the base for the instrument{turned_about}"
+        if place.startswith("joint "):
+            j = int(place.removeprefix("joint "))
+            frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME
+            meaning = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
+            nominal = drawn[place, key] + 0.0  # no -0
+            value = value - _turns(value - nominal, key)
+        axis, _, unit = key.rpartition("_")
+        rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
     rows += of_instrument
     for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
@@ -422,9 +420,15 @@ def corrected_values(
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
+def corrected_geometry(chain: KinematicChain, values: Values, counting: Counting | None) -> CorrectedGeometry | None:
+    """Base, measured points and joints where the errors bring them; None where lists of lengths and zeros say all."""
+    return None if chain.lists else CorrectedGeometry(chain, values, counting)
+
+
 def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], float]:
     """Place and key -> number in file units: frame of each joint, base, measured points."""
-    geometry = CorrectedGeometry(chain, values)
+    if (geometry := corrected_geometry(chain, values, None)) is None:
+        return {}
     tables = geometry.tables()
     rows = {f"joint {row.pop('joint')}": row for row in tables["geometry"]}
     for j, joint in enumerate(chain.joints, start=1):

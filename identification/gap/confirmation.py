@@ -234,7 +234,7 @@ class HeldOut:
             left, chain, axes = one.residuals(self.rows, self.conditions)[:, POINT], one.model.arm.chain, None
             lefts.append(left)
             if self.elsewhere and chain.instrument.reads_positions:
-                if chain.frame_kinds:
+                if chain.point_column:
                     levers = one.model.place_levers(self.rows.postures, one.values, self.conditions)[0]
                     axes = levers[:, POINT, slices(widths(chain))["tool"]]
                 measured = self.rows.positions[:, POINT]

@@ -27,7 +27,7 @@ from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
-from identification.gap.fit import Fit, Rows, determined, fit
+from identification.gap.fit import At, Rows, determined, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
 from identification.gap.replication import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, probabilities
@@ -228,7 +228,7 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         raise InputError(f"holdout: {copied}, allowed: rows not used before")
 
 
-def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit, alone: bool) -> Iterator[str]:
+def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: At, alone: bool) -> Iterator[str]:
     """Sentences to read before the verdict is trusted.
 
     best : fit of the likeliest set;  alone : whether the geometry alone predicts better

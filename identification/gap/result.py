@@ -22,10 +22,10 @@ from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
-from identification.gap.average import Curve, PredictingModel
+from identification.gap.average import Curve
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
-from identification.gap.fit import Fit
+from identification.gap.fit import At
 from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
@@ -170,7 +170,7 @@ class Candidate:
     delta_bic: float = 0.0
 
     @classmethod
-    def of(cls, fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Self:
+    def of(cls, fitted: At, added: int, given: float | None = None, doubtful: bool = False) -> Self:
         """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
 
         given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
@@ -228,7 +228,7 @@ class Candidate:
         }
 
 
-def as_calibration(fitted: Fit | PredictingModel, covariance: Array, freedom: Array, postures: Array) -> Calibration:
+def as_calibration(fitted: At, covariance: Array, freedom: Array, postures: Array) -> Calibration:
     """Estimates (p,) as an arm file has them, with the postures (m, n) and the scatter [mm] that they come from."""
     names, joints = fitted.model.names, joint_range(postures, fitted.model.joint_types)
     origin = {"source": DIAGNOSED, **joints, "scatter_mm": fitted.sigma, **freedom_kept(names, freedom)}

@@ -21,7 +21,7 @@ import numpy as np
 from identification.arrays import Array
 from identification.kinematics.frames import Frame, from_angles, nearest_rotation, pose
 from identification.kinematics.parameters import error_names
-from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
+from identification.levenberg_marquardt import Index, levenberg_marquardt
 from identification.vectorized import Evaluate, vectorize
 
 if TYPE_CHECKING:
@@ -92,9 +92,7 @@ def searched(instrument: Instrument, rows: Unplaced, bases: Array) -> Placement:
             return residuals, (slopes @ unknown.T).reshape(*residuals.shape, -1)
 
         rounding = np.full(len(chosen), 1e-12 * rows.reach * np.sqrt(len(frames)))  # of lengths 1e-12 reaches
-        bounds = np.full(len(moves), -np.inf), np.full(len(moves), np.inf)
-        problem = LeastSquares(linearize, *bounds, moves, rounding, iterations=steps)
-        solution = levenberg_marquardt(problem, changes[chosen])
+        solution = levenberg_marquardt(linearize, changes[chosen], scales=moves, rounding=rounding, iterations=steps)
         changes[chosen] = solution.parameters
         return np.sqrt(np.nan_to_num(solution.rss, nan=np.inf) / len(frames))
 

@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import accumulate, pairwise
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -110,14 +109,17 @@ class KinematicChain(ByValue):
     tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
 
+    kind: ClassVar[str] = "spatial"  # the word in arm files
+    # kinds of its parameters that files list over the joints -> the key of the list; others stand there by their names
+    lists: ClassVar[Mapping[str, str]] = NOTHING
     axes: ClassVar[str] = "xyz"  # of the frames, along which positions are measured
     turning: ClassVar[tuple[int, ...]] = (0, 1, 2)  # numbers of the axes that a frame may turn about
     turn_names: ClassVar[tuple[str, ...]] = ("wx", "wy", "wz")  # of the parts of a rotation
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
-    # kinds of the parameters that say where it stands and what is measured on it, each a frame
-    frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
+    drawn: ClassVar[frozenset[str]] = frozenset()  # those of `base` and `tool` that are always where the drawing is
+    point_column: ClassVar[str] = "marker"  # of files, which point or frame on the tip is measured; empty: the tip
+    first_point: ClassVar[int] = 0  # of its `points`, as frames count
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
-    planar: ClassVar[bool] = False  # a `PlanarChain`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
@@ -125,9 +127,6 @@ class KinematicChain(ByValue):
 
     def __len__(self) -> int:
         return len(self.joints)
-
-    # whether it is a planar arm of which positions are measured, as the closed form and the theorem have it
-    positions_in_plane = property(lambda self: self.planar and self.instrument.reads_positions)
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
@@ -139,9 +138,11 @@ class KinematicChain(ByValue):
     joint_types = property(lambda self: tuple(joint.type for joint in self.joints))  # (n) `revolute` or `prismatic`
 
     # whether it has more free errors than measurements can show, so that a fit needs a prior of them
-    redundant = property(lambda self: not self.planar and not self.fixed)
-    # names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows
-    held = property(lambda self: self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset()))
+    redundant = property(lambda self: not self.fixed)
+    held = property(attrgetter("fixed"))  # names of those of the parameters that are not estimated
+    # names of the parameters that say where it stands, where these are of no kind `base`, and the effects that add some
+    standing = standing_effects = property(lambda self: tuple[str, ...]())
+    as_in_paper = False  # whether its readings are eq. 1 of the paper: of these are Table I and the planar theorem
 
     @property
     def coordinates(self) -> int:
@@ -149,20 +150,6 @@ class KinematicChain(ByValue):
         if self.angle_scale is not None:
             return 2 * DIMENSION
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
-
-    @property
-    def parallel_joints(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of
-        each whether it turns as the first does (1) or the other way (-1)."""
-        turns = accumulate((joint.origin[:3, :3] for joint in self.joints), np.matmul)
-        axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, self.joints, strict=True)]
-        runs = [(0, [1])]
-        for j, (before, axis) in enumerate(pairwise(axes), start=1):
-            if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
-                runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
-            else:
-                runs.append((j, [1]))
-        return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
     @cached_property
     def link_poses(self) -> tuple[Array, ...]:
@@ -322,7 +309,7 @@ class KinematicChain(ByValue):
         planar arm, whose joint 1 is the base."""
         *frames, _, measured = self._in_base(q, values)
         points = [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
-        return [point[: self.dimension] for point in points[self.planar :]]
+        return [point[: self.dimension] for point in points[self.first_point :]]
 
     def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
@@ -333,7 +320,7 @@ class KinematicChain(ByValue):
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
         """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
-        return np.delete(self.frames_at(values)(postures)[..., self.planar :, : self.dimension, 3], -2, axis=-2)
+        return np.delete(self.frames_at(values)(postures)[..., self.first_point :, : self.dimension, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
@@ -371,14 +358,27 @@ class PlanarChain(KinematicChain):
     """A chain that moves in a plane: its free errors are link lengths and joint zeros, and its base and tip are where
     the drawing has them; where the base stands is an effect, and how it is turned the offset of joint 1."""
 
+    kind = "planar"
+    lists = MappingProxyType({LENGTH_ERROR: "length_errors_mm", JOINT_OFFSET: "joint_offsets_deg"})
     axes = "xy"
     turning = (2,)
     turn_names = ("w",)
     base_shift = ("base_offset.x0", "base_offset.y0")
-    frame_kinds = ()
+    drawn = frozenset({BASE, TOOL})
+    point_column = ""
+    first_point = 1
     projection = None
-    planar = True
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.angle_scale is not None:
+            raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
+
+    redundant = property(lambda self: False)
+    held = property(lambda self: self.fixed | self.instrument.hidden(self.base))  # what no reading shows, too
+    standing = property(lambda self: (*self.base_shift, f"{JOINT_OFFSET}:1") if self.as_in_paper else ())
+    standing_effects = property(lambda self: ("base_offset",) if self.as_in_paper else ())
+    as_in_paper = property(attrgetter("instrument.reads_positions"))
     levers = property(attrgetter("lengths"))
     every_parameter = property(lambda self: self.parameters())
 
@@ -393,7 +393,7 @@ class PlanarChain(KinematicChain):
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
-        if not self.positions_in_plane or len(chain) < 2 * len(self):
+        if not self.as_in_paper or len(chain) < 2 * len(self):
             return None
         base = [k for k, name in enumerate(parameters.names) if name in self.base_shift]
         indices = np.array(chain + base if len(base) == 2 else chain)
@@ -408,7 +408,7 @@ def planar_chain(lengths: ArrayLike) -> KinematicChain:
     links = np.ravel(np.asarray(lengths, dtype=float))
     before = (pose((length, 0.0, 0.0)) for length in (0.0, *links[:-1]))
     joints = (Joint(f"joint_{j}", origin, Z) for j, origin in enumerate(before, start=1))
-    return PlanarChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}))
+    return PlanarChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=PlanarChain.drawn)
 
 
 def in_space(vector: Any) -> Any:
