@@ -23,7 +23,7 @@ ORDER = {
     "identification": (
         "arrays errors running document vectorized",
         "files kinematics kinematics.frames kinematics.parameters instruments arm cover workspace error_curve "
-        "newton information levenberg_marquardt",
+        "information levenberg_marquardt",
         "documents effects measurements files.schema files.arm files.measurement files.first_files",
         "model",
         "simulate",
