@@ -245,7 +245,7 @@ def copied_rows(measurements: Measurements) -> list[str]:
 # -- the covariance of the parameters, at the tip ----------------------------------------------------------------------
 @single_thread()  # the same bits, whatever the number of threads
 def expected_tip(model: Model, parameters: Array, covariance: Array, postures: Array) -> float:
-    """Root mean square over postures (m, n) [rad] of the expected distance [mm], the root of the mean of trace(J C J^T),
+    """Root mean square over postures (m, n) [rad] of the expected distance [mm], root of the mean of trace(J C J^T),
     C the covariance (p, p) of the parameters (p,).
 
     The tip is the first measured point, in the frame of the measurements (of lengths: best registered again), under
