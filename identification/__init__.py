@@ -14,13 +14,13 @@ if TYPE_CHECKING:  # isort: off
     from identification.arm import Arm, Calibration, EffectSpec, Gravity
     from identification.model import Model
     from identification.effects import library
-    from identification.measurements import Conditions, Measurements, load_measurements, rms_distance
+    from identification.measurements import Conditions, Measurements, rms_distance
     from identification.kinematics.parameters import EFFECT, GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, PRISMATIC, REVOLUTE
     from identification.kinematics.parameters import Parameter, ParameterSet
     from identification.kinematics.counting import turned_into
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
     from identification.files.arm import load_arm, with_effects
-    from identification.files.measurement import Plan
+    from identification.files.measurement import Plan, load_measurements
     from identification.workflow import load_sessions
     from identification.campaign import campaign_document
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # isort: off
     # errors, progress, arrays
     from identification.errors import ArmcalError, InputError, JobError, nearest
     from identification.vectorized import vectorize
-    from identification.newton import newton_ascent
+    from identification.levenberg_marquardt import newton_ascent
     from identification.running import Progress, Status, additions
     from identification.arrays import Array, readonly
 

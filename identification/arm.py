@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.arrays import Array, ByValue, readonly
-from identification.bodies import Cell
 from identification.document import Document, Sheet, html
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError, require
@@ -31,7 +30,7 @@ from identification.kinematics.parameters import (
     by_joint,
     chain_parameters,
 )
-from identification.workspace import ColumnLimits, WorkspaceConstraint
+from identification.workspace import Cell, ColumnLimits, WorkspaceConstraint
 
 # what files may say: beyond these, squares overflow and sines of angles are noise
 LARGEST = 1e9  # of any magnitude [mm, kg, m/s^2]
@@ -210,8 +209,6 @@ class Arm(ByValue):
         if ratios is not None:
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
             require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
-        hanging = self.gravity is not None and self.gravity.payload_at is not None
-        require(not (chain.planar and hanging), "payload_at: found for a planar arm, allowed: in space")
         for field_name, value in ({"chain": chain, "gear_ratios": ratios} | limits).items():
             object.__setattr__(self, field_name, value)
         if self.counting is not None:

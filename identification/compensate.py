@@ -4,8 +4,7 @@
 
 Targets are positions, or poses of a spatial arm's tool, where an angle counts as the distance that it is at full reach.
 Searches are Levenberg-Marquardt on exact derivatives, all targets at once: from the posture given, and where that does
-not get there from random ones whose tips are nearest. Postures of a redundant arm that miss a constraint are led away
-from what is in the way. Out of reach the nearest posture is found by Newton's method.
+not get there from random ones whose tips are nearest. Out of reach the nearest posture is found by Newton's method.
 """
 
 from __future__ import annotations
@@ -25,16 +24,14 @@ from identification.document import Document, Documented, Sheet, number
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
-from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
+from identification.levenberg_marquardt import Index, levenberg_marquardt, newton_ascent
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.newton import newton_ascent
-from identification.origin import check_calibrated, extrapolated, familiar_range, identified, outside
-from identification.sessions import BASE
+from identification.sessions import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition
 
@@ -74,8 +71,6 @@ def compensate(
     Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
     """
     check_calibrated(arm)
-    if orientations is not None and not arm.chain.frame_kinds:
-        raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
     keeps_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     posed, arm = orientations is not None or keeps_nominal, in_own_frame(arm)
     arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))  # of an angle of a pose
@@ -89,8 +84,8 @@ def compensate(
         # the nominal arm, without effects; where its base is not given it stands where the calibration has it, a planar
         # one turned by the offset of joint 1, and a spatial one with its points
         chain = arm.chain if arm.calibration is None else standing_in(arm.chain, arm.calibration.values)
-        stands = tuple(spec for spec in arm.effects if spec.name == "base_offset")
-        place = Calibration({name: model.best_known.get(name, 0.0) for name in BASE}) if stands else None
+        stands = tuple(spec for spec in arm.effects if spec.name in chain.standing_effects)
+        place = Calibration({name: model.best_known.get(name, 0.0) for name in chain.standing}) if stands else None
         drawing = Model(replace(arm, effects=stands, calibration=place, chain=chain))
         points = drawing.position(nominal)[:, POINT]
         orientations = drawing.orientations(nominal) if keeps_nominal else orientations
@@ -160,7 +155,7 @@ def barred_by(constraints: Constraints, postures: Array) -> tuple[str, ...]:
     clauses = [list[str]() for _ in postures]
     for place, each in enumerate(constraints if len(postures) else (), start=1):
         margins, pairs = each.margin(postures), getattr(each, "pairs", ())
-        for k in np.flatnonzero(margins.min(axis=1) < -TOLERANCE).tolist():
+        for k in np.flatnonzero(margins.min(axis=1, initial=np.inf) < -TOLERANCE).tolist():
             worst = int(np.argmin(margins[k]))
             name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
             clauses[k].append(f"constraint {place} ({name}) is missed by {-margins[k, worst]:.4g} mm")
@@ -368,16 +363,15 @@ class Task(NamedTuple):
             self._replace(near=turned_into(self.near, low, high, kinds), lower=low, upper=np.maximum(high, low + 1e-9))
             for low, high in boxes
         )
-        several, ranks = first.searched()
-        postures, rank = several[:, 0], ranks[:, 0]
+        postures, ranks = first.searched()
         for part in wider:
-            missed = np.flatnonzero(rank >= MISSED)
-            ends, ranks = part.at(missed).searched()
-            good = ranks[:, 0] < MISSED
-            postures[missed[good]], rank[missed[good]] = ends[good, 0], NEAR
-        if (beyond := np.flatnonzero(rank >= BEYOND)).size:
-            postures[beyond] = first.at(beyond).closest(several[beyond])
-        return postures
+            missed = np.flatnonzero(ranks[:, 0] >= MISSED)
+            ends, ranks_within = part.at(missed).searched()
+            good = ranks_within[:, 0] < MISSED
+            postures[missed[good]], ranks[missed[good]] = ends[good], NEAR
+        if (beyond := np.flatnonzero(ranks[:, 0] >= BEYOND)).size:
+            postures[beyond, 0] = first.at(beyond).closest(postures[beyond])
+        return postures[:, 0]
 
     def searched(self) -> tuple[Array, Array]:
         """The best few postures (k, f, n) and their ranks (k, f): what `near` leads to; of goals not reached what
@@ -394,51 +388,39 @@ class Task(NamedTuple):
                     away, _ = part.gaps(np.tile(seeds, (len(rows), 1)), np.repeat(np.arange(len(rows)), SEEDS))
                     order = np.argsort(np.linalg.norm(away, axis=1).reshape(-1, SEEDS), axis=1)
                     starts = seeds[order[:, :count]]
-                postures[rows], ranks[rows] = merged((postures[rows], ranks[rows]), part.descended(starts))
-                barred = rows[(ranks[rows, 0] >= MISSED) & (ranks[rows, 0] < BEYOND)]
-                if n > self.goals.shape[1] and len(barred):
-                    # a redundant arm has more postures: the best are led away from what is in the way
-                    clear, _ = self.at(barred).descended(postures[barred], 8, clear=True)  # steps, more are effort
-                    led = self.at(barred).descended(clear)
-                    postures[barred], ranks[barred] = merged((postures[barred], ranks[barred]), led)
+                ends = zip((postures[rows], ranks[rows]), part.descended(starts), strict=True)
+                every, ranked = (np.concatenate(each, axis=1) for each in ends)
+                order = np.argsort(ranked, axis=1, kind="stable")[:, :FEW]
+                postures[rows] = np.take_along_axis(every, order[:, :, None], axis=1)
+                ranks[rows] = np.take_along_axis(ranked, order, axis=1)
                 if bad == MISSED and np.all(ranks[rows, 0] >= bad):
                     break
         return postures, ranks
 
-    def descended(self, starts: Array, steps: int = QUICK, *, clear: bool = False) -> tuple[Array, Array]:
-        """The best few postures (k, f, n) to which the shortest steps lead from starts (k, s, n), and ranks (k, f):
-        those that reach the goal by their distance from `near`; then those that nearly do; those that miss constraints,
-        by how much; the others, by what they leave.
-
-        clear : with margins that are missed as further residuals, of a place 0.01 mm inside
-        """
+    def descended(self, starts: Array) -> tuple[Array, Array]:
+        """Postures (k, s, n) to which the shortest steps lead from starts (k, s, n), and ranks (k, s): those that
+        reach the goal by their distance from `near`; then those that nearly do; those that miss constraints, by how
+        much; the others, by what they leave."""
         k, s, n = starts.shape
-        bends = BEND * self.model.reach / self.units
-
-        def gaps(postures: Array, rows: Index) -> tuple[Array, Array]:
-            residual, jacobian = self.gaps(postures, rows // s)
-            for constraint in self.constraints if clear else ():  # derivatives by differences
-                margins = constraint.margin(postures)
-                missed, slope = np.maximum(0.01 - margins, 0.0), np.zeros((*margins.shape, n))
-                out = np.flatnonzero(missed.any(axis=1))
-                bent = constraint.margin((postures[out, None] + np.diag(bends)).reshape(-1, n))
-                slope[out] = np.swapaxes(bent.reshape(len(out), n, margins.shape[1]) - margins[out, None], 1, 2) / bends
-                slope[missed == 0.0] = 0.0
-                residual, jacobian = np.hstack([residual, missed]), np.concatenate([jacobian, slope], axis=1)
-            return residual, jacobian
-
-        rounding = np.full(k * s, 1e-5 * TOLERANCE)
-        problem = LeastSquares(gaps, self.lower, self.upper, self.units, rounding, metric=self.units, iterations=steps)
-        solution = levenberg_marquardt(problem, starts.reshape(-1, n))
+        solution = levenberg_marquardt(
+            lambda q, rows: self.gaps(q, rows // s),
+            starts.reshape(-1, n),
+            lower=self.lower,
+            upper=self.upper,
+            scales=self.units,
+            rounding=np.full(k * s, 1e-5 * TOLERANCE),
+            metric=self.units,
+            iterations=QUICK,
+        )
         postures, left = solution.parameters.reshape(k, s, n), np.sqrt(solution.rss).reshape(k, s)
         distance = np.linalg.norm((postures - self.near[:, None]) * self.units / self.model.reach, axis=2)
         missed = np.zeros((k, s))
         for constraint in self.constraints:
-            by = -constraint.margin(solution.parameters).min(axis=1).reshape(k, s)
+            by = -constraint.margin(solution.parameters).min(axis=1, initial=np.inf).reshape(k, s)
             missed += np.where(by > TOLERANCE, by, 0.0)
         rank = NEAR * (left > TOLERANCE) + distance / (1.0 + distance)
         rank = np.where(left > self.enough, BEYOND + left, np.where(missed > 0.0, MISSED + missed, rank))
-        return merged((postures, rank))
+        return postures, rank
 
     def gaps(self, postures: Array, rows: Index) -> tuple[Array, Array]:
         """Goals (k, d) of the rows less the positions of postures (k, n), and the positions' derivatives (k, d, n)."""
@@ -467,10 +449,3 @@ class Task(NamedTuple):
         ends = newton_ascent(starts.reshape(-1, n), height, slopes, (self.lower, self.upper), units)
         best = np.argmax(height(ends, np.arange(len(ends))).reshape(k, few), axis=1)
         return ends.reshape(k, few, n)[np.arange(k), best]
-
-
-def merged(*ranked: tuple[Array, Array]) -> tuple[Array, Array]:
-    """The best few postures (k, f, n) and ranks (k, f) of several, best first."""
-    postures, ranks = (np.concatenate(each, axis=1) for each in zip(*ranked, strict=True))
-    order = np.argsort(ranks, axis=1, kind="stable")[:, :FEW]
-    return np.take_along_axis(postures, order[:, :, None], axis=1), np.take_along_axis(ranks, order, axis=1)

@@ -24,7 +24,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize
 
 from identification.arrays import Array
-from identification.bodies import cut
+from identification.workspace import cut
 
 Index = NDArray[np.intp]
 

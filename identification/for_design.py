@@ -27,14 +27,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.conditions import BY_ORDER, REMEMBERED, Conditions
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
-from identification.measurements import Measurements
+from identification.measurements import BY_ORDER, REMEMBERED, Conditions, Measurements
 from identification.model import Model
-from identification.model.minimal import PRACTICAL, minimal
-from identification.model.placed import led_to_contact, of_positions, tip_jacobian
+from identification.model.placed import PRACTICAL, led_to_contact, minimal, of_positions, tip_jacobian
 from identification.workspace import circle_across
 
 if TYPE_CHECKING:
@@ -177,7 +175,7 @@ class ArmModel(Model):
     @property
     def complete(self) -> bool:
         """Whether nothing is missing: what the data of a diagnosed arm could show is in its model."""
-        from identification.origin import diagnosed
+        from identification.sessions import diagnosed
 
         return diagnosed(self.arm)
 
@@ -246,7 +244,7 @@ class ArmModel(Model):
 
     # -- what theory knows -----------------------------------------------------------------------------------------
     # whether it is a chain of links in a plane, of which Table I of the paper holds
-    planar = property(attrgetter("arm.chain.positions_in_plane"))
+    planar = property(attrgetter("arm.chain.as_in_paper"))
 
     @property
     def theorem_joints(self) -> tuple[int, ...] | None:

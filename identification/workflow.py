@@ -76,8 +76,8 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """
+    from identification.files.measurement import load_measurements
     from identification.inspection.readings import data_warnings, read_differently
-    from identification.measurements import load_measurements
     from identification.sessions import pooled_sessions
 
     real = [os.path.realpath(path) for path in paths]
@@ -207,9 +207,8 @@ def check_files(
 
     from identification.files.arm import load_arm
     from identification.files.csv import read_table
-    from identification.files.measurement import Plan
+    from identification.files.measurement import Plan, load_measurements
     from identification.inspection.inspection import inspect
-    from identification.measurements import load_measurements
     from identification.model import Model
 
     loaded = load_arm(arm, package_dir)
@@ -261,7 +260,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.links != loaded.links:
         raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
-        kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
+        kinds = [f"{a.chain.kind}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
     wanted = Plan.load(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
@@ -325,15 +324,19 @@ def identify_files(
     from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
     from identification.model import Model
-    from identification.origin import diagnosed, identified, without_prior_effects
-    from identification.sessions import SESSIONS, with_sessions, without_sessions
+    from identification.sessions import (
+        SESSIONS,
+        diagnosed,
+        identified,
+        with_sessions,
+        without_prior_effects,
+        without_sessions,
+    )
     from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
     # the arm and its rows
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
-    if urdf is not None and loaded.chain.planar:
-        raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)
@@ -435,8 +438,8 @@ def identify_files(
             calibration = reuse.with_data_of(calibration, before, bare.joint_types)
         specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
         files |= arm_files(arm, specs, calibration, out, "calibrated arm")
-    if urdf is not None and fitted.geometry is not None:
-        files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry.real)
+    if urdf is not None:
+        files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry)
         labels = ", ".join(effect.label for effect in fitted.model.effects)
         lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
     document = identification_document(fitted, result, hidden).plus(*lines)
@@ -548,7 +551,7 @@ def validate_files(
     """
     from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.origin import check_calibrated
+    from identification.sessions import check_calibrated
     from identification.validate import validate
 
     arm = load_arm(model)
@@ -584,7 +587,7 @@ def compensate_files(
     from identification.files.arm import load_arm
     from identification.files.measurement import Targets
     from identification.model import Model
-    from identification.origin import check_calibrated
+    from identification.sessions import check_calibrated
 
     arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
@@ -605,8 +608,7 @@ def effects(name: str | None = None) -> Answer:
     packages (entry points armcal.effects) are in the list.
     """
     from identification.documents.identification import entry_document, library_document
-    from identification.effects import library
-    from identification.effects.catalogue import entry
+    from identification.effects import entry, library
 
     if name is not None:
         effect = entry(name.partition(":")[0])

@@ -30,12 +30,12 @@ TESTED = {  # module -> tests that must notice, in tests/identification and test
     "identification/estimation/problem.py": "estimation/test_prior.py",
     "identification/gap/likelihood.py": "gap/test_likelihood.py gap/test_average.py",
     "identification/gap/search.py": "gap/test_search.py",
-    "identification/effects/chain.py": "effects model",
+    "identification/effects/base.py": "effects model",
     "identification/effects/formulas.py": "effects model ../doe/studies/blind/test_simulator.py",
     **{
         f"identification/instruments/{name}.py": "instruments test_lengths.py" for name in ("cups", "distance", "probe")
     },
-    "identification/instruments/search.py": "instruments",
+    "identification/instruments/base.py": "instruments",
     "doe/bounds/planar_theorem.py": "bounds/test_planar_theorem.py",
     "doe/bounds/certificate.py": "bounds/test_certificate.py bounds/test_column_generation.py",
     "doe/criteria.py": "criteria",

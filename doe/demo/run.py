@@ -117,12 +117,12 @@ def run_demo(
         return Written(directory / name)
 
     def measured(name: str, postures: Array) -> Measurements:
-        """Simulated measurements as the commands read them from the file, rounding included."""
+        """Simulated measurements, which commands read from the file."""
         exact = scenario.real(postures)
-        noise = (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
-        table = Measurements(postures, exact + noise).to_frame(joint_types=arm.joint_types)
-        write(name, table.write_csv())
-        return Measurements.from_frame(table, arm)
+        positions = exact + (arm.sigma or 0.0) * generator.standard_normal(exact.shape)
+        columns = dict(zip(("x_mm", "y_mm", "z_mm"), positions.T, strict=False))
+        write(name, Plan(postures).text(arm.joint_types, columns))
+        return Measurements(postures, positions)
 
     progress(0, 8, "arm files")
     for name, text in scenario.files.items():
@@ -143,7 +143,7 @@ def run_demo(
         VERBS[name][0] for name in ("identify", "diagnose", "validate", "compensate")
     )
     path, rows = directory / "arm.toml", directory / "data.csv"
-    urdf = None if arm.chain.planar else to_write("corrected.urdf")
+    urdf = to_write("corrected.urdf") if "robot.urdf" in scenario.files else None
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
@@ -224,14 +224,13 @@ def demo_document(demo: Demo) -> Document:
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
-    effort = (4096, 61) if arm.chain.planar else (128, 25)
     sections = [
         *diagnosed.parts,
         Section("Against the truth", truth),
         plan_section(arm, demo.moves, lead=chosen, tests={"fresh.csv": demo.validated.result}),
         Section(
             "The certificate",
-            [Pictures(lambda: [certificate, certificate_figure(design.problem, design.plan.postures, *effort)])],
+            [Pictures(lambda: [certificate, certificate_figure(design.problem, design.plan.postures)])],
         ),
     ]
     actions = [

@@ -1,9 +1,9 @@
 """Clearance: how far the bodies of an arm keep from each other, from its cell and from a tracker's line of sight.
 
-A body is a union of capsules and boxes (`identification.bodies`). The signed distance of two capsules with axes A and B
-and radii r and s is |a - b| - r - s at the nearest points a, b of the axes, the witness points; that of two bodies is
-the least of their pieces. Moving the witness points along the axes changes nothing to first order, so it changes with
-joint j by
+A body is a union of capsules and boxes (`identification.workspace`). The signed distance of two capsules with axes A
+and B and radii r and s is |a - b| - r - s at the nearest points a, b of the axes, the witness points; that of two
+bodies is the least of their pieces. Moving the witness points along the axes changes nothing to first order, so it
+changes with joint j by
 
     n . (da/dq_j - db/dq_j),     n = (a - b) / |a - b|,
     n . da/dq_j = z_j . (a x n) + (o_j x z_j) . n  for a joint that turns about z_j through o_j,  z_j . n if it slides,

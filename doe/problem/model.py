@@ -51,7 +51,7 @@ class Offers(Protocol):
     Geometry, for constraints
         constraints : of `identification.workspace`;  space : coordinates of a point, 2 or 3;  reach : [mm]
         symbolic_points : q (n,) -> k points (space,), base, joints and tip [mm]
-        cell : `identification.bodies.Cell`, None: nothing is known of any body;  joint_axes : (n, 3) each in its frame
+        cell : `identification.workspace.Cell`, None: no body is known;  joint_axes : (n, 3) each in its frame
         joint_frames : (m, n) -> (m, n + 1, 4, 4) of the joints and of the measured point [mm], in that of the base
         with_tip_moved : (3,) [mm] in the tip's own frame -> the model with its tip there: where a reflector looks
     What is settled before a plan is made

@@ -21,7 +21,7 @@ from identification.document import (
     number,
     unit_or_dash,
 )
-from identification.effects.catalogue import example
+from identification.effects import example
 from identification.running import Status
 from identification.sessions import placing
 

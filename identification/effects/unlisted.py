@@ -15,8 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from identification.effects.base import LEVER, Effect, Number, Scope, Setting, add_effect
-from identification.effects.chain import Chain, widths
+from identification.effects.base import LEVER, Chain, Effect, Number, Scope, Setting, add_effect, widths
 from identification.effects.formulas import SPACE
 from identification.kinematics.frames import rotation_to_z
 from identification.kinematics.parameters import PRISMATIC

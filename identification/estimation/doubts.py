@@ -164,7 +164,7 @@ def another_frame(model: Model, measurements: Measurements) -> list[str]:
     """
     arm, q, m = model.arm, measurements.postures, len(measurements)
     spare = measurements.positions.size - 2 * (arm.links + 1)
-    if not arm.chain.positions_in_plane or spare < SPARE or any(e.name == "base_offset" for e in arm.effects):
+    if spare < SPARE or not {*arm.chain.standing_effects}.difference(effect.name for effect in arm.effects):
         return []
     # eq. 1 is linear in the links, and in the base: the triangle of their columns and what the arm as it is leaves
     residual = (measurements.positions - model.position(q, conditions=measurements.conditions)) @ [1.0, 1j]

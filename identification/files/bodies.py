@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from identification.arrays import SHOWN, ByValue
-from identification.bodies import Body
 from identification.errors import InputError
 from identification.files.io import PathLike, decode, read_bytes
 from identification.files.meshes import READERS, Shape
 from identification.files.urdf import parse_urdf, xml_root
+from identification.workspace import Body
 
 PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
 

@@ -1,4 +1,4 @@
-"""Tables of text from CSV and Parquet files and data frames; errors name file, row, column and what is allowed."""
+"""Tables of text from CSV files; errors name file, row, column and what is allowed."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import hashlib
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -31,11 +30,11 @@ FITS = re.compile(r"library-prior( --missing [\w,]+)?")  # options of `armcal id
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text, blank lines left out.
+    """A table of text, blank lines left out: the rows to measure, and way-points if wanted.
 
     frame : the columns, all of them strings without spaces around them; an empty cell is null
-    lines : (m,) line number of every row in the file, from 1; empty: a table without lines
-    sha256 : of the file's bytes; empty: no file
+    lines : (m,) line number of every row in the file, from 1
+    sha256 : of the file's bytes
     fit : what a comment `# fit: library-prior` above the header says, as options of `armcal identify`; empty: nothing
     used : columns that were asked for
     """
@@ -43,34 +42,9 @@ class Table:
     path: str
     frame: pl.DataFrame
     lines: NDArray[np.int64]
-    sha256: str = ""
-    fit: str = ""
+    sha256: str
+    fit: str
     used: set[str] = field(default_factory=set)
-
-    @classmethod
-    def of(
-        cls, path: str, columns: Mapping[str, Sequence[str]], vias: bool, lines: Sequence[int] = (), **others: Any
-    ) -> Table:
-        """Of texts: the rows to measure, and way-points if wanted, where a column `kind` says which are.
-
-        Raises `InputError` for columns of different lengths and for no rows.
-        """
-        if len(sizes := {len(cells) for cells in columns.values()}) > 1:
-            raise InputError(f"{path}: found columns of different lengths, allowed: one length")
-        if not sizes or 0 in sizes:
-            raise InputError(f"{path}: there are no rows, allowed: at least 1 row")
-        frame = pl.DataFrame([pl.Series(name, cells, pl.String) for name, cells in columns.items()])
-        frame = frame.with_columns(pl.all().str.strip_chars().replace("", None))
-        table = cls(path, frame, np.array(lines, dtype=np.int64), **others)
-        kind = frame["kind"].fill_null("").to_numpy() if "kind" in table else np.array([""])
-        if (is_via := kind == VIA).any():
-            table.require_good(np.isin(kind, (MEASURE, VIA)), "kind", f"{MEASURE} or {VIA}")
-            if is_via.all():
-                raise InputError(f"{path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
-        if not np.isin(kind, (MEASURE, VIA)).all():  # a column of somebody else
-            return table
-        rows = ~is_via | vias
-        return replace(table, frame=frame.filter(rows), lines=table.lines[rows[: len(lines)]], used={"kind"})
 
     def __len__(self) -> int:
         return self.frame.height
@@ -95,8 +69,7 @@ class Table:
 
     def place(self, row: int, column: str) -> str:
         """`data.csv: row 3 (line 4), column x_mm`; `row` counts from 0."""
-        line = f" (line {self.lines[row]})" if len(self.lines) else ""
-        return f"{self.path}: row {row + 1}{line}, column {column}"
+        return f"{self.path}: row {row + 1} (line {self.lines[row]}), column {column}"
 
     def floats(
         self,
@@ -107,7 +80,7 @@ class Table:
     ) -> Array:
         """(m,) the column as finite numbers for which `test` (vectorised) holds.
 
-        empty : what an empty cell, or a NaN of a frame, stands for; None: for nothing
+        empty : what an empty cell, or a NaN, stands for; None: for nothing
 
         Raises `InputError` naming the first row that has anything else; `allowed` says in words what `test` wants.
         """
@@ -150,9 +123,9 @@ class Table:
 
 
 def read_table(path: PathLike, *, vias: bool = False) -> Table:
-    """Reads a Parquet file, or a text file of columns with one header line.
+    """Reads a text file of columns with one header line.
 
-    vias : with the way-points that a plan has between its postures, where nobody measures
+    vias : with the way-points that a plan has between its postures, where nobody measures: its column `kind` says so
 
     Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
     Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
@@ -162,15 +135,8 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
     fit the rows (ragged rows), and bytes that are not UTF-8.
     """
     content = read_bytes(path)
-    sha256 = hashlib.sha256(content).hexdigest()
-    if content.startswith(b"PAR1"):
-        try:
-            frame = pl.read_parquet(io.BytesIO(content))
-        except (pl.exceptions.PolarsError, OSError):
-            raise InputError(f"{path}: not a whole Parquet file, allowed: CSV or Parquet") from None
-        return table_of_frame(frame, str(path), sha256, vias=vias)
-    if content.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0")):  # .xlsx and .ods, or .xls
-        raise InputError(f"{path}: found a spreadsheet, allowed: CSV or Parquet; save it as CSV")
+    if content.startswith((b"PK\x03\x04", b"\xd0\xcf\x11\xe0", b"PAR1")):  # .xlsx and .ods, .xls, .parquet
+        raise InputError(f"{path}: found a spreadsheet or a Parquet file, allowed: CSV; save it as CSV")
     text, above, fit = decode(path, content).replace("\r\n", "\n").replace("\r", "\n"), 0, ""
     # a spreadsheet makes cells of a comment: it may come back in quotation marks and with separators at its end
     while (comment := re.match(r'[^\S\n]*\n|"?#.*\n?', text)) is not None:
@@ -211,24 +177,22 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
             raise InputError(f"{path}: line {lines[0]} has the number {name!r}, allowed: the names of the columns")
         if header.count(name) > 1:
             raise InputError(f"{path}: column {name!r} is there {header.count(name)} times, allowed: once")
-    table = Table.of(str(path), columns, vias, lines[1:], sha256=sha256, fit=fit)
-    decimal = pl.all().str.replace(r"^([-+]?\d*),(\d*([eE][-+]?\d+)?)$", "$1.$2")
-    return table if separator == "," else replace(table, frame=table.frame.with_columns(decimal))
-
-
-def table_of_frame(frame: Any, name: str = "frame", sha256: str = "", *, vias: bool = False) -> Table:
-    """A data frame of polars or pandas, or a mapping of names to columns, as a table; numbers keep all their digits.
-
-    vias : as of `read_table`. Raises `InputError` for what is no such frame, no rows, and columns of different lengths.
-    """
-    if not hasattr(frame, "keys") and not hasattr(frame, "columns"):
-        raise InputError(f"{name}: {type(frame).__name__}, allowed: a data frame of polars or pandas")
-    columns = {}
-    for column in frame.columns if hasattr(frame, "columns") else frame:
-        cells = frame[column].to_list() if hasattr(frame[column], "to_list") else np.asarray(frame[column]).tolist()
-        # numbers by `repr`, which loses no digit
-        columns[str(column)] = ["" if text in ("None", "nan", "<NA>") else text for text in map(str, cells)]
-    return Table.of(name, columns, vias, sha256=sha256)
+    if not columns:
+        raise InputError(f"{path}: there are no rows, allowed: at least 1 row")
+    frame = pl.DataFrame(columns, schema=dict.fromkeys(columns, pl.String))
+    frame = frame.with_columns(pl.all().str.strip_chars().replace("", None))
+    if separator != ",":
+        frame = frame.with_columns(pl.all().str.replace(r"^([-+]?\d*),(\d*([eE][-+]?\d+)?)$", "$1.$2"))
+    table = Table(str(path), frame, np.array(lines[1:]), hashlib.sha256(content).hexdigest(), fit)
+    kind = frame["kind"].fill_null("").to_numpy() if "kind" in table else np.array([""])
+    if (is_via := kind == VIA).any():
+        table.require_good(np.isin(kind, (MEASURE, VIA)), "kind", f"{MEASURE} or {VIA}")
+        if is_via.all():
+            raise InputError(f"{path}: column kind: found only {VIA}, allowed: at least 1 row {MEASURE}")
+    if not np.isin(kind, (MEASURE, VIA)).all():  # a column of somebody else
+        return table
+    rows = ~is_via | vias
+    return replace(table, frame=frame.filter(rows), lines=table.lines[rows], used={"kind"})
 
 
 # -- writing -----------------------------------------------------------------------------------------------------------

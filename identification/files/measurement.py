@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
 from identification.arrays import Array, ByValue, as_frame, readonly
-from identification.conditions import VALUES, directions_from_order, gaps_of
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
@@ -25,10 +24,10 @@ from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in, in_columns, in_joints
 from identification.kinematics.frames import from_angles, from_quaternions, to_angles
 from identification.kinematics.parameters import PRISMATIC
+from identification.measurements import VALUES, Measurements, directions_from_order, gaps_of
 
 if TYPE_CHECKING:
     from identification.instruments import Instrument
-    from identification.measurements import Measurements
 
 Columns = dict[str, NDArray[np.generic]]
 JointTypes = int | Sequence[str] | None  # of each joint; a number: so many that turn; None: as many as the table has
@@ -43,21 +42,25 @@ ORIENTATION = re.compile(r"r[xyz]_(deg|rad)|q[wxyz]")
 
 
 # -- measurements ------------------------------------------------------------------------------------------------------
-def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str, Any]:
-    """The arguments of `Measurements` that a table has, of an arm with `links` links if given, or of an arm.
+def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measurements:
+    """The measurements of a CSV file, of an arm with `links` links if given.
 
-    Raises `InputError`, one line naming row and column, what was found and what is allowed. Warns (`UserWarning`)
+    links : or the arm itself: a spatial one has positions of three coordinates, markers, and may have sliding joints
+
+    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
     once about columns that are not used.
     """
+    table = read_table(path)
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
-    instrument, in_space, poses = chain.instrument, bool(chain.frame_kinds), chain.angle_scale is not None
+    instrument, poses = chain.instrument, chain.angle_scale is not None
     postures = read_postures(table, types)
     types = postures.shape[1] if types is None else types
     # each target that is touched has a place of its own, as each session has
     names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
     session = np.array(["/".join(parts) for parts in zip(*names.values(), strict=True)]) if names else None
-    marker = table.texts("marker") if in_space and "marker" in table else None
+    marked = "" if instrument.own_targets else chain.point_column
+    marker = table.texts(marked) if marked and marked in table else None
     if instrument.own_targets:
         session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
@@ -72,48 +75,39 @@ def measurement_fields(table: Table, links: int | Arm | None = None) -> dict[str
     if order is not None and np.all(order == np.round(order)):
         for rows in [slice(None)] if session is None else [session == name for name in np.unique(session)]:
             gaps[rows] = gaps_of(order[rows])
-    fields: dict[str, Any] = {
-        "postures": postures,
-        "positions": np.column_stack(read) if read else np.zeros((len(table), instrument.dimension)),
-        "order": order if time is None else time,
-        "gaps": gaps if gaps.any() else None,
+    measurements = Measurements(
+        postures,
+        np.column_stack(read) if read else np.zeros((len(table), instrument.dimension)),
+        order if time is None else time,
+        gaps=gaps if gaps.any() else None,
+        sigma=read_column(table, "sigma", LENGTH, SIGMA_RANGE) if _units_of(table, "sigma", LENGTH) else None,
+        session=session,
+        marker=marker,
+        orientations=read_orientations(table) if poses else None,
+        commanded=read_postures(table, types, "commanded") if _joint_columns(table, types, "commanded") else None,
+        fit=table.fit,
+        provenance=MappingProxyType({"file": Path(path).name, "sha256": table.sha256}),
         **conditions,
-        "sigma": read_column(table, "sigma", LENGTH, SIGMA_RANGE) if _units_of(table, "sigma", LENGTH) else None,
-        "session": session,
-        "marker": marker,
-        "orientations": read_orientations(table) if poses else None,
-        "commanded": read_postures(table, types, "commanded") if _joint_columns(table, types, "commanded") else None,
-        "fit": table.fit,
-        "provenance": MappingProxyType({"file": Path(table.path).name, "sha256": table.sha256}),
-    }
+    )
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
-    elif in_space and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.columns)):
+    elif marked and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.columns)):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    labels = ["session", instrument.target, "marker" if in_space and not instrument.own_targets else ""]
     directions = (f"direction{j + 1}" for j in range(postures.shape[1]))
-    table.warn_unused(["run", "sigma_mm", *NUMBERS, *directions, *filter(None, labels)], hint)
+    table.warn_unused(
+        ["run", "sigma_mm", *NUMBERS, *directions, *filter(None, ("session", instrument.target, marked))], hint
+    )
     if instrument.contact and "run" in table and "order" not in table:
         planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
-    return fields
+    return measurements
 
 
 def measurement_text(
     measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
 ) -> str:
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad).
-
-    instrument : that measured; None: one of positions or lengths
-    """
-    return csv_text(measurement_columns(measurements, joint_types, instrument), measurements.fit)
-
-
-def measurement_columns(
-    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
-) -> Columns:
-    """The columns of a measurement table; `measurement_fields` reads the same from it, to rounding (1e-14 rad).
 
     instrument : that measured; None: one of positions or lengths
     Raises `InputError` for positions that a file cannot have.
@@ -154,7 +148,8 @@ def measurement_columns(
     optional |= {"posture": measurements.repeats, marker: target, "sigma_mm": measurements.sigma}
     if marker != session or target is None:
         optional[session] = measurements.session
-    return columns | {name: values for name, values in optional.items() if values is not None}
+    columns |= {name: values for name, values in optional.items() if values is not None}
+    return csv_text(columns, measurements.fit)
 
 
 # -- reading columns ---------------------------------------------------------------------------------------------------
@@ -452,6 +447,6 @@ class Targets(NamedTuple):
             raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
         positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
         postures = read_postures(table, arm.joint_types) if has_postures else None
-        orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
+        orientations = read_orientations(table) if has_positions and arm.chain.point_column else None
         table.warn_unused(["run"])
         return cls(positions, postures, orientations)

@@ -16,10 +16,10 @@ from pathlib import PurePath
 import numpy as np
 
 from identification.arrays import Array, ByValue
-from identification.bodies import brick, revolved
 from identification.errors import InputError
 from identification.files.io import PathLike, read_bytes
 from identification.kinematics.frames import pose, rotation_to_z
+from identification.workspace import brick, revolved
 
 
 def _stl(content: bytes) -> Array:

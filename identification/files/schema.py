@@ -28,9 +28,9 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
-from identification.bodies import CLEARANCE
 from identification.errors import InputError, nearest
 from identification.instruments import KINDS
+from identification.workspace import CLEARANCE
 
 AXES = {"planar": "xy", "spatial": "xyz"}  # kind of an arm -> of its points
 CURVE = "joint_error_curve"

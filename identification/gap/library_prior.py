@@ -17,12 +17,11 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec
 from identification.arrays import Array
-from identification.conditions import BY_ORDER, FOLLOWING
 from identification.effects import effect_named
 from identification.errors import InputError
 from identification.estimation.problem import Prior
 from identification.gap.blocks import EFFECT, ORDER, hypotheses, slope_by_angle
-from identification.measurements import Measurements
+from identification.measurements import BY_ORDER, FOLLOWING, Measurements
 from identification.model import Model
 
 

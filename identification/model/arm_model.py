@@ -26,14 +26,14 @@ from numpy.typing import ArrayLike
 
 from identification.arm import Arm
 from identification.arrays import Array, slices
-from identification.conditions import Conditions, condition_columns
 from identification.effects import Chain, Effect, build_all
-from identification.effects.chain import position_and_state, widths
+from identification.effects.base import position_and_state, widths
 from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
 from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
+from identification.measurements import Conditions, condition_columns
 from identification.vectorized import Evaluate, vectorize
 
 Given = ArrayLike | None
@@ -296,7 +296,7 @@ class Model:
         self, postures: ArrayLike, parameters: Given = None, conditions: When = None
     ) -> tuple[Array, Array]:
         """What effects act through: (m, d, P) derivative of the positions by what is added at each place of the chain,
-        and (m, S) the state that it may depend on (effects/chain.py)."""
+        and (m, S) the state that it may depend on (effects/base.py)."""
         levers, state = self.expressions._place_levers(*self._arguments(postures, parameters, conditions))
         return levers, state[..., 0]
 

@@ -16,8 +16,9 @@ from doe import DesignProblem, solve
 from doe.bounds.certificate import Bound
 from doe.plan.accuracy import ExpectedTip, robust_problem
 from identification import Arm, Array, EffectSpec, Identification, Model, diagnose, estimate, load_arm
+from identification.files.measurement import load_measurements
 from identification.gap.library_prior import library_prior
-from identification.measurements import Measurements, load_measurements
+from identification.measurements import Measurements
 from identification.validate import validate
 
 SHARED = Path(__file__).parents[3] / "shared/data"

@@ -32,10 +32,9 @@ from identification.files.arm import load_arm, with_calibration
 from identification.files.measurement import measurement_text
 from identification.inspection.readings import data_warnings
 from identification.instruments import Distance, Instrument, Plane, Sphere
-from identification.kinematics.corrected import CorrectedGeometry
+from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.frames import pose
-from identification.model.minimal import minimal, practical
-from identification.model.placed import placed_model
+from identification.model.placed import minimal, placed_model, practical
 from identification.sessions import with_sessions
 from identification.simulate import simulate
 from identification.validate import validate

@@ -10,14 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.conditions import REMEMBERED, condition_columns, past_from_order
 from identification.measurements import (
     BYTES,
     KEPT,
+    REMEMBERED,
     Measurements,
+    condition_columns,
     digests_in,
     digests_text,
     directions_from_order,
+    past_from_order,
     row_digests,
     shared_rows,
 )

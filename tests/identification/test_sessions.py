@@ -22,8 +22,7 @@ from identification import (
 )
 from identification.inspection.readings import data_warnings
 from identification.kinematics.frames import pose, rotation_about
-from identification.model.minimal import minimal
-from identification.model.placed import placed_model
+from identification.model.placed import minimal, placed_model
 from identification.replications import ModelTable, Replications, StudyFile, TruthTable, true_values
 from identification.sessions import of_these_sessions, pooled_sessions, with_sessions, without_sessions
 from identification.validate import drawing_residuals

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from identification import Arm, Calibration, InputError, Measurements, Model, load_arm, load_sessions
 from identification.campaign import campaign_document
 from identification.document import Document
+from identification.files.measurement import measurement_text
 from identification.running import additions, single_thread
 from identification.workflow import VERBS, Written, compensate_files, identify_files, validate_files
 from tests.refusals import refused
@@ -30,7 +31,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "arm.toml").write_text(f"links_mm = {LENGTHS}\n")
     for name, seed in (("data", 1), ("other", 2)):
         q = np.random.default_rng(seed).uniform(-2.0, 2.0, (30, 2))
-        (tmp_path / f"{name}.csv").write_text(Measurements(q, Model(REAL).position(q)).to_frame().write_csv())
+        (tmp_path / f"{name}.csv").write_text(measurement_text(Measurements(q, Model(REAL).position(q))))
     (tmp_path / "targets.csv").write_text("x_mm,y_mm\n400,100\n")
     return tmp_path
 

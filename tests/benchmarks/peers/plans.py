@@ -52,7 +52,7 @@ def described(arm: Arm):
     """The arm as armcal's model."""
     from identification import Arm as Described
     from identification import Model
-    from identification.model.minimal import minimal
+    from identification.model.placed import minimal
     from tests.doe.six_axis import SIX_AXIS
 
     if isinstance(arm, Planar):
@@ -238,7 +238,7 @@ def pyomo_doe(arm: Planar, runs: int) -> Iterator[np.ndarray]:
 
 
 EXACT = {
-    "armcal": Tool(partial(searched, plans=armcal), ("doe.solvers", "identification.model.minimal")),
+    "armcal": Tool(partial(searched, plans=armcal), ("doe.solvers", "identification.model.placed")),
     "CasADi + IPOPT": Tool(partial(searched, plans=casadi_ipopt), ("casadi",)),
     "SciPy SLSQP": Tool(partial(searched, plans=scipy_slsqp), ("scipy.optimize", "casadi")),
     "pyoptex": Tool(partial(searched, plans=pyoptex), ("pyoptex.doe.fixed_structure",)),

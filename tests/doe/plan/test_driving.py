@@ -14,8 +14,7 @@ from doe.plan.moves import APPROACH, MOVING, drive, one_turn, room_of, with_appr
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
-from identification.bodies import Body, Cell
-from identification.workspace import LineOfSight, WorkspaceBox
+from identification.workspace import Body, Cell, LineOfSight, WorkspaceBox
 from tests.doe.problem.test_clearance import cell_of
 from tests.doe.six_axis import SIX_AXIS
 

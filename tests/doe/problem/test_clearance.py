@@ -16,8 +16,7 @@ from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_
 from doe.problem.constraints import Walls, constraints_of
 from doe.problem.postures import random_postures
 from identification import Arm, Array, Model, design_model
-from identification.bodies import Body, Cell
-from identification.workspace import LineOfSight
+from identification.workspace import Body, Cell, LineOfSight
 from tests.doe.six_axis import SIX_AXIS
 
 TRACKER = np.array([2000.0, 300.0, 500.0])

@@ -14,7 +14,7 @@ from doe.plan.spacing import too_near
 from identification import PRISMATIC, Arm, ArmModel, Array, DHRow, InputError, Model, chain_of, with_points
 from identification.instruments import Distance, Sphere
 from identification.kinematics.frames import pose
-from identification.model.minimal import minimal
+from identification.model.placed import minimal
 from tests.doe.arms import FOUR
 from tests.doe.six_axis import CHAIN, REFLECTOR, SIX_AXIS, STEP, difference_information, difference_jacobian, six_axis
 from tests.identification.kinematics.test_spatial import tip_by_exponentials

@@ -20,9 +20,8 @@ from doe.plan.accuracy import missing_effects, robust_problem
 from doe.report.design import design_facts, design_verdict, next_document, plan_section, plan_steps, relax_document
 from doe.report.figures import outlines, plan_figure, scene, side
 from identification import Arm, Conditions, Gravity, Model, Plan, design_model
-from identification.bodies import Body, Cell
 from identification.document import Document, Pictures
-from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.workspace import Body, Cell, KeepOutCircle, LineOfSight, WorkspaceBox
 from tests.doe.arms import problem
 from tests.doe.problem.test_spatial_constraints import ARM as CROWDED
 from tests.doe.problem.test_spatial_constraints import PILLAR, POSTURES, SIGHT, SPHERE

@@ -18,7 +18,7 @@ from identification import Arm, Calibration, EffectSpec, Measurements, Model, di
 from identification.compensate import compensate
 from identification.document import Document, Part, Section, Sheet
 from identification.documents.identification import entry_document, identification_document, library_document
-from identification.effects.catalogue import entry
+from identification.effects import entry
 from identification.inspection.inspection import inspect
 from identification.validate import validate
 from tests.identification.test_document import Texts

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from identification import Arm, EffectSpec, InputError, Measurements, Model, effects, estimate
-from identification.effects import Effect, base, build, formulas, library
-from identification.effects.catalogue import SUPPLY, entry, example
+from identification.effects import SUPPLY, Effect, base, build, entry, example, formulas, library
 from identification.gap.blocks import hypotheses
 from identification.kinematics.chain import KinematicChain, planar_chain
 

@@ -17,7 +17,7 @@ from doe.criteria import information_matrix
 from identification import Arm, EffectSpec, InputError, JobError, Measurements, Model, Status
 from identification.estimation import estimate, estimate_batch, without_outliers
 from identification.levenberg_marquardt import Solution
-from identification.model.minimal import minimal
+from identification.model.placed import minimal
 from tests.doe.six_axis import CHAIN, SIX_AXIS
 from tests.identification.estimation.cases import SIGMA, TRUTH, arm, data, plan, scipy_fit, truth
 

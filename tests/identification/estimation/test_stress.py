@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from identification import Arm, Identification, Measurements, Model, estimate
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose
-from identification.model.minimal import practical
+from identification.model.placed import practical
 
 EPS = float(np.finfo(float).eps)
 DIGITS = 1e-9  # standard deviations

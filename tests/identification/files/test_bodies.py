@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from identification import Arm, Array, InputError, load_arm
-from identification.bodies import Body
 from identification.files.bodies import mesh_file
 from identification.files.meshes import read_mesh
 from identification.files.urdf import parse_urdf
+from identification.workspace import Body
 from tests.identification.files.test_arm import CELL, DATA, PLAIN, PLANAR_CELL
 from tests.refusals import refused
 

@@ -9,14 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from identification import Arm, DHRow, InputError, Measurements, Plan, chain_of, load_measurements
-from identification.files.csv import read_table, table_of_frame
+from identification.files.csv import read_table
 from identification.files.measurement import Targets, angle_columns, measurement_text, read_orientations
 from identification.gap.library_prior import library_prior
 from identification.inspection.readings import gap_notes
@@ -208,35 +207,10 @@ def assert_same(again: Measurements, data: Measurements) -> None:
 
 @given(measured())
 @settings(max_examples=20)
-def test_files_and_frames_go_round(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
-    path, frame = tmp_path_factory.mktemp("data") / "data.csv", data.to_frame()
+def test_files_go_round(tmp_path_factory: pytest.TempPathFactory, data: Measurements) -> None:
+    path = tmp_path_factory.mktemp("data") / "data.csv"
     path.write_text(measurement_text(data))
     assert_same(load_measurements(path, data.links), data)
-    assert_same(Measurements.from_frame(frame), data)
-    assert_same(Measurements.from_frame(frame.to_dict(as_series=False)), data)
-    path.write_bytes(b"")
-    frame.write_parquet(path)
-    assert_same(load_measurements(path, data.links), data)
-    path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(InputError, match="not a whole Parquet file, allowed: CSV or Parquet"):
-        load_measurements(path)
-
-
-def test_frames_that_are_none() -> None:
-    frame = Measurements(np.zeros((3, 2)), np.ones((3, 2))).to_frame()
-    for value, said in ((None, "found an empty cell"), (float("inf"), "found 'inf'")):
-        spoilt = frame.with_columns(pl.Series("x_mm", [1.0, 2.0, value]))
-        with pytest.raises(InputError, match=f"frame: row 3, column x_mm: {said}"):
-            Measurements.from_frame(spoilt)
-    with pytest.raises(InputError, match="column 'y_mm' is missing"):
-        Measurements.from_frame(frame.drop("y_mm"))
-    for wrong, said in (
-        (3, "frame: int, allowed: a data frame"),
-        (frame.head(0), "there are no rows"),
-        ({"a": [1, 2], "b": [1]}, "columns of different lengths"),
-    ):
-        with pytest.raises(InputError, match=said):
-            table_of_frame(wrong)
 
 
 # -- arms in space, plans, targets -------------------------------------------------------------------------------------
@@ -350,8 +324,7 @@ def test_files_with_gaps_go_round(load: Load) -> None:
     assert "time_s" not in measurement_text(data)
     np.testing.assert_array_equal(load(measurement_text(data)).conditions.directions, data.conditions.directions)
     some = data.rows([3, 5, 9])  # with directions of their own, unknown ones among them
-    for again in (load(measurement_text(some)), Measurements.from_frame(some.to_frame())):
-        np.testing.assert_array_equal(again.conditions.directions, some.conditions.directions)
+    np.testing.assert_array_equal(load(measurement_text(some)).conditions.directions, some.conditions.directions)
     assert 0.0 in some.conditions.directions
     stamps = replace(WHOLE, order=10.0 * np.arange(M))  # seconds, in whole numbers
     assert load(measurement_text(stamps)).gaps is None

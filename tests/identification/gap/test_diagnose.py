@@ -17,7 +17,7 @@ from identification.estimation import estimate as identify
 from identification.files.arm import load_arm, with_calibration, with_effects
 from identification.gap.fit import Rows, fit, fitted_arm
 from identification.gap.result import Candidate, Diagnosis
-from identification.model.minimal import practical
+from identification.model.placed import practical
 from tests.small_arm import OTHERS, drawn_arm, random_postures, small_arm
 from tests.small_arm import measured as measured_three
 

@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from identification import PRISMATIC, Arm, Conditions, InputError, Measurements, Model
 from identification.instruments import Distance
-from identification.instruments.search import registered
+from identification.instruments.base import registered
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import pose
-from identification.model.minimal import minimal, practical
-from identification.model.placed import of_positions, placed_model, tip_jacobian
+from identification.model.placed import minimal, of_positions, placed_model, practical, tip_jacobian
 from tests.doe.six_axis import CHAIN as DRAWN
 
 QUARTER = np.pi / 2.0

@@ -38,7 +38,7 @@ from doe.studies.blind.simulator import (
 )
 from identification import Arm, Array, Calibration, EffectSpec, Gravity, Model, fitted_arm
 from identification.effects import build_all
-from identification.model.minimal import practical
+from identification.model.placed import practical
 
 NUMBERS, IN_SPACE = range(900, 903), range(900, 903)
 GRAVITY = {"joint_compliance", "gravity_backlash", "link_bending"}
