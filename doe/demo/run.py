@@ -143,7 +143,7 @@ def run_demo(
         VERBS[name][0] for name in ("identify", "diagnose", "validate", "compensate")
     )
     path, rows = directory / "arm.toml", directory / "data.csv"
-    urdf = None if arm.chain.planar else to_write("corrected.urdf")
+    urdf = to_write("corrected.urdf") if "robot.urdf" in scenario.files else None
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
@@ -224,14 +224,13 @@ def demo_document(demo: Demo) -> Document:
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
-    effort = (4096, 61) if arm.chain.planar else (128, 25)
     sections = [
         *diagnosed.parts,
         Section("Against the truth", truth),
         plan_section(arm, demo.moves, lead=chosen, tests={"fresh.csv": demo.validated.result}),
         Section(
             "The certificate",
-            [Pictures(lambda: [certificate, certificate_figure(design.problem, design.plan.postures, *effort)])],
+            [Pictures(lambda: [certificate, certificate_figure(design.problem, design.plan.postures)])],
         ),
     ]
     actions = [
