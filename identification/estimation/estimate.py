@@ -186,7 +186,7 @@ def _identification(
         slopes = (problem.root_weights[:, :, None] * jacobian[:, :, free]).reshape(-1, len(free))
         left = problem.root_weights * (problem.positions[0] - position)
         was = was.copy()
-        was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
+        was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=RANK_TOLERANCE)[0]
     before = problem.residuals(was)[0]
     sentences, implausible = doubts(model, x, identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell

@@ -14,8 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
 from identification.arrays import Array, slices
@@ -30,8 +28,10 @@ from identification.gap.fit import At
 from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
-from identification.information import RANK_TOLERANCE, column_space
-from identification.instruments.search import registered
+from identification.information import ALONE, column_space
+from identification.instruments import TRACKER
+from identification.instruments.search import reading_of, registered
+from identification.levenberg_marquardt import Index, levenberg_marquardt
 from identification.measurements import POINT, Conditions, Measurements, distances
 
 SESSION, OTHER_ROWS = "another session", "other rows"
@@ -164,7 +164,7 @@ class Gap(NamedTuple):
 class Placed(NamedTuple):
     """What a model predicts of the rows of a hold-out.
 
-    points : (m, d) [mm];  axes : (m, 3, 3) of the tip for the instrument, None in a plane and where lengths are read
+    points : (m, d) [mm];  axes : (m, 3, 3) of the tip for the instrument, None where the tip is measured
     measured : (m, d) [mm];  names : (m,) of the measured points, "" where there are none
     """
 
@@ -180,18 +180,20 @@ class Placed(NamedTuple):
         full[:, :d] = self.points
         frame = registered(full, self.measured) if base else np.eye(4)
         left, count = self.measured - self.points @ frame[:d, :d].T - frame[:d, 3], 3 * (d - 1) * base + 3 * len(points)
-        if points and self.axes is not None:  # everything but the turn A of the base is linear
-            axes = np.concatenate([self.axes * (self.names == name)[:, None, None] for name in points], axis=2)
+        if points and self.axes is not None:
+            start, tips = np.r_[frame[:3].ravel(), np.zeros(3)], np.dstack([self.axes, full]).reshape(-1, 12)
+            moves = np.zeros((len(full), 9, 6 + 3 * len(points)))  # of base and point of each row, by the unknowns
+            moves[:, :6, :6] = base * np.eye(6)
+            for k, name in enumerate(points):
+                moves[self.names == name, 6:, 6 + 3 * k : 9 + 3 * k] = np.eye(3)
 
-            def turned(by: Array) -> Array:
-                turn = Rotation.from_rotvec(by).as_matrix() @ frame[:3, :3]
-                shift = [np.broadcast_to(np.eye(3), (len(full), 3, 3))] * base
-                table = np.concatenate([turn @ axes, *shift], axis=2).reshape(left.size, -1)
-                target = (self.measured - self.points @ turn.T).ravel()
-                return np.asarray(target - table @ np.linalg.lstsq(table, target, rcond=RANK_TOLERANCE)[0])
+            def linearize(x: Array, _: Index) -> tuple[Array, Array]:
+                read, slopes = reading_of(TRACKER)(start, tips, moves @ x[0])
+                return (self.measured - read[..., 0]).reshape(1, -1), (slopes @ moves).reshape(1, left.size, -1)
 
-            by = least_squares(turned, np.zeros(3), method="lm").x if base else np.zeros(3)
-            left = turned(by).reshape(left.shape)
+            nothing, rounding = np.zeros((1, moves.shape[2])), np.array([1e-12 * np.linalg.norm(self.measured)])
+            end = levenberg_marquardt(linearize, nothing, scales=np.ones(moves.shape[2]), rounding=rounding)
+            left = linearize(end.parameters, np.arange(1))[0].reshape(left.shape)
         return count, left * np.sqrt(left.size / max(left.size - count, 1.0))
 
     def set_up(self, fresh: tuple[str, ...], elsewhere: bool) -> tuple[bool, tuple[str, ...]]:
@@ -199,7 +201,7 @@ class Placed(NamedTuple):
         have, and where rows may be of another set-up (`elsewhere`) what makes the RMS fall by `FALL`."""
         every, options = tuple(dict.fromkeys(self.names.tolist())), list[tuple[bool, tuple[str, ...]]]([(False, ())])
         if self.axes is None:
-            options += [(True, ())] * (elsewhere and self.points.shape[1] == 2)
+            options += [(True, ())] * elsewhere
         elif fresh:
             options = [(False, fresh), (True, fresh)]
         elif elsewhere:
@@ -256,10 +258,12 @@ class HeldOut:
     def residuals(self, base: At, model: At) -> tuple[Array, Array, tuple[str, ...]]:
         """(m, d) residuals [mm] of both models, and in words what another set-up of the rows has had refitted: the
         least that the second model needs, the same for both."""
-        both = []
-        for one in (base, model):
-            left, chain, axes = one.residuals(self.rows, self.conditions)[:, POINT], one.model.arm.chain, None
-            if chain.point_column and chain.instrument.reads_positions:
+        both, before, after = [], *(one.residuals(self.rows, self.conditions)[:, POINT] for one in (base, model))
+        if not model.model.arm.chain.instrument.reads_positions:
+            return before, after, ()
+        for one, left in ((base, before), (model, after)):
+            chain, axes = one.model.arm.chain, None
+            if chain.point_column:
                 levers = one.model.place_levers(self.rows.postures, one.values, self.conditions)[0]
                 axes = levers[:, POINT, slices(widths(chain))["tool"]]
             names = np.full(len(left), "") if self.rows.marker is None else np.asarray(self.rows.marker)
@@ -380,7 +384,7 @@ def predicted_from_others(
         grams = np.array([tall.T @ tall for tall in (white[np.repeat(test, d)] for test in tests)])
         for test, others in zip(tests, np.sum(grams, axis=0) - grams, strict=True):
             values, vectors = np.linalg.eigh(others[:rank, :rank])
-            seen = values > RANK_TOLERANCE
+            seen = values > ALONE
             turn = vectors[:, seen] / np.sqrt(values[seen])
             inside = turn.T @ others[:rank, rank:]
             rest = others[rank:, rank:] - inside.T @ inside

@@ -78,7 +78,7 @@ def searched(instrument: Instrument, rows: Unplaced, bases: Array) -> Placement:
     hidden = instrument.hidden(np.eye(4)) if rows.base is None else error_names("base")
     free = np.array([name not in hidden for name in error_names("base")] + [rows.tool is None] * 3)
     unknown, moves = np.eye(9)[free], np.array([1.0, rows.reach, 1.0]).repeat(3)[free]
-    evaluate, changes = _reading(instrument), np.zeros((len(starts), len(unknown)))
+    evaluate, changes = reading_of(instrument), np.zeros((len(starts), len(unknown)))
 
     def followed(chosen: Index, part: slice, steps: int) -> Array:
         """(k,) root mean squares that part of the rows leave after at most so many steps from the starts of these
@@ -114,7 +114,7 @@ def searched(instrument: Instrument, rows: Unplaced, bases: Array) -> Placement:
 
 
 @lru_cache(maxsize=32)
-def _reading(instrument: Instrument) -> Evaluate:
+def reading_of(instrument: Instrument) -> Evaluate:
     """Of arrays (start, frame, change): the reading (d) and its derivative (d, 9) by the change.
 
     start : (15) base, by rows, and tool;  frame : (12) of the tip, by rows
