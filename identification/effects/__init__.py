@@ -94,12 +94,9 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
         )
     if not (cls.scatter or cls.of_commands or any(hasattr(cls, place) for place in widths(chain))):
         raise InputError(f"effects: {spec.name} adds nothing, allowed: a method named {' or '.join(widths(chain))}")
-    allowed, whole = (
-        f"allowed: {cls.first_joint} to {len(chain)}",
-        f"is of the whole arm, joint = {joint} is not allowed",
-    )
+    allowed, whole = f"allowed: {cls.first_joint} to {len(chain)}", f"{spec.name} is of the whole arm, joint = {joint}"
     require(joint is not None or cls.per_joint != "required", f"effects: {spec.name} needs a joint, {allowed}")
-    require(joint is None or cls.per_joint != "none", f"effects: {spec.name} is {whole}")
+    require(joint is None or cls.per_joint != "none", f"effects: {whole} is not allowed")
     if joint is not None:
         require(cls.first_joint <= joint <= len(chain), f"effects: {spec.name} at joint {joint}, {allowed}")
         fits, turn = not cls.of_angle or chain.joint_types[joint - 1] != PRISMATIC, "allowed: at joints that turn"
