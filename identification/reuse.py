@@ -108,9 +108,8 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
     identifiable, freedom = np.ones(len(x), dtype=bool), np.empty(len(x))
     identifiable[estimated], freedom[estimated] = fit.identifiable, fit.uncertainty.freedom
     freedom[others] = [known[before.parameter_names.index(name)] for name in held.parameter_names]
-    considered = replace(fit.uncertainty, covariance=covariance, freedom=freedom)
-    figures = {"parameters": x, "covariance": covariance, "identifiable": identifiable, "uncertainty": considered}
-    return replace(fit, model=whole, held=frozenset(names), **figures)
+    estimates = replace(fit, model=whole, parameters=x, identifiable=identifiable, held=frozenset(names))
+    return replace(estimates, uncertainty=replace(fit.uncertainty, covariance=covariance, freedom=freedom))
 
 
 def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
