@@ -20,7 +20,7 @@ from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
 from identification import Array, Plan, Status
-from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
+from identification.document import Document, Pictures, Section, Sheet, count_of, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -56,18 +56,18 @@ def columns_beside(design: Design) -> Mapping[str, Sequence[str]]:
 def design_verdict(data: Data) -> str:
     """How good a plan is, in a sentence or two."""
     sure = optimality_in_words(data.get("optimality"), data.get("bound")) if data["certified_optimal"] else ""
-    optimal = f", {sure}" if sure else ""
+    optimal, plan = f", {sure}" if sure else "", f"plan of {count_of(data['runs'], 'run')}"
     if not (error := data.get("expected_error_mm")):
         efficiency = "no known bound" if data["efficiency"] is None else f"the efficiency {data['efficiency']:.4f}"
         efficiency = "no bound: it is outside joint limits or constraints" if data.get("outside_limits") else efficiency
-        return f"The plan of {data['runs']} runs has {efficiency} ({data['criterion']}{optimal})."
-    sentence = f"With the plan of {data['runs']} runs (criterion {data['criterion']}{optimal}) expect an error of "
+        return f"The {plan} has {efficiency} ({data['criterion']}{optimal})."
+    sentence = f"With the {plan} (criterion {data['criterion']}{optimal}) expect an error of "
     sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
     sentence += f", if fitted by armcal identify --{data['fit']}" if data.get("fit") else ""
     if error["bound"] is None or data["efficiency"] is None or data.get("outside_limits"):
         return f"{sentence}."  # no bound applies to a plan outside the limits
     kind = "" if data["bound"]["rigorous"] else " (a numerical bound)"
-    fewer = f"no plan of {data['runs']} runs from {postures_in_words(data['bound'])}"
+    fewer = f"no {plan} from {postures_in_words(data['bound'])}"
     sentence += f"; {fewer} is below {in_a_sentence(error['bound'])} mm{kind}"
     # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
     hope = "Do not expect it near 1: the" if data["efficiency"] < 0.9 else "The"
@@ -80,6 +80,7 @@ def design_facts(data: Data, status: str) -> Sheet:
     bound, kind, in_mm = data["bound"], data["criterion"], data.get("expected_error_mm") is not None
     outside, table_1 = data["outside_limits"], data["table_1_max_residual"]
     words = bound_in_words(bound) if bound and not outside else ""
+    value = f"{number(bound['value'], 7)} ({words})" if words else ""
     efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
     optimal = optimality_in_words(data["optimality"], bound) or "not shown"
     optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
@@ -87,19 +88,18 @@ def design_facts(data: Data, status: str) -> Sheet:
         listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
         are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
         optimal = f"no: {are} outside joint limits or constraints"
-    starts = f"{data['starts']} start{'s' * (data['starts'] != 1)}"
     return Sheet.facts(
         {
-            "criterion": f"{kind}, {data['runs']} runs, {data['links']} links",
+            "criterion": f"{kind}, {count_of(data['runs'], 'run')}, {count_of(data['links'], 'link')}",
             f"value of {kind}": "" if kind == "D" or in_mm else number(data["value"], 7),
             "information (log det M')": "" if kind == "I" else number(data["log_det"], 7),
-            "upper bound" if kind == "D" else f"upper bound of {kind}": f"{number(bound['value'], 7)} ({words})"
-            if words and not in_mm
-            else "",
+            "upper bound" if kind == "D" else f"upper bound of {kind}": value if words and not in_mm else "",
             "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
             "optimal": optimal,
             "deviation from orthogonality (Table I)": "" if table_1 is None or kind == "I" else number(table_1, 6),
-            "solver": f"{data['solver']}, {starts}, {data['seconds']:.2f} s" if data["solver"] else "",
+            "solver": f"{data['solver']}, {count_of(data['starts'], 'start')}, {data['seconds']:.2f} s"
+            if data["solver"]
+            else "",
             "status": status,
         }
     )
@@ -327,10 +327,10 @@ def advice_sentence(advice: Advice) -> str:
     smallest = advice.smallest
     if smallest is None:
         return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
-    of, missing = "at the tip" if advice.of_tip else "in each length", ""
-    for design, error in zip(advice.designs, advice.tip_errors, strict=False):
-        if design is smallest and np.isfinite(lacks := error["effects_missing"]):
-            missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing"
+    each = zip(advice.designs, advice.tip_errors, strict=False)
+    lacks = next((error["effects_missing"] for design, error in each if design is smallest), np.inf)
+    missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing" if lacks < np.inf else ""
+    of = "at the tip" if advice.of_tip else "in each length"
     suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
     return f"{suffice} {efficient}"
 
@@ -344,7 +344,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     order = np.argsort(-design.plan.shares, kind="stable")
     weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
-    of_runs = "" if runs is None else f", {runs} runs"
+    of_runs = "" if runs is None else f", {count_of(runs, 'run')}"
     least = 5e-6  # smaller weights would be printed as zero
     rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= least]
     unseen = len(design.plan) - len(rows)

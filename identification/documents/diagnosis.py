@@ -16,6 +16,7 @@ from identification.document import (
     Section,
     Sheet,
     as_sentence,
+    count_of,
     estimate_text,
     in_a_sentence,
     number,
@@ -118,7 +119,7 @@ def gap_in_words(data: Data) -> str:
     if test is not None:
         before, after, expected = (in_a_sentence(test[f"{key}_mm"]) for key in ("before", "after", "predicted"))
         figures = f"from {before} to {after} {unit}; {expected} {unit} was predicted"
-        return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}."
+        return f"On {count_of(test['rows'], 'row')} that no fit has seen the RMS error goes {figures}."
     before, after = (in_a_sentence(data["gap"][f"rms_{when}_mm"]) for when in ("before", "after"))
     if data["verdict"] == "none":
         return f"The model leaves {after} {unit} RMS of the data; no rows were held out."
@@ -328,7 +329,7 @@ def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
 def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     """Whether the named model holds in rows that were not used for the fits, in a word and in a sentence."""
     confirmed, which = test["confirmed"], test["file"] or test["transfer"]
-    groups = f"{test['rows']} rows in {test['groups']} independent groups"
+    groups = f"{count_of(test['rows'], 'row')} in {count_of(test['groups'], 'independent group')}"
     how = "" if test["by"] == "holdout" else "cross-validated, "
     where, answer = f"{which} ({how}{groups})", "no"
     if confirmed is None:
