@@ -153,8 +153,6 @@ def diagnose(
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
-    words = " and ".join(confirmation.refitted) if confirmation is not None else ""
-    moved = f"the hold-out is of another set-up: {words} refitted to its rows, for both models"
     result = Diagnosis(
         arm=library.arm,
         verdict=likely.verdict,
@@ -182,7 +180,6 @@ def diagnose(
             *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
             *another_frame(Model(library.arm), measurements),
             *outside_limits(library.arm, measurements),
-            *([moved] if words else []),
             *(f"hold-out: {one}" for one in ([] if holdout is None else lacking(predicting.model, holdout))),
             *copies,
         ),
