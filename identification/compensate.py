@@ -24,14 +24,13 @@ from identification.document import Document, Documented, Sheet, number
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
-from identification.levenberg_marquardt import Index, levenberg_marquardt
+from identification.levenberg_marquardt import Index, levenberg_marquardt, newton_ascent
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.newton import newton_ascent
 from identification.sessions import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition

@@ -98,7 +98,7 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
     x, known = whole.parameters.vector(fit.values), freedom_of(before)
     estimated, others = (np.array([whole.names.index(n) for n in each]) for each in (model.names, held.parameter_names))
     problem = Problem.of(whole, measurements)
-    jacobian = problem.jacobian(x)
+    jacobian = problem.rows_about(x)[1]
     noise = (fit.scatter or 0.0) / (problem.sigma or 1.0)
     prior = fit.prior.rows(model.parameters, noise)
     root = spectrum(jacobian[:, estimated], model.scales, prior=prior).root

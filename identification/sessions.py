@@ -16,7 +16,7 @@ from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments import KINDS
-from identification.instruments.search import registered
+from identification.instruments.base import registered
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import range_of, turned_into
 from identification.kinematics.parameters import ParameterSet

@@ -27,8 +27,7 @@ from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
-from identification.kinematics.chain import BASE, TOOL
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import pose, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
@@ -256,7 +255,7 @@ def _refitted(
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
                 raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
             values = problem.minimized(values[None]).parameters[0]
-            left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
+            left_open += len(values) - spectrum(problem.rows_about(values)[1], model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         # where base and measured points are, by the names of their parameters, in place of their corrections
         stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()

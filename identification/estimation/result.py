@@ -26,8 +26,16 @@ from identification.estimation.doubts import hardly_determined, tip_of
 from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.information import VISIBLE
-from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
-from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
+from identification.kinematics.chain import (
+    STANDARD,
+    CorrectedGeometry,
+    DHRow,
+    KinematicChain,
+    Link,
+    corrected,
+    corrected_links,
+    drawn_links,
+)
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
@@ -62,10 +70,8 @@ Values = Mapping[str, float]  # parameter name -> value [API unit]
 class Identification(Documented):
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
-    parameters : (p,) estimates; along what is not estimable, values of the size of the others
-    covariance : (p, p), see `uncertainty`, zero along what is not estimable; NaN if sigma is unknown and no equation is
-        left over to estimate it
-    identifiable : (p,) True where the parameter itself is estimable from the data
+    parameters : (p,);  covariance : (p, p), zero along what is not estimable; NaN without sigma and spare equations
+    identifiable : (p,) True where the parameter itself is estimable
     not_identifiable : combinations of parameters that the data do not determine, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
         weights: of a row of weight one), given beforehand (`sigma_known`) or estimated; None if it is unknown
@@ -368,11 +374,11 @@ def corrected_values(
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    of, lengths, zeros = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), [], []
+    of, rows = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), list[CorrectedValue]()
     for j, length in enumerate(arm.lengths.tolist(), start=1):
         if (name := f"{LENGTH_ERROR}:{j}") in model.geometry_parameters.names:
             value = length + values.get(name, 0.0)
-            lengths.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
+            rows.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
     # what each joint adds to what is read, as the controller counts: of coupled joints what both add
     shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
     turned = any(spec.name == "base_offset" for spec in arm.effects)
@@ -381,18 +387,10 @@ def corrected_values(
         slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
         if not (len(slopes) == 1 and {*slopes} <= {*chain.instrument.hidden(chain.base)}):
             value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
-            meaning = (
-                ZERO.format(j=j) if j > 1 or not turned else f"zero of joint 1 with how the arm is turned, {STANDS}"
-            )
+            stands = turned and j == 1
+            meaning = f"zero of joint 1 with how the arm is turned, {STANDS}" if stands else ZERO.format(j=j)
             alone = next(iter(slopes)) if len(slopes) == 1 else None
-            zeros.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))
-    of_instrument = [
-        of.row(name, parameter, None, value, slopes, unit, meaning)
-        for name, parameter, value, slopes, unit, meaning in chain.instrument.own_values(values)
-        # what the arm file says of them is where fits start
-        if all(p.name in values for p in chain.instrument.parameters)
-    ]
-    rows = [*lengths, *zeros]
+            rows.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))
     drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
     steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
     slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
@@ -409,7 +407,10 @@ def corrected_values(
             value = value - _turns(value - nominal, key)
         axis, _, unit = key.rpartition("_")
         rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
-    rows += of_instrument
+    # what the arm file says of the instrument is where fits start
+    known = all(p.name in values for p in chain.instrument.parameters)
+    for own in chain.instrument.own_values(values) if known else ():
+        rows.append(of.row(own.name, own.parameter, None, own.value, own.slopes, own.unit, own.convention))
     for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
         meaning = STANDS if effect.name == "base_offset" else meaning

@@ -30,8 +30,17 @@ from identification.files.meshes import Shape
 from identification.files.schema import CURVE, CalibrationTable, EffectTable, PoseTable, validated, validated_arm
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
 from identification.instruments import KINDS
-from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
-from identification.kinematics.corrected import CorrectedGeometry, standing_in
+from identification.kinematics.chain import (
+    BASE,
+    STANDARD,
+    TOOL,
+    CorrectedGeometry,
+    DHRow,
+    KinematicChain,
+    chain_of,
+    planar_chain,
+    standing_in,
+)
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE, Parameter, by_joint

@@ -30,7 +30,7 @@ from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
 from identification.information import RANK_TOLERANCE, column_space
-from identification.instruments.search import registered
+from identification.instruments.base import registered
 from identification.measurements import POINT, Conditions, Measurements, distances
 
 SESSION, OTHER_ROWS = "another session", "other rows"

@@ -30,7 +30,7 @@ from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
-from identification.kinematics.corrected import CorrectedGeometry
+from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.counting import joint_range
 from identification.measurements import Conditions, Measurements, repeats_of
 from identification.model import Model
@@ -179,9 +179,9 @@ class Candidate:
         jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
         tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
         repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
-        table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
         parts = spectrum(jacobian, model.scales)
-        sure = uncertainty(table, parts, sigma_given=sigma is not None, doubtful=doubtful)
+        table = WhiteRows(*tall, parts, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
+        sure = uncertainty(table, sigma_given=sigma is not None, doubtful=doubtful)
         effects = model.effects[len(model.effects) - added :]  # the arm's own come first
         names = {p.name for effect in effects for p in effect.parameters}
         deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit

@@ -23,8 +23,15 @@ from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
 from identification.instruments import TRACKER, Unplaced
-from identification.kinematics.chain import BASE, DIMENSION, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import (
+    BASE,
+    DIMENSION,
+    ROTATION_ERROR,
+    TOOL,
+    TRANSLATION_ERROR,
+    KinematicChain,
+    standing_in,
+)
 from identification.kinematics.frames import nearest_rotation
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import Conditions, Measurements

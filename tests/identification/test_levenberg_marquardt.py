@@ -14,13 +14,14 @@ from identification.levenberg_marquardt import (
     GRADIENT_TOLERANCE,
     ITERATIONS,
     PATIENCE,
+    Index,
     Linearize,
     Solution,
     compressed,
     damped_steps,
     levenberg_marquardt,
+    newton_ascent,
 )
-from identification.newton import Rows, newton_ascent
 
 INF = np.inf
 TIMES = np.linspace(0.0, 3.0, 12)
@@ -276,12 +277,12 @@ PHASES, SIZES, UNITS = np.array([0.2, 1.0, -0.5]), np.array([1.0, 2.0, 0.5]), np
 LIMITS = np.array([-2.0, -1.0]), np.array([2.5, 1.5])
 
 
-def height(q: Array, rows: Rows) -> Array:
+def height(q: Array, rows: Index) -> Array:
     """A sum of waves."""
     return np.cos(q @ WAVES.T + PHASES) @ SIZES
 
 
-def slopes(q: Array, rows: Rows) -> tuple[Array, Array]:
+def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
     angle = q @ WAVES.T + PHASES
     bend = -np.einsum("kw,wi,wj->kij", SIZES * np.cos(angle), WAVES, WAVES)
     return -(SIZES * np.sin(angle)) @ WAVES, bend
@@ -304,10 +305,10 @@ def test_ends_are_maxima_within_the_box() -> None:
 def test_a_saddle_is_left_and_a_wall_is_not_crossed() -> None:
     """cos x - cos y between the walls |y| <= 2 and below x = 0.5, where climbs from the right may not go."""
 
-    def walled(q: Array, rows: Rows) -> Array:
+    def walled(q: Array, rows: Index) -> Array:
         return np.where(q[:, 0] <= 0.5, np.cos(q[:, 0]) - np.cos(q[:, 1]), -np.inf)
 
-    def bend(q: Array, rows: Rows) -> tuple[Array, Array]:
+    def bend(q: Array, rows: Index) -> tuple[Array, Array]:
         second = np.stack([-np.cos(q[:, 0]), np.cos(q[:, 1])], axis=1)
         return np.stack([-np.sin(q[:, 0]), np.sin(q[:, 1])], axis=1), second[:, :, None] * np.eye(2)
 
