@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from doe.problem.model import turns
 from identification import Array
-from identification.document import count_of
 
 ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss what it keeps
 TINY = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
@@ -150,14 +149,14 @@ class Clearance:
         touching, few = [" and ".join(pair) for pair in self.touching], np.flatnonzero(self.asked < self.usual)
         narrow = [f"{' and '.join(self.pairs[k])} ({self.asked[k]:.3g} mm)" for k in few]
         if not near:
-            stay = f"stay{'s' * (len(self.pairs) - len(narrow) == 1)} {self.usual:g} mm apart in all {many} postures."
-            lines.append(f"Collisions: {count_of(len(self.pairs) - len(narrow), 'pair')} of bodies {stay}")
+            stay = f"of bodies stay{'s' * (len(self.pairs) - len(narrow) == 1)} {self.usual:g} mm apart"
+            lines.append(f"Collisions: {_counted(len(self.pairs) - len(narrow))} {stay} in all {many} postures.")
         for why, pairs in (
             ("Asked to stay apart by less, since they are near wherever the arm goes", narrow),
             ("Not looked at, since they touch wherever the arm goes", touching),
             ("Not looked at, since their meshes are not found", self.unseen),
         ):
-            rest = f" and {count_of(len(pairs) - most, 'pair')} more" if len(pairs) > most else ""
+            rest = f" and {_counted(len(pairs) - most)} more" if len(pairs) > most else ""
             lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []
         return lines
 
@@ -304,6 +303,10 @@ def distance_in_words(near: Mapping[str, Any]) -> str:
     """Of two bodies, as `Clearance.too_near` has them."""
     gap = near["distance_mm"]
     return f"{' and '.join(near['bodies'])} {f'overlap by {-gap:.1f} mm' if gap < 0.0 else f'are {gap:.1f} mm apart'}"
+
+
+def _counted(pairs: int) -> str:
+    return f"{pairs} pair{'s' * (pairs != 1)}"
 
 
 # -- geometry: vectors run along the first axis of arrays --------------------------------------------------------------

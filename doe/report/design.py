@@ -85,9 +85,8 @@ def design_facts(data: Data, status: str) -> Sheet:
     optimal = optimality_in_words(data["optimality"], bound) or "not shown"
     optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
     if outside:
-        listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
-        are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
-        optimal = f"no: {are} outside joint limits or constraints"
+        more = ", ..." * (len(outside) > 10)
+        optimal = f"no: outside joint limits or constraints in run {', '.join(map(str, outside[:10]))}{more}"
     return Sheet.facts(
         {
             "criterion": f"{kind}, {count_of(data['runs'], 'run')}, {count_of(data['links'], 'link')}",
@@ -118,8 +117,7 @@ def remarks(design: Design) -> list[str]:
         lines.append(f"every figure is of these runs and the {kept} measured already (--keep) together")
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
-        rest = ", ..." if len(combinations) > 4 else ""
-        why = f"not estimable from the plan: {', '.join(combinations[:4])}{rest}"
+        why = f"not estimable from the plan: {', '.join(combinations[:4])}{', ...' * (len(combinations) > 4)}"
         if not combinations:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
