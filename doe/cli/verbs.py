@@ -19,7 +19,7 @@ import click
 
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
 from identification import InputError, JobError, Progress
-from identification.document import Answer, Document, Sheet, count_of, in_a_sentence
+from identification.document import Answer, Document, Sheet, in_a_sentence
 from identification.files.io import write_together
 from identification.workflow import VERBS, Folder, Names, Written
 
@@ -511,7 +511,7 @@ def program_files(
     runs = len(file) - vias
     data = {"robot": robot, "name": made.name, "runs": runs, "vias": vias, "seconds": made.seconds, "moves": made.moves}
     data["not_free"] = made.not_free
-    counted = f"{count_of(runs, 'run')} and {count_of(vias, 'way-point')}"
+    counted = f"{runs} run{'s' * (runs != 1)} and {vias} way-point{'s' * (vias != 1)}"
     sentence = f"{counted}, about {made.seconds / 60.0:.1f} min without measuring; try it slowly first"
     headings = ["", *(f"q{j} [{unit}]" for j, unit in enumerate(made.units, start=1)), "after [s]"]
     rows = [[m["kind"], *(f"{q:.3f}" for q in m["joints"]), f"{m['seconds']:.0f}"] for m in made.moves]
@@ -564,7 +564,7 @@ def discriminate_files(
     problem = DesignProblem.of(loaded)
     measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]
     if (postures := len(set(map(tuple, measured)))) < (fewest := problem.fewest_runs):
-        counted = f"{count_of(len(measured), 'row')} of {count_of(postures, 'posture')}"
+        counted = f"{len(measured)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
     diagnosis = VERBS["diagnose"][0](arm, data, seed=seed, progress=progress).result

@@ -20,7 +20,7 @@ from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
 from doe.solvers.solver import LONG_PLAN
 from identification import Array, Plan, Status
-from identification.document import Document, Pictures, Section, Sheet, count_of, in_a_sentence, number
+from identification.document import Document, Pictures, Section, Sheet, in_a_sentence, number
 
 if TYPE_CHECKING:
     from doe.advise import Advice
@@ -40,6 +40,8 @@ WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name c
 def design_document(design: Design) -> Document:
     """Everything about a plan: value, bound, efficiency, what a person reads first; then the postures, the accuracy."""
     data, plan, beside = design.to_json(), design.plan, columns_beside(design)
+    if plan.weights is not None:
+        beside["weight"] = [f"{share:.5f}" for share in plan.shares]
     rows = [[str(run), *(f"{angle:.3f}" for angle in q)] for run, q in enumerate(plan.displayed, start=1)]
     rows = [[*row, *more] for row, *more in zip(rows, *beside.values(), strict=True)]
     table = Sheet(["run", *posture_headings(plan), *beside], rows, "Plan", 24)
@@ -47,7 +49,7 @@ def design_document(design: Design) -> Document:
     return Document("Plan", [design_verdict(data)], parts)
 
 
-def columns_beside(design: Design) -> Mapping[str, Sequence[str]]:
+def columns_beside(design: Design) -> dict[str, Sequence[str]]:
     """What the model says of the postures of a plan besides, name -> (m,): the cup that each touches, say."""
     model: Any = design.problem.model
     return dict(model.plan_columns(design.plan.postures)) if offers(model, "plan_columns") else {}
@@ -56,7 +58,7 @@ def columns_beside(design: Design) -> Mapping[str, Sequence[str]]:
 def design_verdict(data: Data) -> str:
     """How good a plan is, in a sentence or two."""
     sure = optimality_in_words(data.get("optimality"), data.get("bound")) if data["certified_optimal"] else ""
-    optimal, plan = f", {sure}" if sure else "", f"plan of {count_of(data['runs'], 'run')}"
+    optimal, plan = f", {sure}" if sure else "", f"plan of {data['runs']} run{'s' * (data['runs'] != 1)}"
     if not (error := data.get("expected_error_mm")):
         efficiency = "no known bound" if data["efficiency"] is None else f"the efficiency {data['efficiency']:.4f}"
         efficiency = "no bound: it is outside joint limits or constraints" if data.get("outside_limits") else efficiency
@@ -81,6 +83,7 @@ def design_facts(data: Data, status: str) -> Sheet:
     outside, table_1 = data["outside_limits"], data["table_1_max_residual"]
     words = bound_in_words(bound) if bound and not outside else ""
     value = f"{number(bound['value'], 7)} ({words})" if words else ""
+    runs, links, starts = (f"{data[key]} {key[:-1]}{'s' * (data[key] != 1)}" for key in ("runs", "links", "starts"))
     efficiency = f"-: {data['no_efficiency']}" if data["no_efficiency"] else number(data["efficiency"], 6)
     optimal = optimality_in_words(data["optimality"], bound) or "not shown"
     optimal += ": the bound does not say that it is optimal" if data["optimality"] == BEST_KNOWN else ""
@@ -89,16 +92,14 @@ def design_facts(data: Data, status: str) -> Sheet:
         optimal = f"no: outside joint limits or constraints in run {', '.join(map(str, outside[:10]))}{more}"
     return Sheet.facts(
         {
-            "criterion": f"{kind}, {count_of(data['runs'], 'run')}, {count_of(data['links'], 'link')}",
+            "criterion": f"{kind}, {runs}, {links}",
             f"value of {kind}": "" if kind == "D" or in_mm else number(data["value"], 7),
             "information (log det M')": "" if kind == "I" else number(data["log_det"], 7),
             "upper bound" if kind == "D" else f"upper bound of {kind}": value if words and not in_mm else "",
             "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
             "optimal": optimal,
             "deviation from orthogonality (Table I)": "" if table_1 is None or kind == "I" else number(table_1, 6),
-            "solver": f"{data['solver']}, {count_of(data['starts'], 'start')}, {data['seconds']:.2f} s"
-            if data["solver"]
-            else "",
+            "solver": f"{data['solver']}, {starts}, {data['seconds']:.2f} s" if data["solver"] else "",
             "status": status,
         }
     )
@@ -153,6 +154,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
                 rows.append([f"{parameter.name} [{parameter.file_unit}]", number(std * parameter.to_file, 5)])
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
     noise = f"{sigma:.4g} mm, an error of each posture included" if missing else f"{sigma:g} mm"
+    noise += "" if design.plan.weights is None else f", {len(design.plan)} runs shared out by the weights"
     table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {noise})")
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
     return [table, *([f"and {weak} {held}"] if weak else [])]
@@ -342,7 +344,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     order = np.argsort(-design.plan.shares, kind="stable")
     weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
-    of_runs = "" if runs is None else f", {count_of(runs, 'run')}"
+    of_runs = "" if runs is None else f", {runs} runs"
     least = 5e-6  # smaller weights would be printed as zero
     rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= least]
     unseen = len(design.plan) - len(rows)
