@@ -176,7 +176,8 @@ def diagnosis_actions(
 ) -> list[Action]:
     """What follows from a diagnosis of these files;  written : the extended model, where it has been"""
     again = " ".join(["armcal diagnose", arm, *rows])
-    alone = identify_command(arm, rows[0], ALONE) if len(rows) == 1 else f"{again} --out calibrated.toml"
+    joined = ", of all rows in one file with a column session" * (len(rows) > 1)
+    alone = identify_command(arm, "all.csv" if joined else rows[0], ALONE)
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{again} --holdout other.csv",
@@ -186,13 +187,13 @@ def diagnosis_actions(
         why = gain if shrinks(data) else ": rows that no fit has seen speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
-        return [Action("Use the calibration of the geometry:", alone), correct("calibrated.toml")]
+        return [Action(f"Use the calibration of the geometry{joined}:", alone), correct("calibrated.toml")]
     if data["verdict"] == "ambiguous":
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         measure = Action("Measure the postures that tell the explanations apart:", apart)
         return [measure, Action("Add the new rows to the data, and diagnose again:", again)]
     if not is_offered(data):
-        use = Action("Use the calibration of the geometry, unless other rows show that it is worse:", alone)
+        use = Action(f"Use the calibration of the geometry{joined}, unless other rows show that it is worse:", alone)
         return [use, correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":

@@ -99,6 +99,10 @@ def test_a_model_no_better_than_the_geometry_is_not_offered(rms: float, word: st
     assert commands[0] == "armcal identify arm.toml data.csv --no-library-prior --out calibrated.toml"
     assert commands[1].startswith("armcal compensate calibrated.toml ")
     assert not any("extended.toml" in command for command in commands)
+    (several, *_) = diagnosis_actions(
+        data, rows=("monday.csv", "friday.csv")
+    )  # of which diagnose fits no geometry alone
+    assert ("all rows in one file" in several.text, several.command) == (True, commands[0].replace("data", "all"))
     good = diagnosis_actions(data | {"offered": offered | {"better": True}}, written=Path("extended.toml"))
     assert good[-1].command.startswith("armcal compensate extended.toml ")
 
