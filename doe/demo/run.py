@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from doe.design import Design, optimality_in_words
+from doe.design import Design
 from doe.plan.moves import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -218,7 +218,7 @@ def demo_document(demo: Demo) -> Document:
         ),
     ]
     within = " and the tracker's view" if arm.constraints else ""
-    chosen = f"Chosen within the joint limits{within}. {design_verdict(design.to_json())}"
+    chosen = f"Chosen within the joint limits{within}. {design_verdict(design)}"
     diagnosed = diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
@@ -252,8 +252,7 @@ def demo_document(demo: Demo) -> Document:
 
 def how_good(design: Design) -> str:
     """How sure the plan is, or its efficiency."""
-    sure = optimality_in_words(design.optimality, None if design.bound is None else design.bound.as_dict())
-    return sure if design.certified_optimal and sure else f"efficiency {design.efficiency:.4f}"
+    return design.optimality_in_words if design.certified_optimal else f"efficiency {design.efficiency:.4f}"
 
 
 def overview_figure(demo: Demo) -> Figure:
