@@ -84,6 +84,7 @@ def design_facts(design: Design) -> Sheet:
     counts = {"run": len(design.plan), "link": design.plan.links, "start": design.starts}
     runs, links, starts = (f"{many} {one}{'s' * (many != 1)}" for one, many in counts.items())
     words = bound.words if bound and not outside else ""
+    highest = f"{number(bound.value, 7)} ({words})" if bound and words and not in_mm else ""
     efficiency = f"-: {design.no_efficiency}" if design.no_efficiency else number(design.efficiency, 6)
     optimal = design.optimality_in_words or "not shown"
     optimal += ": the bound does not say that it is optimal" if design.optimality == BEST_KNOWN else ""
@@ -95,9 +96,7 @@ def design_facts(design: Design) -> Sheet:
             "criterion": f"{kind}, {runs}, {links}",
             f"value of {kind}": "" if kind == "D" or in_mm else number(design.value, 7),
             "information (log det M')": "" if kind == "I" else number(design.log_det, 7),
-            "upper bound" if kind == "D" else f"upper bound of {kind}": f"{number(bound.value, 7)} ({words})"
-            if bound and words and not in_mm
-            else "",
+            "upper bound" if kind == "D" else f"upper bound of {kind}": highest,
             "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
             "optimal": optimal,
             "deviation from orthogonality (Table I)": "" if table_1 is None or kind == "I" else number(table_1, 6),
