@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # isort: off
     # errors, progress, arrays
     from identification.errors import ArmcalError, InputError, JobError, nearest
     from identification.vectorized import vectorize
-    from identification.newton import newton_ascent
+    from identification.levenberg_marquardt import newton_ascent
     from identification.running import Progress, Status, additions
     from identification.arrays import Array, readonly
 

@@ -209,8 +209,6 @@ class Arm(ByValue):
         if ratios is not None:
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
             require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
-        hanging = self.gravity is not None and self.gravity.payload_at is not None
-        require(not (chain.planar and hanging), "payload_at: found for a planar arm, allowed: in space")
         for field_name, value in ({"chain": chain, "gear_ratios": ratios} | limits).items():
             object.__setattr__(self, field_name, value)
         if self.counting is not None:

@@ -24,15 +24,14 @@ from identification.document import Document, Documented, Sheet, number
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
-from identification.levenberg_marquardt import Index, LeastSquares, levenberg_marquardt
+from identification.levenberg_marquardt import Index, levenberg_marquardt, newton_ascent
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.newton import newton_ascent
-from identification.sessions import BASE, check_calibrated, extrapolated, familiar_range, identified, outside
+from identification.sessions import check_calibrated, extrapolated, familiar_range, identified, outside
 from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition
 
@@ -72,8 +71,6 @@ def compensate(
     Raises `InputError` for an arm without calibration and for shapes or values that do not fit.
     """
     check_calibrated(arm)
-    if orientations is not None and not arm.chain.frame_kinds:
-        raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
     keeps_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     posed, arm = orientations is not None or keeps_nominal, in_own_frame(arm)
     arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))  # of an angle of a pose
@@ -87,8 +84,8 @@ def compensate(
         # the nominal arm, without effects; where its base is not given it stands where the calibration has it, a planar
         # one turned by the offset of joint 1, and a spatial one with its points
         chain = arm.chain if arm.calibration is None else standing_in(arm.chain, arm.calibration.values)
-        stands = tuple(spec for spec in arm.effects if spec.name == "base_offset")
-        place = Calibration({name: model.best_known.get(name, 0.0) for name in BASE}) if stands else None
+        stands = tuple(spec for spec in arm.effects if spec.name in chain.standing_effects)
+        place = Calibration({name: model.best_known.get(name, 0.0) for name in chain.standing}) if stands else None
         drawing = Model(replace(arm, effects=stands, calibration=place, chain=chain))
         points = drawing.position(nominal)[:, POINT]
         orientations = drawing.orientations(nominal) if keeps_nominal else orientations
@@ -129,7 +126,7 @@ def compensate(
     missed = [list[str]() for _ in goals]  # constraints, of bodies with the two that come nearest to what they keep
     for order, each in enumerate(constraints if len(goals) else (), start=1):
         margins, pairs = each.margin(commands), getattr(each, "pairs", ())
-        for k in np.flatnonzero(margins.min(axis=1) < -TOLERANCE).tolist():
+        for k in np.flatnonzero(margins.min(axis=1, initial=np.inf) < -TOLERANCE).tolist():
             worst = int(np.argmin(margins[k]))
             name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
             missed[k].append(f"constraint {order} ({name}) is missed by {-margins[k, worst]:.4g} mm")
@@ -388,15 +385,21 @@ class Task(NamedTuple):
         reach the goal by their distance from `near`; then those that nearly do; those that miss constraints, by how
         much; the others, by what they leave."""
         k, s, n = starts.shape
-        box, rounding = (self.lower, self.upper), np.full(k * s, 1e-5 * TOLERANCE)
-        settings: dict[str, Any] = {"metric": self.units, "iterations": QUICK}
-        problem = LeastSquares(lambda q, rows: self.gaps(q, rows // s), *box, self.units, rounding, **settings)
-        solution = levenberg_marquardt(problem, starts.reshape(-1, n))
+        solution = levenberg_marquardt(
+            lambda q, rows: self.gaps(q, rows // s),
+            starts.reshape(-1, n),
+            lower=self.lower,
+            upper=self.upper,
+            scales=self.units,
+            rounding=np.full(k * s, 1e-5 * TOLERANCE),
+            metric=self.units,
+            iterations=QUICK,
+        )
         postures, left = solution.parameters.reshape(k, s, n), np.sqrt(solution.rss).reshape(k, s)
         distance = np.linalg.norm((postures - self.near[:, None]) * self.units / self.model.reach, axis=2)
         missed = np.zeros((k, s))
         for constraint in self.constraints:
-            by = -constraint.margin(solution.parameters).min(axis=1).reshape(k, s)
+            by = -constraint.margin(solution.parameters).min(axis=1, initial=np.inf).reshape(k, s)
             missed += np.where(by > TOLERANCE, by, 0.0)
         rank = NEAR * (left > TOLERANCE) + distance / (1.0 + distance)
         rank = np.where(left > self.enough, BEYOND + left, np.where(missed > 0.0, MISSED + missed, rank))

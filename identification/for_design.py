@@ -244,7 +244,7 @@ class ArmModel(Model):
 
     # -- what theory knows -----------------------------------------------------------------------------------------
     # whether it is a chain of links in a plane, of which Table I of the paper holds
-    planar = property(attrgetter("arm.chain.positions_in_plane"))
+    planar = property(attrgetter("arm.chain.as_in_paper"))
 
     @property
     def theorem_joints(self) -> tuple[int, ...] | None:

@@ -26,7 +26,7 @@ from identification.files.measurement import Plan
 from identification.files.schema import StrictTable, validated
 from identification.for_design import with_points, without_prior
 from identification.information import spectrum
-from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR
+from identification.kinematics.parameters import GEOMETRY
 from identification.measurements import Measurements
 from identification.model import Model
 
@@ -64,7 +64,7 @@ class TruthTable(ModelTable):
 
     def of(self, arm: Arm) -> Arm:
         """The true arm. Raises `InputError` for errors and effects that the arm cannot have."""
-        lists = {LENGTH_ERROR: "length_errors_mm", JOINT_OFFSET: "joint_offsets_deg"} if arm.chain.planar else {}
+        lists = arm.chain.lists
         table: dict[str, Any] = {key: [0.0] * arm.links for key in lists.values()} or {"values": {}}
         table |= self.model_dump(exclude={"name", "effects"}, exclude_none=True)
         true = described(replace(arm, chain=with_points(arm.chain)), self.effects, table)
@@ -195,10 +195,10 @@ def plan_of(truth: Model, postures: Array) -> Measurements:
 
 def true_values(model: Model, truth: Model) -> Array:
     """(p,) values of the fitted parameters that are true: those of the truth, zero for those that it does not have;
-    of a spatial arm's geometry those that mean the same."""
+    of a geometry with other parameters those that mean the same."""
     values = model.parameters.mapping(model.parameters.vector(truth.best_known))
-    if model.arm.chain.frame_kinds:
-        drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
+    drawn, real = (Model(replace(each.arm, effects=())) for each in (model, truth))
+    if drawn.names != real.names:
         # three equations of each for some forty parameters
         postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints))
         plan = plan_of(real, postures)

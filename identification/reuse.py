@@ -24,11 +24,10 @@ from identification.information import product_inverse, spectrum
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
+from identification.measurements import MOST, ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
 from identification.model import Model
 from identification.model.placed import with_markers
-from identification.sessions import BASE as PLANAR_BASE
-from identification.sessions import HELD_FROM, SESSIONS, comes_from, with_base, without_prior_effects
+from identification.sessions import HELD_FROM, SESSIONS, with_base, without_prior_effects
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {
@@ -57,10 +56,9 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     model = Model(arm)
     effects, available, chosen = {effect.key: effect for effect in model.effects}, {*model.names}, set[str]()
     for word in words:
-        if word == "base" and model.arm.chain.positions_in_plane:
-            named = {*PLANAR_BASE}
-        elif word in KINDS:
+        if word in KINDS:
             named = {p.name for p in model.parameters if p.kind in KINDS[word]}
+            named |= {*arm.chain.standing} if word == "base" else set()
         else:
             named = {name for name in available if name == word or name.rpartition(".")[0].partition(":")[0] == word}
             named |= {p.name for p in effects[word].parameters} if word in effects else set()
@@ -74,13 +72,14 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
     held = {name: value for name, value in model.best_known.items() if name not in chosen}
     frozen, kept = set(held) - set(model.fixed), arm.calibration
     several = measurements is not None and len(measurements.session_names) > 1
-    missing = {BASE: kept is None or kept.base is None, TOOL: kept is None or not kept.tools}
-    for kind in arm.chain.frame_kinds:
-        if (missing[kind] or several) and any(p.kind == kind and p.name in frozen for p in model.parameters):
+    for kind, missing, further in (
+        (BASE, kept is None or kept.base is None, arm.chain.standing),
+        (TOOL, kept is None or not kept.tools, ()),
+    ):
+        to_hold = frozen.intersection([*further, *(p.name for p in model.parameters if p.kind == kind)])
+        if to_hold and (several or (missing and kind not in arm.chain.settled)):
             reason = "the data have several sessions" if several else "the arm file does not say where it is"
             raise InputError(f"only: {kind} is to be held, but {reason}, allowed: --only with {kind} among the words")
-    if several and not arm.chain.frame_kinds and set(PLANAR_BASE) & frozen:
-        raise InputError("only: base is to be held, but the data have several sessions, allowed: --only with base")
     return replace(model, held=held)
 
 
@@ -99,7 +98,7 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
     x, known = whole.parameters.vector(fit.values), freedom_of(before)
     estimated, others = (np.array([whole.names.index(n) for n in each]) for each in (model.names, held.parameter_names))
     problem = Problem.of(whole, measurements)
-    jacobian = problem.jacobian(x)
+    jacobian = problem.rows_about(x)[1]
     noise = (fit.scatter or 0.0) / (problem.sigma or 1.0)
     prior = fit.prior.rows(model.parameters, noise)
     root = spectrum(jacobian[:, estimated], model.scales, prior=prior).root
@@ -109,9 +108,8 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
     identifiable, freedom = np.ones(len(x), dtype=bool), np.empty(len(x))
     identifiable[estimated], freedom[estimated] = fit.identifiable, fit.uncertainty.freedom
     freedom[others] = [known[before.parameter_names.index(name)] for name in held.parameter_names]
-    considered = replace(fit.uncertainty, covariance=covariance, freedom=freedom)
-    figures = {"parameters": x, "covariance": covariance, "identifiable": identifiable, "uncertainty": considered}
-    return replace(fit, model=whole, held=frozenset(names), **figures)
+    estimates = replace(fit, model=whole, parameters=x, identifiable=identifiable, held=frozenset(names))
+    return replace(estimates, uncertainty=replace(fit.uncertainty, covariance=covariance, freedom=freedom))
 
 
 def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
@@ -154,26 +152,22 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         beside = f"it holds beside {', '.join(lacking)}, which the model has not; give the file as ARM, too"
         warnings.warn(f"prior: {beside}", UserWarning, stacklevel=2)
     shared, of_its = 0.0, 0.0  # of these rows that are among its own, and of its own
-    if comes_from(calibration.provenance, measurements):
-        reason = "the calibration was fitted to these very measurements, which would count twice"
-        raise InputError(f"prior: {reason}, allowed: new measurements")
     if isinstance(text := calibration.provenance.get(ROW_DIGESTS), str):
         shared, of_its = shared_rows(text, measurements)
     else:
         why = "the calibration does not say which rows it comes from, as of an earlier version"
         warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=2)
     share = f"about {100.0 * shared:.0f} % of these rows ({100.0 * of_its:.0f} % of the calibration's own)"
-    # most rows; coarse readings of postures that are commanded again may agree by chance
-    if max(shared, of_its) >= 0.5:
+    if max(shared, of_its) >= MOST:
         twice = "are among those it was fitted to, which would count twice, allowed: new measurements"
         raise InputError(f"prior: {share} {twice}")
     if shared > 0.0:
         warnings.warn(f"prior: {share} are among those it was fitted to, and count twice", UserWarning, stacklevel=2)
     held = {name: value for name, value in model.fixed.items() if name in calibration.parameter_names}
-    # where arm and instrument stand; of a planar arm with a base offset that and the offset of joint 1
-    planar = PLANAR_BASE if PLANAR_BASE[0] in model.all_parameters.names else ()
-    kinds = model.arm.chain.frame_kinds
-    of_set_up = {p.name for p in model.all_parameters if p.name in planar or p.kind in kinds}
+    # where arm and instrument stand; the offset of joint 1 says so beside effects that do
+    standing = {*model.arm.chain.standing}
+    of_set_up = {p.name for p in model.all_parameters if p.kind in (BASE, TOOL)}
+    of_set_up |= standing if standing <= {*model.all_parameters.names} else set()
     of_both = calibration.about((set(model.names) | set(held)) - of_set_up)
     if not set(of_both.parameter_names) - set(held):
         raise InputError("prior: no parameter of the model in the calibration, allowed: one of the same arm")

@@ -16,16 +16,14 @@ from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.instruments import KINDS
-from identification.instruments.search import registered
-from identification.kinematics.chain import BASE as STAND
-from identification.kinematics.chain import TOOL
+from identification.instruments.base import registered
+from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import range_of, turned_into
-from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet
-from identification.measurements import POINT, Measurements
+from identification.kinematics.parameters import ParameterSet
+from identification.measurements import POINT, ROW_DIGESTS, Conditions, Measurements, shared_rows
 from identification.model import Model
 from identification.model.placed import placed_model, session_bases
 
-BASE = ("base_offset.x0", "base_offset.y0", f"{JOINT_OFFSET}:1")  # position and rotation of the base
 SESSIONS = "session_base"
 HELD_FROM = "held_from"  # key of a calibration's provenance
 READ = np.radians(1e-6)  # what the digits of a file take from an angle
@@ -34,8 +32,8 @@ READ = np.radians(1e-6)  # what the digits of a file take from an angle
 def placing(parameters: ParameterSet) -> list[int]:
     """Numbers of the parameters that say where a spatial arm stands, in every session, and what is measured on it;
     none where all of that is known."""
-    open_places = any(p.kind in (STAND, TOOL) for p in parameters)
-    places = (p.kind in (STAND, TOOL) or p.name.startswith(f"{SESSIONS}.") for p in parameters)
+    open_places = any(p.kind in (BASE, TOOL) for p in parameters)
+    places = (p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.") for p in parameters)
     return [k for k, is_place in enumerate(places) if open_places and is_place]
 
 
@@ -103,18 +101,17 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
     if count < 2:
         return arm
     spec, calibration, base_values = {"sessions": float(count)}, arm.calibration, dict[str, float]()
-    if not chain.frame_kinds:
-        wide, model = with_base(arm), Model(with_base_offset(arm))
-        start = model.parameters.vector(model.best_known)
-        computed = model.position(measurements.postures, start, replace(measurements.conditions, session=None))
-        at = np.tile(start, (count, 1))
+    if chain.standing:
+        wide, model = with_base(arm), Model(with_open_base(arm))
+        at, conditions = np.tile(model.values, (count, 1)), replace(measurements.conditions, session=None)
         for name, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
-            nearest = start_at_bases(start, model, computed[rows], measurements.positions[rows])
+            nearest = start_at_base(model, measurements.rows(rows), conditions.rows(rows))
             at[measurements.session_names.index(name)] = nearest
-        bases = at[:, [model.parameters.index(name) for name in BASE]]
-        values = Model(wide).best_known | dict(zip(BASE, bases[0].tolist(), strict=True)) | dict(Model(wide).fixed)
+        bases = at[:, [model.parameters.index(name) for name in chain.standing]]
+        first = dict(zip(chain.standing, bases[0].tolist(), strict=True))
+        values = Model(wide).best_known | first | dict(Model(wide).fixed)
         # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
-        for number, base in enumerate(bases[1:] - [values[name] for name in BASE], start=2):
+        for number, base in enumerate(bases[1:] - [values[name] for name in chain.standing], start=2):
             base_values |= {f"{short}{number}": float(value) for short, value in zip("xyw", base, strict=True)}
         calibration = Calibration({}, provenance={} if calibration is None else calibration.provenance)
     else:
@@ -142,26 +139,31 @@ def without_sessions(calibration: Calibration) -> Calibration:
 
 
 def with_base(arm: Arm) -> Arm:
-    """The arm with a base offset, its own if it has one; the base of a spatial arm is part of its geometry."""
-    stands = not arm.chain.positions_in_plane or any(spec.name == "base_offset" for spec in arm.effects)
-    return arm if stands else with_base_offset(arm)
+    """The arm with the effects that say where it stands, its own where it has them."""
+    named = [spec.name for spec in arm.effects]
+    missing = (EffectSpec(name) for name in arm.chain.standing_effects if name not in named)
+    return arm.with_effects(*arm.effects, *missing)
 
 
-def with_base_offset(arm: Arm) -> Arm:
-    """The arm with a base offset among its effects, its value to be estimated."""
-    others = tuple(spec for spec in arm.effects if spec.name != "base_offset")
-    return arm.with_effects(*others, EffectSpec("base_offset"))
+def with_open_base(arm: Arm) -> Arm:
+    """The arm with the effects that say where it stands, their values to be estimated."""
+    stands = arm.chain.standing_effects
+    return arm.with_effects(*(spec for spec in arm.effects if spec.name not in stands), *map(EffectSpec, stands))
 
 
-def start_at_bases(start: Array, model: Model, computed: Array, measured: Array) -> Array:
-    """(p,) start with the rotation and shift of the base that bring (m, 2) computed tips nearest to measured ones.
+def start_at_base(model: Model, measurements: Measurements, conditions: Conditions) -> Array:
+    """(p,) best known values, where parameters that the chain names say where it stands with the shift and the rotation
+    that bring computed tips nearest to measured ones.
 
     Exact where nothing but the chain depends on where the base stands; otherwise a start for least squares.
     """
-    x0, y0, turn = (model.parameters.index(name) for name in BASE)
-    base, moved = registered(computed - start[[x0, y0]], measured), start.copy()
-    moved[turn] += np.arctan2(base[1, 0], base[0, 0])
-    moved[[x0, y0]] = base[:2, 3]
+    standing, moved = model.arm.chain.standing, model.values.copy()
+    if standing and {*standing} <= {*model.names}:
+        x0, y0, turn = (model.parameters.index(name) for name in standing)
+        computed = model.position(measurements.postures, moved, conditions)
+        base = registered(computed - moved[[x0, y0]], measurements.positions)
+        moved[turn] += np.arctan2(base[1, 0], base[0, 0])
+        moved[[x0, y0]] = base[:2, 3]
     return moved
 
 
@@ -225,14 +227,13 @@ def without_prior_effects(arm: Arm) -> Arm:
     return replace(arm, effects=tuple(kept), calibration=replace(calibration, values=values))
 
 
-def comes_from(provenance: Mapping[str, Any], measurements: Measurements) -> bool:
-    """Whether a calibration of this provenance was fitted to the files of these measurements, or what it holds was: by
-    their SHA-256, of one file, or of several that were sessions."""
-    hashes, rows = (
-        np.concatenate([np.atleast_1d(one.get("sha256", [])) for one in origins])
-        for origins in ((provenance, *provenance.get(HELD_FROM, {}).values()), (measurements.provenance,))
-    )
-    return bool(np.isin(rows, hashes).any())
+def share_fitted(provenance: Mapping[str, Any], measurements: Measurements) -> float:
+    """Share of the measurements among the rows that a calibration of this provenance, or what it holds, was fitted to,
+    in whatever file; of an earlier version, which does not say which these are, all of its file."""
+    if isinstance(text := provenance.get(ROW_DIGESTS), str):
+        return shared_rows(text, measurements)[0]
+    ours, theirs = ({*np.atleast_1d(one.get("sha256", [])).tolist()} for one in (provenance, measurements.provenance))
+    return float(not ours.isdisjoint(theirs))
 
 
 def familiar_range(arm: Arm) -> tuple[Array, Array]:

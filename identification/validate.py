@@ -27,23 +27,21 @@ from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
-from identification.kinematics.chain import BASE, TOOL
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import pose, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
+from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
-from identification.sessions import BASE as PLANAR_BASE
 from identification.sessions import (
+    SESSIONS,
     check_calibrated,
-    comes_from,
     extrapolated,
     identified,
     outside,
-    placing,
-    start_at_bases,
-    with_base_offset,
+    share_fitted,
+    start_at_base,
+    with_open_base,
     with_sessions,
     without_sessions,
 )
@@ -161,12 +159,14 @@ class Validation(Documented):
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-        if own := comes_from(identified(arm), measurements):
+        if (own := share_fitted(identified(arm), measurements)) >= MOST:
             yield FITTED
+        elif own > 0.0:
+            yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
         if far := extrapolation(arm, measurements.postures):
             yield far
         model = Model(arm)
-        if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
+        if once := [effect.key for effect in model.effects if effect.once and refit != "none" and own < MOST]:
             yield f"{', '.join(once)}: the value at the end of the session of the identification is used in all rows"
         yield from lacking(model, measurements)
         if left_open:
@@ -211,10 +211,12 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     """(m, d) residuals [mm] of an arm as it is drawn, without effects and calibration, placed as a fit to these
     measurements places it: a base for each session, one place for a measured point that several sessions share."""
     drawing = replace(arm, effects=(), calibration=None)
-    if not arm.chain.frame_kinds or len(measurements.sessions) < 2:
+    if len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, "base", arm)[1]
-    model = Model(with_sessions(replace(drawing, chain=replace(arm.chain, settled=frozenset())), measurements))
-    free = {model.names[k] for k in placing(model.parameters)}
+    chain = replace(arm.chain, settled=arm.chain.drawn)
+    model = Model(with_sessions(replace(drawing, chain=chain), measurements))
+    free = {p.name for p in model.parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")}
+    free |= {*chain.standing}
     held = {name: value for name, value in model.best_known.items() if name not in free}
     return estimate(replace(model, held=held), measurements).residuals_after
 
@@ -238,7 +240,7 @@ def _refitted(
     if "gravity" in model.needs and arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
     conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
-    own = comes_from(identified(origin), measurements)
+    own = share_fitted(identified(origin), measurements) >= MOST
     if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
         conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
     if measurements.temperature is not None and mean is not None:
@@ -251,11 +253,11 @@ def _refitted(
         problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
         if refit != "none":
             if session.positions.size < (p := len(values)):
-                file = measurements.provenance.get("file", "measurements")
+                place = ": session ".join(filter(None, [measurements.provenance.get("file", "measurements"), name]))
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
-                raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
+                raise InputError(f"{place}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
             values = problem.minimized(values[None]).parameters[0]
-            left_open += len(values) - spectrum(problem.jacobian(values), model.scales).rank
+            left_open += len(values) - spectrum(problem.rows_about(values)[1], model.scales).rank
         residuals[rows] = problem.residuals(values)[0]
         # where base and measured points are, by the names of their parameters, in place of their corrections
         stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
@@ -347,18 +349,9 @@ def prior_judged(
 
 # -- set up anew -------------------------------------------------------------------------------------------------------
 def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
-    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; in space the
-    offsets of the first joint and the last stay, which base and points stand for."""
-    planar, last = not arm.chain.frame_kinds, arm.links - (TOOL in arm.chain.frame_kinds)
-    free = {f"{JOINT_OFFSET}:{j}" for j in range(2, last + 1)} if refit == "offsets" else set[str]()
-    if refit != "none" and arm.chain.positions_in_plane:
-        values = Model(arm).best_known
-        free |= {*PLANAR_BASE}
-        model = Model(with_base_offset(arm), {name: value for name, value in values.items() if name not in free})
-        start = model.parameters.vector(values)
-        computed = model.position(measurements.postures, start, conditions)
-        return model, start_at_bases(start, model, computed, measurements.positions)
-    chain, known = arm.chain, frozenset({BASE, TOOL})
+    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; the offsets of
+    the first joint, and of the last where points are to be found, stay: base and points stand for these."""
+    chain, known, free = arm.chain, frozenset({BASE, TOOL}), set[str]()
     if len(chain.tools) == 1 == len(measurements.marker_names):
         # it is that which is measured, whatever the data call it
         measurements = replace(measurements, marker=None, marker_names=())
@@ -369,12 +362,13 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
             raise InputError(f"{error}; or --refit base, which finds where they are") from None
         model = Model(replace(arm, chain=with_markers(chain, measurements)))
     else:
-        chain = chain if planar else replace(one_unnamed(chain, measurements), settled=frozenset())
-        model = placed_model(Model(replace(arm, chain=chain)), measurements)
-        free |= {p.name for p in model.geometry_parameters if p.kind in known}
-        free |= {p.name for p in model.arm.chain.instrument.parameters} if planar else set()
+        chain = replace(one_unnamed(chain, measurements), settled=chain.drawn)
+        model = placed_model(Model(replace(with_open_base(arm), chain=chain)), measurements)
+        free |= {p.name for p in model.geometry_parameters if p.kind in known} | {*chain.standing}
+        if refit == "offsets":
+            free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
-    return model, model.values
+    return model, start_at_base(model, measurements, conditions)
 
 
 def extrapolation(arm: Arm, postures: Array) -> str | None:

@@ -260,7 +260,7 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     if true_arm.links != loaded.links:
         raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
-        kinds = [f"{('planar', 'spatial')[a.dimension - 2]}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
+        kinds = [f"{a.chain.kind}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")
     wanted = Plan.load(plan, loaded.joint_types)
     sigma = true_arm.sigma if true_arm.sigma is not None else loaded.sigma
@@ -337,8 +337,6 @@ def identify_files(
 
     # the arm and its rows
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
-    if urdf is not None and loaded.chain.planar:
-        raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)
@@ -440,8 +438,8 @@ def identify_files(
             calibration = reuse.with_data_of(calibration, before, bare.joint_types)
         specs = [spec for spec in fitted.model.arm.effects if spec.name != SESSIONS]
         files |= arm_files(arm, specs, calibration, out, "calibrated arm")
-    if urdf is not None and fitted.geometry is not None:
-        files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry.real)
+    if urdf is not None:
+        files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry)
         labels = ", ".join(effect.label for effect in fitted.model.effects)
         lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
     document = identification_document(fitted, result, hidden).plus(*lines)

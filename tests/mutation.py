@@ -35,7 +35,7 @@ TESTED = {  # module -> tests that must notice, in tests/identification and test
     **{
         f"identification/instruments/{name}.py": "instruments test_lengths.py" for name in ("cups", "distance", "probe")
     },
-    "identification/instruments/search.py": "instruments",
+    "identification/instruments/base.py": "instruments",
     "doe/bounds/planar_theorem.py": "bounds/test_planar_theorem.py",
     "doe/bounds/certificate.py": "bounds/test_certificate.py bounds/test_column_generation.py",
     "doe/criteria.py": "criteria",

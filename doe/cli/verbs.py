@@ -74,7 +74,7 @@ def design_problem(
     model, restrictions = design_model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
         measured = Plan.load(keep, arm.joint_types, carried_out=True)
-        names = measured.cells.get("marker") if arm.dimension == 3 else None
+        names = measured.cells.get(arm.chain.point_column)
         most = names and max(set(names), key=names.count)  # a run reads all reflectors: it counts with one of them
         rows = [row for row in range(len(measured)) if not names or names[row] == most]
         restrictions["kept"] = measured.postures[rows]

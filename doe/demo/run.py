@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from doe.design import Design, optimality_in_words
+from doe.design import Design
 from doe.plan.moves import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -143,7 +143,7 @@ def run_demo(
         VERBS[name][0] for name in ("identify", "diagnose", "validate", "compensate")
     )
     path, rows = directory / "arm.toml", directory / "data.csv"
-    urdf = None if arm.chain.planar else to_write("corrected.urdf")
+    urdf = to_write("corrected.urdf") if "robot.urdf" in scenario.files else None
     identified = identify(path, rows, out=to_write("calibrated.toml"), urdf=urdf, force=force)
     progress(4, 8, "diagnosis")
     diagnosed = diagnose(path, (rows,), holdout=directory / "fresh.csv", seed=seed)
@@ -218,20 +218,19 @@ def demo_document(demo: Demo) -> Document:
         ),
     ]
     within = " and the tracker's view" if arm.constraints else ""
-    chosen = f"Chosen within the joint limits{within}. {design_verdict(design.to_json())}"
+    chosen = f"Chosen within the joint limits{within}. {design_verdict(design)}"
     diagnosed = diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
         "the largest d found at each angle of a joint; dots are the plan's postures."
     )
-    effort = (4096, 61) if arm.chain.planar else (128, 25)
     sections = [
         *diagnosed.parts,
         Section("Against the truth", truth),
         plan_section(arm, demo.moves, lead=chosen, tests={"fresh.csv": demo.validated.result}),
         Section(
             "The certificate",
-            [Pictures(lambda: [certificate, certificate_figure(design.problem, design.plan.postures, *effort)])],
+            [Pictures(lambda: [certificate, certificate_figure(design.problem, design.plan.postures)])],
         ),
     ]
     actions = [
@@ -253,8 +252,7 @@ def demo_document(demo: Demo) -> Document:
 
 def how_good(design: Design) -> str:
     """How sure the plan is, or its efficiency."""
-    sure = optimality_in_words(design.optimality, None if design.bound is None else design.bound.as_dict())
-    return sure if design.certified_optimal and sure else f"efficiency {design.efficiency:.4f}"
+    return design.optimality_in_words if design.certified_optimal else f"efficiency {design.efficiency:.4f}"
 
 
 def overview_figure(demo: Demo) -> Figure:

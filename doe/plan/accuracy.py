@@ -215,8 +215,7 @@ class TipErrors:
 
     problem : of the model as it is, whose parameters may have a prior, as a spatial arm's geometry has
     wide : `robust_problem` of it, whose added parameters come last
-    targets : (k, points, c, P) scaled Jacobian of the measured points of `wide` where the tip is needed, see
-        `tip_jacobians`
+    targets : (k, points, c, P) `tip_jacobians` of `wide` where the tip is needed
     """
 
     problem: DesignProblem
@@ -239,8 +238,8 @@ class TipErrors:
             wide = robust_problem(problem, missing_effects(problem), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
 
-    def of_plan(self, postures: Array) -> dict[str, float]:
-        """Of a plan (m, n) and the postures measured already, by the keys of `tip_error_mm`.
+    def of_plan(self, postures: Array, wanted: str = "effects_missing_prior") -> dict[str, float]:
+        """Of a plan (m, n) and the postures measured already, by the keys of `tip_error_mm`; of them one is `wanted`.
 
         `model_right` : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its
         machining; `model_right_worst` at that of the test poses where it is largest; `effects_missing` : effects of
@@ -253,10 +252,11 @@ class TipErrors:
         sigma, noise = ((model.sigma or 0.0) ** 2 for model in (problem.model, wide.model))
         information = information_matrix(np.concatenate([wide.scaled_jacobians(postures), wide.kept_jacobians]))
         posterior = inverses(information[:p, :p] + np.diag(problem.precisions))
-        whole = inverses(information + np.diag(wide.precisions))  # infinite where not everything is identified
         errors = dict.fromkeys(("model_right", "effects_missing", "effects_missing_prior", "model_right_worst"), np.inf)
-        if wide.missing and np.isfinite(whole[0, 0]):
-            errors["effects_missing_prior"] = float(np.sqrt(noise * np.sum(whole * self._weight) + wide.beyond))
+        if wide.missing and wanted == "effects_missing_prior":  # of many parameters: what takes the time
+            whole = inverses(information + np.diag(wide.precisions))  # infinite where not everything is identified
+            if np.isfinite(whole[0, 0]):
+                errors[wanted] = float(np.sqrt(noise * np.sum(whole * self._weight) + wide.beyond))
         if np.isinf(posterior[0, 0]) or spectrum(plan_jacobians(problem, postures), np.ones(p)).rank < p:
             return errors
         right = sigma * np.einsum("kdp,kdp->k", self._points[..., :p] @ posterior, self._points[..., :p])
@@ -313,7 +313,7 @@ class ExpectedTip:
         else:
             pool = listed_candidates(problem, anywhere.choices)
         drawn = [pool[generator.choice(len(pool), m, replace=len(pool) < m)] for _ in range(plans)]
-        plan, *random = (errors.of_plan(each)[fitted] for each in (postures, *drawn))
+        plan, *random = (errors.of_plan(each, fitted)[fitted] for each in (postures, *drawn))
         return cls(plan, np.array(random), problem.fit)
 
     better = property(lambda self: float(np.mean(self.random > self.plan)))

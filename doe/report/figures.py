@@ -141,7 +141,7 @@ def outlines(arm: Arm) -> list[tuple[Array, bool]]:
     return [(line, one.forbidden) for one in arm.constraints for line in one.outlines(arm.dimension)]
 
 
-def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 4096, steps: int = 61) -> Figure:
+def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 1000, steps: int = 41) -> Figure:
     """The equivalence theorem seen along each joint: the largest d(q) at each value, which must not exceed p.
 
     For every active joint the value is held at `steps` values while the other joints take `samples` random values,

@@ -21,7 +21,7 @@ from doe.problem.model import PRISMATIC
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers import SOLVERS, solve
-from identification import Arm, Array, InputError, JobError, Plan, Replications, StudyFile
+from identification import Arm, Array, InputError, JobError, Plan, Replications, StudyFile, design_model
 from identification.files.io import write_together
 
 CELL = ("arm", "plan", "runs", "sigma_mm", "truth", "model")  # the columns that identify a cell
@@ -98,8 +98,8 @@ class Study:
                 postures: Array | str | None = None if name == RANDOM else f"no plan: {row.get('error')}"
                 if plan is not None:
                     postures = plan.postures
-                elif name == DFT and not arm.chain.planar:
-                    postures = f"plan dft: arm {arm.name} is spatial, allowed: planar arms"
+                elif name == DFT and not design_model(arm).planar:
+                    postures = f"plan dft: arm {arm.name} is not that of Table I, allowed: planar arms with positions"
                 elif name == DFT and runs < arm.links:
                     few = f"{runs} runs are too few for {arm.links} links"
                     postures = f"plan dft: {few}, allowed: at least {arm.links}"

@@ -347,7 +347,7 @@ def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
         why = " and ".join(reason for key, reason in reasons.items() if test[key] is False)
         sentence = f"The model does not hold for {where}: {why}."
     refitted = " and ".join(test["refitted"])
-    return answer, sentence + (f" Another set-up: {refitted} refitted to these rows." if refitted else "")
+    return answer, sentence + (f" First fitted to these rows, for both models: {refitted}." if refitted else "")
 
 
 def curve_table(data: Data) -> Sheet:

@@ -75,9 +75,8 @@ def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditio
 # -- residuals ---------------------------------------------------------------------------------------------------------
 def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), in two columns with a row for each
-    projection, on one scale: the largest arrow is an eighth of the reach; and where a planar arm stands."""
-    dimension, values = pairs[0][0].shape[1], Model(arm).best_known
-    stand = [values.get(name, 0.0) for name in arm.chain.base_shift if not arm.chain.frame_kinds]
+    projection, on one scale: the largest arrow is an eighth of the reach."""
+    dimension, names = pairs[0][0].shape[1], [each.name for each in arm.chain.instrument.coordinates]
     views, unit = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)], reading_unit(arm)  # in space from the side too
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)
@@ -95,8 +94,7 @@ def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
             axis.quiver(x, y, along, upward, color=color, rasterized=len(positions) > 500, **style)
             axis.update_datalim(np.column_stack([x + along, y + upward]))  # whole arrows
             axis.autoscale_view()
-            axis.set(aspect="equal", xlabel=f"{'xyz'[across]} [{unit}]", ylabel=f"{'xyz'[up]} [{unit}]")
-            axis.plot(*(stand or ([], [])), "ks", ms=5)
+            axis.set(aspect="equal", xlabel=f"{names[across]} [{unit}]", ylabel=f"{names[up]} [{unit}]")
     if len(views) > 1:  # rows of one scale as high as what they show, and the figure as high as all of them
         boxes = [axis.dataLim for axis in grid[:, 0]]
         shares = [float(np.clip(box.height / box.width, 0.25, 1.5)) if box.width else 1.0 for box in boxes]

@@ -113,11 +113,11 @@ class Number(NamedTuple):
     upper: float = inf
 
 
-def at_joint(chain: KinematicChain, joint: int, unit: str, scale: float) -> tuple[str, float]:
-    """Unit and scale of what is added to the position of a joint (from 1), as of one that turns: sliding ones have
-    lengths for angles and forces for torques."""
+def at_joint(chain: KinematicChain, joint: int, unit: str) -> tuple[str, float]:
+    """Unit of what is added to the position of a joint (from 1), as of one that turns, and how many of it move the tip
+    as one does there: sliding ones have lengths for angles and forces for torques."""
     slides = chain.joints[joint - 1].type == PRISMATIC and unit in SLIDING
-    return (SLIDING[unit], scale / float(chain.levers[joint - 1])) if slides else (unit, scale)
+    return (SLIDING[unit], float(chain.levers[joint - 1])) if slides else (unit, 1.0)
 
 
 SLIDING = {"rad": "mm", "rad/(N m)": "mm/N"}
@@ -199,17 +199,17 @@ class Effect:
 
     def define(self) -> tuple[Parameter, ...]:
         """The parameters, in the order in which the formulas receive their values."""
-        parameters = []
-        for number in self.numbers() if callable(self.numbers) else self.numbers:
-            scale = number.scale(self) if callable(number.scale) else number.scale
-            parameters.append(self.parameter(**number._replace(scale=float(scale))._asdict()))
-        return tuple(parameters)
+        numbers = self.numbers() if callable(self.numbers) else self.numbers
+        scales = (float(one.scale(self) if callable(one.scale) else one.scale) for one in numbers)
+        each = (one._replace(scale=scale)._asdict() for one, scale in zip(numbers, scales, strict=True))
+        return tuple(self.parameter(**one) for one in each)
 
-    def parameter(self, short: str, unit: str, *, scale: float, **more: float | None) -> Parameter:
-        """A parameter of this effect under its full name;  scale, more : as of `Parameter`"""
+    def parameter(self, short: str, unit: str, *, scale: float, typical: float | None = None, **more: Any) -> Parameter:
+        """A parameter of this effect under its full name;  scale, typical, more : as of `Parameter`"""
         if self.joint is not None and hasattr(self, "joint_angles"):
-            unit, scale = at_joint(self.chain, self.joint, unit, scale)
-        return Parameter(f"{self.key}.{short}", unit, scale=scale, joint=self.joint, **more)  # type: ignore[arg-type]
+            unit, many = at_joint(self.chain, self.joint, unit)
+            scale, typical = scale / many, typical and typical * many
+        return Parameter(f"{self.key}.{short}", unit, scale=scale, typical=typical, joint=self.joint, **more)
 
     @cached_property
     def label(self) -> str:

@@ -55,10 +55,10 @@ of_gravity(
     "joint winds up under gravity torque: q_j + c_j tau_j, c_j >= 0",
     # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
     lambda self: [
-        Number(f"c{'' if self.joint else j}", unit, 1e-5, scale, 0.0)
+        Number(f"c{'' if self.joint else j}", unit, 1e-5 * many, lever * TORQUE / many, 0.0)
         for j, lever in enumerate(self.chain.levers, start=1)
         if self.joint in (None, j)
-        for unit, scale in [at_joint(self.chain, j, "rad/(N m)", lever * TORQUE)]
+        for unit, many in [at_joint(self.chain, j, "rad/(N m)")]
     ],
     per_joint="optional",
     joint_angles=lambda self, chain, values: (
@@ -105,7 +105,10 @@ of_joint(
 of_joint(
     "joint_coupling",
     "the joint before turns this one a little: c q_(j-1), of a belt or a wrist",
-    [Number("c", "1", 1e-4, LEVER)],  # typical: as of `gear_ratio`: what a controller leaves of a coupling
+    lambda self: [  # typical: as of `gear_ratio`: what a controller leaves of a coupling
+        Number("c", "1", 1e-4 * many / before, LEVER)
+        for before, many in [[at_joint(self.chain, j, "rad")[1] for j in (self.joint - 1, self.joint)]]
+    ],
     first_joint=2,
     joint_angles=lambda self, chain, values: values * chain.q[self.joint_index - 1],
 )
@@ -239,12 +242,9 @@ of_joint(
 def _hysteresis_widths(scope: Scope) -> list[float]:
     """Widths to try [deg], from nearly backlash to nearly a wrong gear ratio, for the range of the joint."""
     joint = (scope.joint or 1) - 1
-    if scope.postures is None:
-        span = float(scope.arm.upper[joint] - scope.arm.lower[joint])
-    else:
-        span = float(np.ptp(scope.postures[:, joint]))
-    widths = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)  # in ranges of the joint
-    return [float(np.degrees(width * span)) for width in widths] if span > 0.0 else [1.0]
+    angles = np.array([scope.arm.lower, scope.arm.upper]) if scope.postures is None else scope.postures
+    span = float(np.degrees(np.ptp(angles[:, joint])))  # of which the widths are shares
+    return [share * span for share in (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)] if span > 0.0 else [1.0]
 
 
 def _wound_up(effect: Effect, chain: Chain) -> ca.SX:

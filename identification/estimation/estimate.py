@@ -7,8 +7,9 @@ less than a sigma that is given. Many data sets on one plan are fitted by the ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from types import MappingProxyType
 from typing import Literal
 
@@ -29,7 +30,7 @@ from identification.estimation.problem import (
 )
 from identification.estimation.result import Identification
 from identification.estimation.uncertainty import WhiteRows, outlying, together, uncertainty
-from identification.information import RANK_TOLERANCE, Spectrum, spectrum
+from identification.information import RANK_TOLERANCE, spectrum
 from identification.inspection.readings import placed_with_zeros
 from identification.kinematics.counting import joint_range
 from identification.kinematics.parameters import JOINT_OFFSET
@@ -72,7 +73,6 @@ def estimate(
         return _with_prior(model, measurements, prior, sigma)
     placed = placed_model(model, measurements)
     problem = Problem.of(placed, measurements, sigma)
-    method = "linear" if problem.exact_form else "levenberg_marquardt"
     useful = RANK_TOLERANCE
     while True:
         if (form := problem.exact_form) is None:
@@ -81,20 +81,18 @@ def estimate(
             x, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
             solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
         if not (status := solution.status[0]).succeeded:
-            raise JobError(f"{method}: {status.value}")
+            raise JobError(f"{problem.method}: {status.value}")
         rows = WhiteRows.of(problem, measurements, solution.parameters[0])
-        decomposed = spectrum(rows.jacobian, placed.scales, problem.tolerance)
-        rows = replace(rows, rank=decomposed.rank)
         if useful > RANK_TOLERANCE:
             break
         # once more without the combinations whose standard deviation turns out too large to mean anything: above a
         # tenth of the arm's reach
         deviation = problem.sigma or (float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else 0.0)
         useful = min(max(RANK_TOLERANCE, deviation / (np.sqrt(len(measurements)) * 0.1 * placed.reach)), 0.1)
-        if decomposed.truncated(useful).rank == decomposed.rank:
+        if rows.decomposed.truncated(useful).rank == rows.rank:
             break
         problem = replace(problem, tolerance=useful)
-    return _identification(problem, measurements, method, solution, decomposed, rows)
+    return _identification(problem, measurements, solution, rows)
 
 
 @single_thread()
@@ -108,19 +106,16 @@ def _with_prior(
     check_measurements(model, measurements, prior)
     problem = Problem.of(model, measurements, sigma, prior)
     offsets = {p.name for p in model.parameters if p.kind == JOINT_OFFSET}
-    made: dict[bytes, tuple[Array, Array]] = {}
 
-    def about(x: Array) -> tuple[Array, Array]:
-        """Each made once: fits of other noise pass through the same points."""
-        if (key := x.tobytes()) not in made:
-            made[key] = problem.linearized(x)
-        return made[key]
+    @cache  # fits of other noise pass through the same points
+    def about(x: bytes) -> tuple[Array, Array]:
+        return problem.linearized(np.frombuffer(x))
 
     # zeros that another reading of the rows has are where the search starts
     x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
     before, steps, is_given = np.inf, np.zeros(1, dtype=int), problem.reliance == "given"
     for turn in range(10):  # the model is nearly linear: of the first round two steps are enough to see the noise
-        noise, widths = likeliest(problem, x, *about(x))
+        noise, widths = likeliest(problem, x, *about(x.tobytes()))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
         wide = {name: deviation * factors.get(name, widths[2]) for name, deviation in prior.deviations.items()}
         widened = replace(prior, deviations=wide, own_error=widths[2] * prior.own_error)
@@ -128,7 +123,7 @@ def _with_prior(
         rows, center = posed.prior_rows, posed.prior_center
 
         def linearize(x: Array, _: Index, rows: Array = rows, center: Array = center) -> tuple[Array, Array]:
-            (residual, jacobian), left = about(x[0]), rows @ (center - x[0])
+            (residual, jacobian), left = about(x[0].tobytes()), rows @ (center - x[0])
             return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
 
         solution = posed.minimized(x[None], linearize, ITERATIONS if turn or is_given else 2)
@@ -136,11 +131,8 @@ def _with_prior(
         goes_on = solution.status[0] is Status.iteration_limit
         if is_given or (turn and (goes_on or change <= 1e-4 * noise)):  # far below its own uncertainty
             break
-    jacobian = about(x)[1]
-    decomposed = spectrum(jacobian, model.scales, problem.tolerance, rows)
     solution, white = replace(solution, iterations=steps), WhiteRows.of(posed, measurements, x)
-    white = replace(white, rank=decomposed.determined(jacobian))
-    fit = _identification(posed, measurements, "levenberg_marquardt", solution, decomposed, white)
+    fit = _identification(posed, measurements, solution, white)
     contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
     factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths[:2])
     return replace(
@@ -168,25 +160,20 @@ def without_outliers(
         kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)
 
 
-def _identification(
-    problem: Problem, data: Measurements, method: str, solution: Solution, decomposed: Spectrum, rows: WhiteRows
-) -> Identification:
+def _identification(problem: Problem, data: Measurements, solution: Solution, rows: WhiteRows) -> Identification:
     """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit."""
     model, x, has_sigma = problem.model, solution.parameters[0], problem.sigma is not None
     noise = problem.noise if problem.prior.names else None
-    made = uncertainty(rows, decomposed, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
+    made = uncertainty(rows, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
-    identifiable, undetermined = decomposed.identifiable, decomposed.combinations(model.names, model.scales)
+    identifiable, undetermined = rows.decomposed.identifiable, rows.decomposed.combinations(model.names, model.scales)
     # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least
     # squares (one Gauss-Newton step from the closed form)
     was, after = problem.start, problem.residuals(x)[0]
     if free := placing(model.parameters):
-        position, jacobian = model.linearize(problem.postures, was, problem.conditions)
-        slopes = (problem.root_weights[:, :, None] * jacobian[:, :, free]).reshape(-1, len(free))
-        left = problem.root_weights * (problem.positions[0] - position)
-        was = was.copy()
-        was[free] += np.linalg.lstsq(slopes, left.ravel(), rcond=None)[0]
+        (left, slopes), was = problem.rows_about(was), was.copy()
+        was[free] += np.linalg.lstsq(slopes[:, free], left, rcond=None)[0]
     before = problem.residuals(was)[0]
     sentences, implausible = doubts(model, x, identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell
@@ -202,16 +189,14 @@ def _identification(
     return Identification(
         model=model,
         parameters=x,
-        covariance=made.covariance,
         identifiable=identifiable,
         not_identifiable=undetermined,
         sigma=problem.sigma if has_sigma else scatter,
-        sigma_known=has_sigma,
         chi2=rows.squares if has_sigma else None,
         dof=round(rows.freedom),
         residuals_before=before,
         residuals_after=after,
-        method=method,
+        method=problem.method,
         status=Status.implausible if implausible else status,
         iterations=int(solution.iterations[0]),
         provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
@@ -219,7 +204,7 @@ def _identification(
         scatter=scatter,
         doubts=(*sentences, *far_rows(after, outlier, structure)),
         postures=data.postures[first],
-        inside=rows.inside(decomposed.root),
+        inside=rows.inside,
         outlier_rows=tuple((np.flatnonzero(outlier) + 1).tolist()),
         unexplained_rows=tuple((np.flatnonzero(structure) + 1).tolist()),
     )
@@ -247,33 +232,32 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
     check_measurements(model, replace(plan, positions=np.zeros((m, d))))
     sigma = "estimated" if plan.sigma is None else plan.sigma  # never the arm's sigma, but to weigh a prior against
     problem = Problem.of(model, plan, "given" if model.prior else sigma, Prior(model.prior), measured)
-    decomposed = spectrum(problem.jacobian(problem.start), model.scales, problem.tolerance, problem.prior_rows)
+    decomposed = spectrum(problem.rows_about(problem.start)[1], model.scales, problem.tolerance, problem.prior_rows)
     if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
     x, rss = np.empty((len(measured), len(model.names))), np.empty(len(measured))
-    if (form := problem.exact_form) is not None:
-        # one pseudo-inverse for all (identification/README.md, "Closed form")
-        solve = form.solver(problem.postures, problem.weights, problem.tolerance)
-        for part in _chunks(len(measured), m):
+    status, form = np.full(len(measured), Status.converged, dtype=object), problem.exact_form
+    # one pseudo-inverse for all (identification/README.md, "Closed form")
+    solve = form and form.solver(problem.postures, problem.weights, problem.tolerance)
+    size = max(1, 20_000 // m)  # rows of all data sets: the arrays of one pass stay in the processor's cache
+    for part in (slice(first, first + size) for first in range(0, len(measured), size)):
+        if solve:
             x[part], rss[part] = solve(measured[part])
-        return Solution(x, rss, outcomes(np.isfinite(rss), Status.converged, Status.solver_failed))
-    # from the closed form, by the chord method with one matrix for all, then one about where that led the others; what
-    # neither brings to an end, by Levenberg-Marquardt
-    for part in _chunks(len(measured), m):
-        x[part] = starts(problem.rows(part))
-    rest, status = np.arange(len(measured)), np.full(len(measured), Status.not_identifiable, dtype=object)
-    for _ in range(2):
-        usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
-        center = np.mean(usable, axis=0) if len(usable) else problem.start
-        shared = np.concatenate([problem.jacobian(center), problem.prior_rows])
-        for part in _chunks(len(rest), m):
-            sets = rest[part]
-            x[sets], rss[sets], stationary = chord_steps(problem.rows(sets), shared, x[sets])
-            status[sets] = outcomes(stationary, Status.converged, Status.not_identifiable)
-        rest = np.flatnonzero(status != Status.converged)
-    for part in _chunks(len(rest), m):
-        each = problem.rows(sets := rest[part]).minimized(x[sets])
-        x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
+            status[part] = outcomes(np.isfinite(rss[part]), Status.converged, Status.solver_failed)
+            continue
+        # from the closed form, by the chord method with one matrix for all, then one about where that led the others;
+        # what neither brings to an end, by Levenberg-Marquardt
+        rest, x[part] = np.arange(len(measured))[part], starts(problem.rows(part))
+        for _ in range(2):
+            usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
+            center = np.mean(usable, axis=0) if len(usable) else problem.start
+            shared = np.concatenate([problem.rows_about(center)[1], problem.prior_rows])
+            x[rest], rss[rest], stationary = chord_steps(problem.rows(rest), shared, x[rest])
+            if not len(rest := rest[~stationary]):
+                break
+        else:
+            each = problem.rows(rest).minimized(x[rest])
+            x[rest], rss[rest], status[rest] = each.parameters, each.rss, each.status
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
     return Solution(x, rss, status)
 
@@ -318,8 +302,3 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
         on, data = on[going], data if going.all() else np.ascontiguousarray(data[:, going])
         x[on] += gradient[going] @ inverse
     return parameters, squares, stationary
-
-
-def _chunks(count: int, rows: int) -> Iterator[slice]:
-    size = max(1, 20_000 // rows)  # rows of all data sets: the arrays of one pass stay in the processor's cache
-    return (slice(start, min(start + size, count)) for start in range(0, count, size))

@@ -30,7 +30,6 @@ from identification.kinematics.parameters import JOINT_OFFSET, Parameter, Parame
 from identification.levenberg_marquardt import (
     ITERATIONS,
     Index,
-    LeastSquares,
     Linearize,
     Solution,
     compressed,
@@ -220,6 +219,8 @@ class Problem:
         form = self.model.closed_form
         return form if form is not None and form.exact and not self.prior.names else None
 
+    method = property(lambda self: "linear" if self.exact_form else "levenberg_marquardt")  # by which it is solved
+
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
         return replace(self, positions=self.positions[index])
@@ -277,25 +278,32 @@ class Problem:
         prior_rows = np.broadcast_to(rows, (k, *rows.shape))
         return np.concatenate([residuals, left], axis=1), np.concatenate([jacobian, prior_rows], axis=1)
 
-    def linearized(self, parameters: Array) -> tuple[Array, Array]:
-        """Weighted (N,) residual and (N, p) Jacobian of the first data set about parameters (p,), without the prior, in
-        as few rows as say the same."""
-        bare = replace(self, prior=NO_PRIOR)
-        residuals, jacobians = compressed(*bare.linearize(parameters[None], np.arange(1)))
-        return residuals[0], jacobians[0]
+    def rows_about(self, parameters: Array) -> tuple[Array, Array]:
+        """Weighted (m d,) residual of the first data set and (m d, p) Jacobian about parameters (p,), without the
+        prior."""
+        position, jacobian = self.model.linearize(self.postures, parameters, self.conditions)
+        residual, jacobian = self.positions[:1] - position, self.root_weights[:, :, None] * jacobian
+        return (self.root_weights * residual).reshape(-1), jacobian.reshape(-1, jacobian.shape[-1])
 
-    def jacobian(self, parameters: Array) -> Array:
-        """(m d, p) weighted Jacobian of the plan that the data sets share, at parameters (p,), without the prior."""
-        jacobian = self.root_weights[:, :, None] * self.model.jacobian(self.postures, parameters, self.conditions)
-        return jacobian.reshape(-1, jacobian.shape[-1])
+    def linearized(self, parameters: Array) -> tuple[Array, Array]:
+        """`rows_about` parameters (p,) in as few rows as say the same."""
+        residuals, jacobians = compressed(*(each[None] for each in self.rows_about(parameters)))
+        return residuals[0], jacobians[0]
 
     def minimized(self, starts: Array, linearize: Linearize | None = None, iterations: int = ITERATIONS) -> Solution:
         """Stationary points within the bounds from starts (K, p);  linearize : in place of the problem's own"""
         rows = linearize or (lambda parameters, index: compressed(*self.linearize(parameters, index)))
-        parameters, scales = self.model.parameters, self.model.scales
-        bounds = parameters.lower, parameters.upper
-        form = LeastSquares(rows, *bounds, scales, self.rounding, self.tolerance, iterations=iterations)
-        return levenberg_marquardt(form, starts)
+        parameters = self.model.parameters
+        return levenberg_marquardt(
+            rows,
+            starts,
+            lower=parameters.lower,
+            upper=parameters.upper,
+            scales=self.model.scales,
+            rounding=self.rounding,
+            tolerance=self.tolerance,
+            iterations=iterations,
+        )
 
 
 # -- noise and sizes ---------------------------------------------------------------------------------------------------

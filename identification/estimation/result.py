@@ -26,8 +26,17 @@ from identification.estimation.doubts import hardly_determined, tip_of
 from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
 from identification.information import VISIBLE
-from identification.kinematics.chain import STANDARD, DHRow, KinematicChain
-from identification.kinematics.corrected import CorrectedGeometry, Link, corrected, corrected_links, drawn_links
+from identification.kinematics.chain import (
+    STANDARD,
+    CorrectedGeometry,
+    DHRow,
+    KinematicChain,
+    Link,
+    corrected,
+    corrected_links,
+    drawn_links,
+)
+from identification.kinematics.counting import Counting
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
@@ -61,14 +70,12 @@ Values = Mapping[str, float]  # parameter name -> value [API unit]
 class Identification(Documented):
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
-    parameters : (p,) estimates; along what is not estimable, values of the size of the others
-    covariance : (p, p), see `uncertainty`, zero along what is not estimable; NaN if sigma is unknown and no equation is
-        left over to estimate it
-    identifiable : (p,) True where the parameter itself is estimable from the data
+    parameters : (p,)
+    identifiable : (p,) True where the parameter itself is estimable
     not_identifiable : combinations of parameters that the data do not determine, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
-        weights: of a row of weight one), given beforehand (`sigma_known`) or estimated; None if it is unknown
-    chi2 : weighted sum of squares in units of sigma^2, None if sigma was not known
+        weights: of a row of weight one), given beforehand or estimated; None if it is unknown
+    chi2 : weighted sum of squares in units of sigma^2, None if sigma was not given
     dof : d m equations minus the number of estimable combinations
     residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
@@ -82,11 +89,9 @@ class Identification(Documented):
 
     model: Model
     parameters: Array
-    covariance: Array
     identifiable: NDArray[np.bool_]
     not_identifiable: tuple[str, ...]
     sigma: float | None
-    sigma_known: bool
     chi2: float | None
     dof: int
     residuals_before: Array
@@ -108,12 +113,15 @@ class Identification(Documented):
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        for name in ("parameters", "covariance", "residuals_before", "residuals_after", "postures"):
+        for name in ("parameters", "residuals_before", "residuals_after", "postures"):
             object.__setattr__(self, name, readonly(getattr(self, name)))
         self.identifiable.setflags(write=False)
 
     # -- parameters and their uncertainty --------------------------------------------------------------------------
     names = property(attrgetter("model.names"))  # (p) of the parameters
+    # (p, p), zero along what is not estimable; NaN without sigma and spare equations
+    covariance = property(attrgetter("uncertainty.covariance"))
+    sigma_known = property(lambda self: self.chi2 is not None)  # whether sigma was given beforehand
 
     @property
     def arm(self) -> Arm | None:
@@ -207,9 +215,7 @@ class Identification(Documented):
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        if self.arm is None or not self.arm.chain.frame_kinds:
-            return None
-        return CorrectedGeometry(self.arm.chain, self.values, self.arm.counting)
+        return None if self.arm is None else corrected_geometry(self.arm.chain, self.values, self.arm.counting)
 
     def calibration(self) -> Calibration:
         """What an arm file keeps of this: all of `parameters`, and the known values."""
@@ -369,11 +375,11 @@ def corrected_values(
     names, values = calibration.parameter_names, {**model.fixed, **calibration.values}
     prior = model.prior if {*model.prior} <= {*names} else {}
     before = np.diag([prior.get(name, 0.0) for name in names]) if factor is None else factor
-    of, lengths, zeros = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), [], []
+    of, rows = _Spread(names, calibration.covariance, freedom_of(calibration), before, unknown), list[CorrectedValue]()
     for j, length in enumerate(arm.lengths.tolist(), start=1):
         if (name := f"{LENGTH_ERROR}:{j}") in model.geometry_parameters.names:
             value = length + values.get(name, 0.0)
-            lengths.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
+            rows.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
     # what each joint adds to what is read, as the controller counts: of coupled joints what both add
     shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
     turned = any(spec.name == "base_offset" for spec in arm.effects)
@@ -382,36 +388,30 @@ def corrected_values(
         slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
         if not (len(slopes) == 1 and {*slopes} <= {*chain.instrument.hidden(chain.base)}):
             value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
-            meaning = (
-                ZERO.format(j=j) if j > 1 or not turned else f"zero of joint 1 with how the arm is turned, {STANDS}"
-            )
+            stands = turned and j == 1
+            meaning = f"zero of joint 1 with how the arm is turned, {STANDS}" if stands else ZERO.format(j=j)
             alone = next(iter(slopes)) if len(slopes) == 1 else None
-            zeros.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))
-    of_instrument = [
-        of.row(name, parameter, None, value, slopes, unit, meaning)
-        for name, parameter, value, slopes, unit, meaning in chain.instrument.own_values(values)
-        # what the arm file says of them is where fits start
-        if all(p.name in values for p in chain.instrument.parameters)
-    ]
-    rows = [*lengths, *zeros]
-    if chain.frame_kinds:
-        drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
-        steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
-        slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
-        for (place, key), value in corrected_tables.items():
-            turned_about, nominal = ", turned about its own x, y and z axis", None
-            meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
-            if place == "base":
-                meaning = f"pose of the base for the instrument{turned_about}"
-            if place.startswith("joint "):
-                j = int(place.removeprefix("joint "))
-                frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME
-                meaning = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
-                nominal = drawn[place, key] + 0.0  # no -0
-                value = value - _turns(value - nominal, key)
-            axis, _, unit = key.rpartition("_")
-            rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
-    rows += of_instrument
+            rows.append(of.row(f"zero of joint {j}", alone, 0.0, value, slopes, p.file_unit, meaning))
+    drawn, corrected_tables, estimated = _tables(chain, {}), _tables(chain, values), {*names, *unknown}
+    steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
+    slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
+    for (place, key), value in corrected_tables.items():
+        turned_about, nominal = ", turned about its own x, y and z axis", None
+        meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
+        if place == "base":
+            meaning = f"pose of the base for the instrument{turned_about}"
+        if place.startswith("joint "):
+            j = int(place.removeprefix("joint "))
+            frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME
+            meaning = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
+            nominal = drawn[place, key] + 0.0  # no -0
+            value = value - _turns(value - nominal, key)
+        axis, _, unit = key.rpartition("_")
+        rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
+    # what the arm file says of the instrument is where fits start
+    known = all(p.name in values for p in chain.instrument.parameters)
+    for own in chain.instrument.own_values(values) if known else ():
+        rows.append(of.row(own.name, own.parameter, None, own.value, own.slopes, own.unit, own.convention))
     for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
         meaning = STANDS if effect.name == "base_offset" else meaning
@@ -422,9 +422,15 @@ def corrected_values(
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
+def corrected_geometry(chain: KinematicChain, values: Values, counting: Counting | None) -> CorrectedGeometry | None:
+    """Base, measured points and joints where the errors bring them; None where lists of lengths and zeros say all."""
+    return None if chain.lists else CorrectedGeometry(chain, values, counting)
+
+
 def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], float]:
     """Place and key -> number in file units: frame of each joint, base, measured points."""
-    geometry = CorrectedGeometry(chain, values)
+    if (geometry := corrected_geometry(chain, values, None)) is None:
+        return {}
     tables = geometry.tables()
     rows = {f"joint {row.pop('joint')}": row for row in tables["geometry"]}
     for j, joint in enumerate(chain.joints, start=1):

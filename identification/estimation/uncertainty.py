@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from scipy.special import chdtrc, chdtri, fdtrc, gammaln, ndtri, pdtrc, stdtr, s
 from identification.arm import Calibration
 from identification.arrays import Array
 from identification.estimation.problem import Problem
-from identification.information import ALONE, Spectrum, column_space, product_inverse
+from identification.information import ALONE, Spectrum, column_space, product_inverse, spectrum
 from identification.kinematics.parameters import ParameterSet
 from identification.measurements import Measurements
 
@@ -43,14 +44,16 @@ Groups = NDArray[np.int64]
 class WhiteRows:
     """What a fit leaves of m rows of d whitened coordinates, and the linear model about it.
 
-    jacobian : (m, d, p);  residual : (m, d);  rank : number of combinations estimated, with a prior by the data alone
+    jacobian : (m, d, p);  residual : (m, d);  decomposed : of the Jacobian and the rows R of a prior
+    rank : number of combinations estimated, with a prior by the data alone
     sequence : (m,) row numbers in the order of measurement
     postures, repeats : (m,) `Measurements.posture_numbers` and `repeat_numbers`, from 0
-    pull : (p,) R^T R (center - values) of a prior's rows R
+    pull : (p,) R^T R (center - values) of a prior
     """
 
     jacobian: Array
     residual: Array
+    decomposed: Spectrum
     rank: float
     sequence: Groups
     postures: Groups
@@ -59,29 +62,35 @@ class WhiteRows:
 
     @classmethod
     def of(cls, problem: Problem, data: Measurements, parameters: Array) -> WhiteRows:
-        """Of the rows of weight above zero, linear about parameters (p,); the rank is left to the caller."""
-        kept, prior = problem.weights > 0.0, problem.prior_rows
-        position, jacobian = problem.model.linearize(problem.postures, parameters, problem.conditions)
-        residual = problem.root_weights * (problem.positions[0] - position)
-        weighted = problem.root_weights[:, :, None] * jacobian
-        postures, repeats = (
-            np.unique(n[kept], return_inverse=True)[1] for n in (data.posture_numbers, data.repeat_numbers)
-        )
+        """Of the rows of weight above zero, linear about parameters (p,)."""
+        kept, prior, shape = problem.weights > 0.0, problem.prior_rows, problem.positions.shape[1:]
+        residual, jacobian = problem.rows_about(parameters)
+        decomposed = spectrum(jacobian, problem.model.scales, problem.tolerance, prior)
+        rank = decomposed.determined(jacobian) if len(prior) else decomposed.rank
+        rows = jacobian.reshape(*shape, -1)[kept], residual.reshape(shape)[kept]
+        postures = np.unique(data.posture_numbers[kept], return_inverse=True)[1]
+        repeats = np.unique(data.repeat_numbers[kept], return_inverse=True)[1]
         sequence = np.cumsum(kept)[data.sequence[kept[data.sequence]]] - 1
         pull = prior.T @ (prior @ (problem.prior_center - parameters))
-        return cls(weighted[kept], residual[kept], 0.0, sequence, postures, repeats, pull)
+        return cls(*rows, decomposed, rank, sequence, postures, repeats, pull)
+
+    @cached_property
+    def columns(self) -> Array:
+        """(m, d, rank) Q = J @ root, where root @ root.T = (J^T J + R^T R)^-1."""
+        return self.jacobian @ self.decomposed.root
 
     freedom = property(lambda self: self.residual.size - self.rank)  # equations less combinations estimated
     squares = property(lambda self: float(np.sum(self.residual**2)))  # sum of squared whitened residuals
 
-    def correlated(self, root: Array) -> int:
+    @property
+    def correlated(self) -> int:
         """Number of successive rows to be taken together: 1 where what they say of the parameters is uncorrelated.
 
         The lag-1 correlation of the scores Q_i^T r_i, with its standard error if their signs were random. The length is
         that of E. Carlstein (1986) for a first-order autoregression, m^(1/3) (2 rho / (1 - rho^2))^(2/3), and no less
         than leaves 40 stretches: Student's quantile is then within 4 % of the normal one.
         """
-        scores = np.einsum("mdr,md->mr", self.jacobian @ root, self.residual)[self.sequence]
+        scores = np.einsum("mdr,md->mr", self.columns, self.residual)[self.sequence]
         products = np.sum(scores[1:] * scores[:-1], axis=1)
         error = float(np.sqrt(np.sum(products**2)))
         if error == 0.0 or products.sum() <= float(ndtri(1.0 - LEVEL)) * error:
@@ -89,34 +98,28 @@ class WhiteRows:
         rho, m = min(float(products.sum() / np.sum(scores**2)), 0.99), len(scores)
         return int(np.ceil(max(m ** (1.0 / 3.0) * (2.0 * rho / (1.0 - rho**2)) ** (2.0 / 3.0), m / 40)))
 
-    def of_postures(self, root: Array) -> tuple[float, float]:
+    @property
+    def of_postures(self) -> tuple[float, float]:
         """Sum of squares of what the rows of each posture have in common, their sum over the root of their number; and
-        its expectation if noise is white with variance one, the degrees of freedom.
-
-        root : (p, rank), root @ root.T = (J^T J + R^T R)^-1
-        """
+        its expectation if noise is white with variance one, the degrees of freedom."""
         share = 1.0 / np.sqrt(np.bincount(self.postures))[self.postures, None]
-        columns = np.concatenate([self.residual[:, :, None], self.jacobian @ root], axis=2) * share[:, :, None]
+        columns = np.concatenate([self.residual[:, :, None], self.columns], axis=2) * share[:, :, None]
         sums = np.zeros((int(self.postures.max()) + 1, *columns.shape[1:]))
         np.add.at(sums, self.postures, columns)
         squares = np.sum(sums**2, axis=(0, 1))
         return float(squares[0]), float(sums[:, :, 0].size - squares[1:].sum())
 
-    def inside(self, root: Array) -> float:
+    @property
+    def inside(self) -> float:
         """Squared error expected of the fit at its own postures as a share of that at others drawn as they were.
 
         What the leverages l leave of 1, by their own weighted mean: sum l (1 - l) / sum l. They are those of postures,
         the eigenvalues of Q_g Q_g^T for the rows g of each (repeats and reflectors). Where all N are equal, 1 - p / N
         (G. H. Golub, M. Heath, G. Wahba, "Generalized cross-validation", 1979).
-
-        root : (p, rank), as of `of_postures`
         """
-        columns, squares = self.jacobian @ root, 0.0
-        for _, rows in rows_of_groups(self.postures):  # sum l^2 = |Q_g Q_g^T|^2 = |Q_g^T Q_g|^2
-            block = columns[rows].reshape(len(rows), -1, columns.shape[2])
-            block = block if block.shape[1] <= block.shape[2] else np.swapaxes(block, 1, 2)
-            squares += float(np.sum(np.square(block @ np.swapaxes(block, 1, 2))))
-        share = 1.0 - squares / float(np.sum(np.square(columns))) if columns.any() else 1.0
+        every = [leverages for _, leverages, *_ in decomposed_groups(self.columns, self.residual, self.postures)]
+        squares = sum(float(np.sum(np.square(leverages))) for leverages in every)
+        share = 1.0 - squares / float(np.sum(np.square(self.columns))) if self.columns.any() else 1.0
         return max(share, np.finfo(float).eps)  # of no equation more than unknowns it is rounding
 
 
@@ -148,7 +151,6 @@ class Uncertainty:
 
 def uncertainty(
     rows: WhiteRows,
-    decomposed: Spectrum,
     *,
     sigma_given: bool,
     reliance: str | None = None,
@@ -164,11 +166,11 @@ def uncertainty(
     doubtful : something is known to be left unexplained, or the noise to be no constant
     noise : with a prior, the standard deviation of the whitened rows that the prior was weighed against; None: no prior
     """
-    p, plain = float(chdtrc(rows.freedom, rows.squares)) if rows.freedom > 0 else None, decomposed.covariance
+    p, plain = float(chdtrc(rows.freedom, rows.squares)) if rows.freedom > 0 else None, rows.decomposed.covariance
     several = int(rows.postures.max()) + 1 < len(rows.postures)  # which share what is left unexplained there
     least, most = 0.1, 0.99  # p-values of chi2 between which intervals rely on the sigma that is given
     trusted = p is None or least <= p <= most if noise is None else noise == 1.0
-    common, spare = rows.of_postures(decomposed.root) if several else (0.0, 0.0)
+    common, spare = rows.of_postures if several else (0.0, 0.0)
     if trusted and spare >= 1.0:
         trusted = float(chdtrc(spare, common)) >= least
     if sigma_given and (reliance == "given" or (reliance is None and trusted)):
@@ -177,30 +179,25 @@ def uncertainty(
     freedom = rows.freedom if noise is None else max(rows.freedom, 1.0)
     if reliance is None and p is not None:
         misfit = doubtful or (sigma_given and p < least and noise is None)
-        if several or not (sigma_given and p > most):
-            robust = _robust(rows, decomposed.root, misfit, several, variance)
-            if robust is not None:
-                return robust
+        asked = several or not (sigma_given and p > most)
+        if asked and (robust := _robust(rows, misfit, several, variance)) is not None:
+            return robust
         # too few postures for a sandwich: what their rows have in common, as one row each
         if spare >= 1.0 and common / spare > variance:
             variance, freedom = common / spare, spare
     return Uncertainty("scatter", variance * plain, np.full(len(plain), float(freedom)))
 
 
-def _robust(rows: WhiteRows, root: Array, misfit: bool, several: bool, variance: float) -> Uncertainty | None:
+def _robust(rows: WhiteRows, misfit: bool, several: bool, variance: float) -> Uncertainty | None:
     """The widest sandwich over rows, postures or, where rows are correlated in time, stretches of time; None with too
-    few rows, where nothing asks for it, and where the rows determine no parameter.
-
-    root : (p, rank), as of `WhiteRows.of_postures`;  variance : of white noise
-    """
-    if not root.shape[1]:
+    few rows, where nothing asks for it, and where the rows determine no parameter;  variance : of white noise"""
+    if not (root := rows.decomposed.root).shape[1]:
         return None
     # an active bound hides what is behind it, and residuals that the parameters could explain would count as misfit: so
     # those that the linear model leaves without bounds
-    columns = rows.jacobian @ root
-    slope = np.einsum("mdr,md->r", columns, rows.residual) + root.T @ (rows.pull * np.ones(len(root)))
-    rows = replace(rows, residual=rows.residual - columns @ slope)
-    length = rows.correlated(root)
+    slope = np.einsum("mdr,md->r", rows.columns, rows.residual) + root.T @ (rows.pull * np.ones(len(root)))
+    rows = replace(rows, residual=rows.residual - rows.columns @ slope)
+    length = rows.correlated
     if not (misfit or several or length > 1 or lack_of_fit(rows.residual, rows.repeats, rows.rank)[1] < LEVEL):
         return None
     kind, groups, candidates = "postures" if several else "rows", rows.postures, list[tuple[float, Uncertainty]]()
@@ -282,19 +279,14 @@ def sandwich(
     return corrected @ corrected.T + variance * held, freedom
 
 
-def rows_of_groups(groups: Groups) -> Iterator[tuple[Groups, Groups]]:
-    """Numbers (k,) of groups as large as each other, and their rows (k, size);  groups : (m,) number of each row's"""
+def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterator[tuple[Groups, Array, Array, Array]]:
+    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: of the groups of each size their numbers (g,), (g, k) l,
+    (g, k, r) V^T and (g, k) V^T Q_g^T r_g;  groups : (m,) number of each row's, from 0"""
     order, counts = np.argsort(groups, kind="stable"), np.bincount(groups)
     starts = np.cumsum(counts) - counts
     for size in np.unique(counts):
         of_size = np.flatnonzero(counts == size)
-        yield of_size, order[starts[of_size, None] + np.arange(size)]
-
-
-def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterator[tuple[Groups, Array, Array, Array]]:
-    """Of columns Q (m, d, r), Q_g^T Q_g = V diag(l) V^T: of the groups of each size their numbers (g,), (g, k) l,
-    (g, k, r) V^T and (g, k) V^T Q_g^T r_g."""
-    for of_size, rows in rows_of_groups(groups):
+        rows = order[starts[of_size, None] + np.arange(size)]
         tall = columns[rows].reshape(len(of_size), -1, columns.shape[2])
         left, singular, right = np.linalg.svd(tall, full_matrices=False)
         projected = np.swapaxes(left, 1, 2) @ residual[rows].reshape(len(of_size), -1, 1)

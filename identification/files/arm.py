@@ -30,11 +30,20 @@ from identification.files.meshes import Shape
 from identification.files.schema import CURVE, CalibrationTable, EffectTable, PoseTable, validated, validated_arm
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
 from identification.instruments import KINDS
-from identification.kinematics.chain import BASE, STANDARD, TOOL, DHRow, KinematicChain, chain_of, planar_chain
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import (
+    BASE,
+    STANDARD,
+    TOOL,
+    CorrectedGeometry,
+    DHRow,
+    KinematicChain,
+    chain_of,
+    planar_chain,
+    standing_in,
+)
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
-from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, PRISMATIC, REVOLUTE, Parameter
+from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE, Parameter, by_joint
 from identification.workspace import Cell, ColumnLimits, KeepOutCircle, KeepOutCylinder, LineOfSight, WorkspaceBox
 
 if TYPE_CHECKING:
@@ -146,7 +155,7 @@ def described(
     arm: Arm, effects: Sequence[Mapping[str, Any]] | None, calibration: Mapping[str, Any] | None = None
 ) -> Arm:
     """An arm with entries of `[[effects]]`, None: its own, and with a `[calibration]`, None: without any."""
-    chain, kind, found = arm.chain, "planar" if arm.chain.planar else "spatial", None
+    chain, kind, found = arm.chain, arm.chain.kind, None
     built = _built(arm.effects, chain)
     if effects is not None:
         entries = [validated(EffectTable, each, f"effects[{k}].", kind) for k, each in enumerate(effects, start=1)]
@@ -349,7 +358,7 @@ def _calibration(
     """In API units, and the chain whose errors it has. Raises `InputError` for parameters that arm and effects do not
     have."""
     given = (table.values or {}) | table.effects
-    for key, kind in (("length_errors_mm", LENGTH_ERROR), ("joint_offsets_deg", JOINT_OFFSET)):
+    for kind, key in chain.lists.items():
         if (values := getattr(table, key)) is not None:
             _require_count(f"calibration.{key}", values, len(chain))
             given |= {f"{kind}:{j}": value for j, value in enumerate(values, start=1)}
@@ -378,9 +387,12 @@ def _calibration(
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------
-def corrected_urdf(path: PathLike, chain: KinematicChain) -> str:
-    """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none."""
-    file = validated_arm(read_toml(path))
+def corrected_urdf(path: PathLike, geometry: CorrectedGeometry | None) -> str:
+    """The URDF file that an arm file names, with the origins of a corrected chain; a bare one where it names none.
+    Raises `InputError` where there is no such geometry."""
+    if geometry is None:
+        raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
+    file, chain = validated_arm(read_toml(path)), geometry.real
     if (urdf := _urdf(file, Path(path).parent)) is None:
         return urdf_text(chain, file.name)
     return urdf.with_origins(file.base_link, file.tip_link, [joint.origin for joint in chain.joints])
@@ -429,17 +441,14 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
     """
     text, tables, arm, effects = _parsed(text, folder)
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
-    values = calibration.values if chain.frame_kinds else calibration.effects
+    values = dict.fromkeys(chain.held if chain.lists else (), 0.0) | dict(calibration.values)
     named, order = (
         _named(chain.every_parameter, effects, names, "calibration", in_file=False)
         for names in (values, calibration.parameter_names)
     )
     in_file = {p.file_name: _in_file(values[p.name], p.to_file) for p in named}
-    table: Plain = {"values": {name: in_file.pop(name) for name in [*in_file] if GEOMETRY.fullmatch(name)}}
-    if chain.planar:
-        held = replace(calibration, values=dict.fromkeys(chain.held, 0.0) | dict(calibration.values))
-        offsets = _in_file(held.joint_offsets, math.degrees(1.0))
-        table = {"length_errors_mm": held.length_errors, "joint_offsets_deg": offsets}
+    geometry = {name: in_file.pop(name) for name in [*in_file] if GEOMETRY.fullmatch(name)}
+    table: Plain = {key: by_joint(geometry, kind) for kind, key in chain.lists.items()} or {"values": geometry}
     factors, covariance = np.array([p.to_file for p in order]), None
     if calibration.covariance is not None:
         covariance = _in_file(calibration.covariance, np.outer(factors, factors))

@@ -53,13 +53,14 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     table = read_table(path)
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
     chain = links.chain if isinstance(links, Arm) else planar_chain([1.0])  # has the columns of every planar arm
-    instrument, in_space, poses = chain.instrument, bool(chain.frame_kinds), chain.angle_scale is not None
+    instrument, poses = chain.instrument, chain.angle_scale is not None
     postures = read_postures(table, types)
     types = postures.shape[1] if types is None else types
     # each target that is touched has a place of its own, as each session has
     names = {name: table.texts(name) for name in ("session", instrument.target) if name and name in table}
     session = np.array(["/".join(parts) for parts in zip(*names.values(), strict=True)]) if names else None
-    marker = table.texts("marker") if in_space and "marker" in table else None
+    marked = "" if instrument.own_targets else chain.point_column
+    marker = table.texts(marked) if marked and marked in table else None
     if instrument.own_targets:
         session, marker = names.get("session"), session
     coordinates = instrument.coordinates[: len(chain.axes)]
@@ -91,11 +92,12 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
-    elif in_space and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.columns)):
+    elif marked and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.columns)):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
-    labels = ["session", instrument.target, "marker" if in_space and not instrument.own_targets else ""]
     directions = (f"direction{j + 1}" for j in range(postures.shape[1]))
-    table.warn_unused(["run", "sigma_mm", *NUMBERS, *directions, *filter(None, labels)], hint)
+    table.warn_unused(
+        ["run", "sigma_mm", *NUMBERS, *directions, *filter(None, ("session", instrument.target, marked))], hint
+    )
     if instrument.contact and "run" in table and "order" not in table:
         planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
@@ -445,6 +447,6 @@ class Targets(NamedTuple):
             raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
         positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
         postures = read_postures(table, arm.joint_types) if has_postures else None
-        orientations = read_orientations(table) if has_positions and len(axes) == 3 else None
+        orientations = read_orientations(table) if has_positions and arm.chain.point_column else None
         table.warn_unused(["run"])
         return cls(positions, postures, orientations)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -15,7 +15,7 @@ from identification.arrays import Array
 from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import WAVES, around, curve_waves, slope_by_angle
-from identification.gap.fit import At, Fit
+from identification.gap.fit import At
 from identification.gap.likelihood import Index, Key, mixed
 from identification.gap.search import Posterior
 from identification.information import VISIBLE
@@ -35,9 +35,9 @@ class PredictingModel(At):
     spread : (p, p) covariance as of noise, with a mean square distance of 1 mm^2 at the postures measured
     """
 
-    covariance: Array
-    sigma: float
-    freedom: int
+    covariance: Array = field()  # these three instead of those of a least-squares fit
+    sigma: float = field()
+    freedom: int = field()
     spread: Array
     specs: tuple[EffectSpec, ...] = ()
     curves: tuple[Curve, ...] = ()
@@ -47,7 +47,7 @@ class PredictingModel(At):
         return replace(self, covariance=self.covariance + max(square, 0.0) * self.spread)
 
 
-def geometry(base: Fit) -> PredictingModel:
+def geometry(base: At) -> PredictingModel:
     """The base model as a predicting model."""
     covariance, columns = base.covariance, base.linearized[1]
     unit = float(np.sum((columns @ covariance) * columns)) / len(columns)

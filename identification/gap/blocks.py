@@ -279,9 +279,9 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         if missing := sorted(cls.needs - available):
             reasons[name] = f"needs {', '.join(missing)}"
             continue
-        joints: list[int | None] = [*range(cls.first_joint, arm.links + 1)]
-        whole: list[int | None] = [] if cls.per_joint == "required" else [None]
-        for joint in whole + (joints if cls.per_joint != "none" else []):
+        modeled = cls.per_joint == "none" or any(each.startswith(f"{name}.") for each in base.names)  # of every joint
+        joints = () if modeled else range(cls.first_joint, arm.links + 1)
+        for joint in (*([] if cls.per_joint == "required" else [None]), *joints):
             spec = EffectSpec(name, joint)
             slides = joint is not None and arm.joint_types[joint - 1] == PRISMATIC
             of_angle = slides and (cls.of_angle or cls.unlisted)
@@ -291,8 +291,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
             scans = [setting.scan(scope) for setting in cls.settings.values()]
             specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-            each = [Block.of(arm, one, cls.prior / max(len(specs), 1), kinds) for one in specs]
-            further = [block for block in each if block.label not in own]
+            blocks = (Block.of(arm, one, cls.prior / max(len(specs), 1), kinds) for one in specs)
+            further = [block for block in blocks if block.label not in own]
             (unlisted if cls.unlisted else members).extend(further)
             if not further:
                 reasons[spec.key] = "already in the arm's model"

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, softmax, stdtrit
 
@@ -31,10 +30,11 @@ from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
 from identification.information import RANK_TOLERANCE, column_space
-from identification.instruments.search import registered
+from identification.instruments.base import registered
 from identification.measurements import POINT, Conditions, Measurements, distances
 
 SESSION, OTHER_ROWS = "another session", "other rows"
+GAUSS_NEWTON = 10  # numerical: steps of a turn of the base, each of which doubles the digits
 
 
 # -- the test ----------------------------------------------------------------------------------------------------------
@@ -161,55 +161,31 @@ class Gap(NamedTuple):
 
 
 # -- rows held out -----------------------------------------------------------------------------------------------------
-class Placed(NamedTuple):
-    """What a model predicts of the rows of a hold-out.
+def placed_again(points: Array, axes: Array | None, measured: Array, names: NDArray[np.str_]) -> tuple[int, Array]:
+    """How many values say where a base and its measured points are in other rows, and (m, d) residuals [mm] with them
+    fitted, larger by as much as these values make them smaller.
 
-    points : (m, d) [mm];  axes : (m, 3, 3) of the tip for the instrument, None in a plane and where lengths are read
-    measured : (m, d) [mm];  names : (m,) of the measured points, "" where there are none
+    points : (m, d) computed [mm];  axes : (m, 3, 3) of the tip for the instrument, None: its place in the tip stays
+    measured : (m, d) [mm];  names : (m,) of the measured points
     """
-
-    points: Array
-    axes: Array | None
-    measured: Array
-    names: NDArray[np.str_]
-
-    def refitted(self, base: bool, points: Sequence[str]) -> tuple[int, Array]:
-        """How many values are fitted where the base, and points with these names, are elsewhere; and (m, d) residuals
-        [mm] then, larger by as much as these values make them smaller."""
-        d, full = self.measured.shape[1], np.zeros((len(self.points), 3))
-        full[:, :d] = self.points
-        frame = registered(full, self.measured) if base else np.eye(4)
-        left, count = self.measured - self.points @ frame[:d, :d].T - frame[:d, 3], 3 * (d - 1) * base + 3 * len(points)
-        if points and self.axes is not None:  # everything but the turn A of the base is linear
-            axes = np.concatenate([self.axes * (self.names == name)[:, None, None] for name in points], axis=2)
-
-            def turned(by: Array) -> Array:
-                turn = Rotation.from_rotvec(by).as_matrix() @ frame[:3, :3]
-                shift = [np.broadcast_to(np.eye(3), (len(full), 3, 3))] * base
-                table = np.concatenate([turn @ axes, *shift], axis=2).reshape(left.size, -1)
-                target = (self.measured - self.points @ turn.T).ravel()
-                return np.asarray(target - table @ np.linalg.lstsq(table, target, rcond=RANK_TOLERANCE)[0])
-
-            by = least_squares(turned, np.zeros(3), method="lm").x if base else np.zeros(3)
-            left = turned(by).reshape(left.shape)
-        return count, left * np.sqrt(left.size / max(left.size - count, 1.0))
-
-    def set_up(self, fresh: tuple[str, ...], elsewhere: bool) -> tuple[bool, tuple[str, ...]]:
-        """The least that has to be refitted, whether the base and which points: points of names that the data do not
-        have, and where rows may be of another set-up (`elsewhere`) what makes the RMS fall by `FALL`."""
-        every, options = tuple(dict.fromkeys(self.names.tolist())), list[tuple[bool, tuple[str, ...]]]([(False, ())])
-        if self.axes is None:
-            options += [(True, ())] * (elsewhere and self.points.shape[1] == 2)
-        elif fresh:
-            options = [(False, fresh), (True, fresh)]
-        elif elsewhere:
-            options += [(False, every), (True, ()), (True, every)]
-        tried = [(option, *self.refitted(*option)) for option in options]
-        squares = {option: float(np.sum(left**2)) for option, count, left in tried if left.size > 2 * count}
-        if not squares or squares.get(options[0], 0.0) <= FALL**2 * (least := [*squares.values()][-1]):
-            return options[0]
-        # one more set of parameters must save a tenth of the RMS error
-        return next(option for option, left in squares.items() if left <= 1.25 * least)
+    m, d = measured.shape
+    full = np.pad(points, ((0, 0), (0, 3 - d)))
+    frame, count = registered(full, measured), 3 * (d - 1)
+    turn, left = frame[:3, :3], (measured - full @ frame[:d, :3].T - frame[:d, 3])
+    if axes is not None:
+        tips = np.concatenate([axes * (names == name)[:, None, None] for name in np.unique(names)], axis=2)
+        count, shift = count + tips.shape[2], np.zeros(tips.shape[2])
+        for _ in range(GAUSS_NEWTON):
+            turned = (full + tips @ shift) @ turn.T
+            by_turn = np.cross(np.eye(3)[None], turned[:, None, :]).transpose(0, 2, 1)
+            columns = np.concatenate([by_turn, np.broadcast_to(np.eye(3), (m, 3, 3)), turn @ tips], axis=2).reshape(
+                3 * m, -1
+            )
+            target = (measured - full @ turn.T).ravel()
+            values = np.linalg.lstsq(columns, target, rcond=RANK_TOLERANCE)[0]
+            left, shift = (target - columns @ values).reshape(m, 3), values[6:]
+            turn = Rotation.from_rotvec(values[:3]).as_matrix() @ turn
+    return count, left * np.sqrt(left.size / max(left.size - count, 1.0))
 
 
 @dataclass(frozen=True)
@@ -218,14 +194,12 @@ class HeldOut:
 
     conditions : temperatures count from where those of the data do, time is on their scale if both are of one session,
         and points that the data do not have are the first
-    transfer : kind of transfer that they test;  fresh : names of their points that the data do not have
-    elsewhere : whether base and points may be elsewhere
+    transfer : kind of transfer that they test;  elsewhere : whether base and points may be elsewhere
     """
 
     rows: Measurements
     conditions: Conditions
     transfer: str
-    fresh: tuple[str, ...]
     elsewhere: bool
 
     @classmethod
@@ -233,7 +207,7 @@ class HeldOut:
         """Of rows beside the data: order numbers that occur in both, or a pause between them that is longer than the
         data, mean two sessions; one point of the data is the one of the rows, whatever it is called there, as in an arm
         file."""
-        changes, transfer, fresh = dict[str, Array | None](marker=None), OTHER_ROWS, tuple[str, ...]()
+        changes, transfer = dict[str, Array | None](marker=None), OTHER_ROWS
         if data.temperature is not None and rows.temperature is not None:
             changes["temperature"] = rows.temperature - data.reference_temperature
         if data.order is not None and rows.order is not None:
@@ -245,30 +219,31 @@ class HeldOut:
                 transfer = "a later time" if later > 0.0 else "an earlier time" if earlier > 0.0 else "other postures"
                 changes["time"] = (rows.order - first) / span - 0.5 if span else rows.conditions.time
         if rows.marker is not None and data.marker_names:
-            names, number = rows.marker.tolist(), {name: k for k, name in enumerate(data.marker_names)}
-            if len(number) > 1 or len({*names}) > 1:
-                fresh = tuple(name for name in rows.marker_names if name in {*names} - {*number})
-            changes["marker"] = np.array([number.get(name, 0) for name in names], dtype=float)
+            number = {name: k for k, name in enumerate(data.marker_names)}
+            changes["marker"] = np.array([number.get(name, 0) for name in rows.marker.tolist()], dtype=float)
         renamed = not {*rows.marker_names} <= {*data.marker_names}
         elsewhere = renamed or transfer in (SESSION, OTHER_ROWS)
-        return cls(rows, replace(rows.conditions, **changes), transfer, fresh, elsewhere)
+        return cls(rows, replace(rows.conditions, **changes), transfer, elsewhere)
 
     def residuals(self, base: At, model: At) -> tuple[Array, Array, tuple[str, ...]]:
-        """(m, d) residuals [mm] of both models, and in words what another set-up of the rows has had refitted: the
-        least that the second model needs, the same for both."""
-        both = []
+        """(m, d) residuals [mm] of both models, and in words what was fitted to the rows for both of them first: base
+        and points, where that makes the RMS of the second fall by `FALL`."""
+        lefts, again, count = list[Array](), list[Array](), 0
+        names = np.full(len(self.rows), "") if self.rows.marker is None else np.asarray(self.rows.marker)
         for one in (base, model):
             left, chain, axes = one.residuals(self.rows, self.conditions)[:, POINT], one.model.arm.chain, None
-            if chain.frame_kinds and chain.instrument.reads_positions:
-                levers = one.model.place_levers(self.rows.postures, one.values, self.conditions)[0]
-                axes = levers[:, POINT, slices(widths(chain))["tool"]]
-            names = np.full(len(left), "") if self.rows.marker is None else np.asarray(self.rows.marker)
-            measured = self.rows.positions[:, POINT]
-            both.append(Placed(measured - left, axes, measured, names))
-        base_moved, points = both[1].set_up(self.fresh, self.elsewhere)
-        words = ("base",) * base_moved + tuple(f"reflector {name}" if name else "reflector" for name in points)
-        before, after = (one.refitted(base_moved, points)[1] for one in both)
-        return before, after, words
+            lefts.append(left)
+            if self.elsewhere and chain.instrument.reads_positions:
+                if chain.point_column:
+                    levers = one.model.place_levers(self.rows.postures, one.values, self.conditions)[0]
+                    axes = levers[:, POINT, slices(widths(chain))["tool"]]
+                measured = self.rows.positions[:, POINT]
+                count, placed = placed_again(measured - left, axes, measured, names)
+                again.append(placed)
+        if not again or left.size <= 2 * count or np.linalg.norm(left) <= FALL * np.linalg.norm(again[1]):
+            return lefts[0], lefts[1], ()
+        points = [] if axes is None else [f"reflector {name}".strip() for name in dict.fromkeys(names.tolist())]
+        return again[0], again[1], ("base", *points)
 
     def parameter_part(self, model: PredictingModel) -> Mean:
         """Mean square distance [mm^2] due to errors of the parameters, tr(G C) with the variance 2 tr(G C G C),

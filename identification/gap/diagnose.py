@@ -27,7 +27,7 @@ from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
-from identification.gap.fit import Fit, Rows, determined, fit
+from identification.gap.fit import At, Rows, determined, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
 from identification.gap.replication import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, probabilities
@@ -153,8 +153,6 @@ def diagnose(
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
-    words = " and ".join(confirmation.refitted) if confirmation is not None else ""
-    moved = f"the hold-out is of another set-up: {words} refitted to its rows, for both models"
     result = Diagnosis(
         arm=library.arm,
         verdict=likely.verdict,
@@ -182,7 +180,6 @@ def diagnose(
             *flipped(fitted.model, fitted.values, np.ones(len(fitted.values), dtype=bool)),
             *another_frame(Model(library.arm), measurements),
             *outside_limits(library.arm, measurements),
-            *([moved] if words else []),
             *(f"hold-out: {one}" for one in ([] if holdout is None else lacking(predicting.model, holdout))),
             *copies,
         ),
@@ -231,7 +228,7 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         raise InputError(f"holdout: {copied}, allowed: rows not used before")
 
 
-def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fit, alone: bool) -> Iterator[str]:
+def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: At, alone: bool) -> Iterator[str]:
     """Sentences to read before the verdict is trusted.
 
     best : fit of the likeliest set;  alone : whether the geometry alone predicts better

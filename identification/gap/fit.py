@@ -7,7 +7,7 @@ sheet's sigma that is 1.5 times too small would make every test significant.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -126,11 +126,16 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class At:
-    """A model with values (p,) of its parameters [API units], and rows."""
+    """A model with values (p,) of its parameters [API units], and m rows, with N = m d whitened coordinates.
+
+    free : (p,) False where a bound is active, None: nowhere;  status : how the fit to the rows ended, if it is one
+    """
 
     model: Model
     values: Array
     rows: Rows
+    free: NDArray[np.bool_] | None = field(default=None, kw_only=True)
+    status: Status = field(default=Status.converged, kw_only=True)
 
     def on(self, rows: Rows) -> At:
         """The same model at other rows, or with another noise."""
@@ -161,17 +166,8 @@ class At:
         conditions = measurements.conditions if conditions is None else conditions
         return measurements.positions - self.model.position(measurements.postures, self.values, conditions)
 
-
-@dataclass(frozen=True, eq=False)
-class Fit(At):
-    """A model fitted to m rows, in N = m d whitened coordinates.
-
-    residual : (N,) whitened;  free : (p,) False where a bound is active
-    """
-
-    residual: Array
-    free: NDArray[np.bool_]
-    status: Status
+    # -- of a least-squares fit to the rows ------------------------------------------------------------------------
+    residual = cached_property(lambda self: self.rows.whiten(self.left))  # (N,) whitened
 
     @cached_property
     def jacobian(self) -> Array:
@@ -183,20 +179,21 @@ class Fit(At):
         """Number of parameter combinations that the data determine."""
         return int(column_space(self.jacobian, self.model.scales)[0].shape[1])
 
-    @property
+    @cached_property
     def freedom(self) -> int:
         """Residual degrees of freedom; parameter combinations that the data do not determine cost none."""
         return len(self.residual) - self.rank
 
-    @property
+    @cached_property
     def sigma(self) -> float:
         """Scale of the noise [mm] estimated from the residuals."""
         return float(np.linalg.norm(self.residual) / np.sqrt(max(self.freedom, 1)))
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
         """(p, p) of the estimates [unit of row x unit of column]; a parameter with an active bound counts as known."""
-        full, free = np.zeros((len(self.values), len(self.values))), np.flatnonzero(self.free)
+        full, free = np.zeros((len(self.values),) * 2), np.arange(len(self.values))
+        free = free if self.free is None else free[self.free]
         spread = spectrum(self.jacobian[:, free], self.model.scales[free]).covariance
         full[np.ix_(free, free)] = self.sigma**2 * spread
         return full
@@ -223,7 +220,7 @@ def fitted_arm(
     return replace(model.arm, calibration=Calibration(fit(model, Rows.of(measurements).pick(kept)).by_name))
 
 
-def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> Fit:
+def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> At:
     """Fit a model to whitened rows by least squares within the bounds of its parameters.
 
     start : parameter name -> value, zero where missing; None, or far worse: as `estimation.problem.starts` finds it
@@ -242,6 +239,4 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> F
         closed = starts(problem)[0]
         values = closed if values is None or left(closed) < left(values) else values
     solution = problem.minimized(values[None], linearize)
-    values = solution.parameters[0]
-    residual = linearize(values[None], np.arange(1))[0][0]
-    return Fit(model, values, rows, residual, ~solution.active[0], solution.status[0])
+    return At(model, solution.parameters[0], rows, free=~solution.active[0], status=solution.status[0])

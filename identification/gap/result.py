@@ -22,15 +22,15 @@ from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
-from identification.gap.average import Curve, PredictingModel
+from identification.gap.average import Curve
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
-from identification.gap.fit import Fit
+from identification.gap.fit import At
 from identification.gap.noise import Finding, Misfit
 from identification.gap.replication import Replication
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
-from identification.kinematics.corrected import CorrectedGeometry
+from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.counting import joint_range
 from identification.measurements import Conditions, Measurements, repeats_of
 from identification.model import Model
@@ -170,7 +170,7 @@ class Candidate:
     delta_bic: float = 0.0
 
     @classmethod
-    def of(cls, fitted: Fit, added: int, given: float | None = None, doubtful: bool = False) -> Self:
+    def of(cls, fitted: At, added: int, given: float | None = None, doubtful: bool = False) -> Self:
         """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
 
         given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
@@ -179,9 +179,9 @@ class Candidate:
         jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
         tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
         repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
-        table = WhiteRows(*tall, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
         parts = spectrum(jacobian, model.scales)
-        sure = uncertainty(table, parts, sigma_given=sigma is not None, doubtful=doubtful)
+        table = WhiteRows(*tall, parts, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
+        sure = uncertainty(table, sigma_given=sigma is not None, doubtful=doubtful)
         effects = model.effects[len(model.effects) - added :]  # the arm's own come first
         names = {p.name for effect in effects for p in effect.parameters}
         deviations = np.sqrt(np.maximum(np.diag(sure.covariance), 0.0))  # of a perfect fit
@@ -228,7 +228,7 @@ class Candidate:
         }
 
 
-def as_calibration(fitted: Fit | PredictingModel, covariance: Array, freedom: Array, postures: Array) -> Calibration:
+def as_calibration(fitted: At, covariance: Array, freedom: Array, postures: Array) -> Calibration:
     """Estimates (p,) as an arm file has them, with the postures (m, n) and the scatter [mm] that they come from."""
     names, joints = fitted.model.names, joint_range(postures, fitted.model.joint_types)
     origin = {"source": DIAGNOSED, **joints, "scatter_mm": fitted.sigma, **freedom_kept(names, freedom)}

@@ -243,7 +243,7 @@ def other_frame(arm: Arm, written: Reading) -> list[str]:
     written : the columns as they are
     """
     chain, base = arm.chain, written.base
-    if base is None or not chain.instrument.reads_positions or chain.planar or BASE not in chain.settled:
+    if base is None or not chain.instrument.reads_positions or BASE not in chain.settled - chain.drawn:
         return []
     relative = chain.base[:3, :3].T @ base[:3, :3]
     turn = float(np.arccos(np.clip((np.trace(relative) - 1.0) / 2.0, -1.0, 1.0)))

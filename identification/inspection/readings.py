@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import combinations
+from itertools import accumulate, combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,10 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.errors import require
 from identification.instruments import Unplaced
-from identification.kinematics.chain import TOOL
+from identification.kinematics.chain import TOOL, KinematicChain
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, to_angles
-from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC
+from identification.kinematics.parameters import JOINT_OFFSET, PRISMATIC, REVOLUTE
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, spread_rows
@@ -209,11 +209,8 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     joints = f"found {measurements.links} joints, allowed: {arm.links}, as the arm has"
     require(measurements.links == arm.links, f"measurements: {joints}")
     # as drawn, where it stands left open, and in space what is measured on it
-    tip = arm.chain.settled.difference(arm.chain.frame_kinds) & {TOOL}
-    drawn_chain = type(arm.chain)(
-        arm.chain.joints, arm.chain.end, settled=tip, instrument=arm.chain.instrument.unplaced
-    )
-    arm = replace(arm, chain=drawn_chain)
+    chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
+    arm = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.unplaced))
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides = np.array([kind == PRISMATIC for kind in kinds])
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions
@@ -300,7 +297,7 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
             order = list(best.order)
             order[a], order[b] = order[b], order[a]
             yield replace(best, order=tuple(order))
-        for first, senses in arm.chain.parallel_joints:
+        for first, senses in parallel_joints(chain):
             last = first + len(senses)
             for start in range(first, last - 1):
                 every = best.matrix
@@ -365,6 +362,20 @@ def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
     return measurements.postures[rows][near], x[near], x.size < 3 * unknowns
 
 
+def parallel_joints(chain: KinematicChain) -> list[tuple[int, tuple[int, ...]]]:
+    """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
+    whether it turns as the first does (1) or the other way (-1)."""
+    turns = accumulate((joint.origin[:3, :3] for joint in chain.joints), np.matmul)
+    axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, chain.joints, strict=True)]
+    runs = [(0, [1])]
+    for j, (before, axis) in enumerate(pairwise(axes), start=1):
+        if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
+            runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
+        else:
+            runs.append((j, [1]))
+    return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
+
+
 def _spread(points: Array) -> float:
     """Median distance of points (m, d) from their median, of distances (m, 1) that of the points they are of, if these
     lie on all sides: of normal ones 1.54 and 0.67 standard deviations of a coordinate."""
@@ -423,7 +434,7 @@ def placed_with_zeros(model: Model, measurements: Measurements) -> tuple[Model, 
     """The model where the closed form places it, and zeros of joints to start from where they are clearly not those of
     the drawing: far from them a fit may end with frames turned over."""
     start = placed_model(model, measurements)
-    if start is model or not (arm := model.arm).chain.frame_kinds or arm.calibration is not None:
+    if start is model or (arm := model.arm).calibration is not None:
         return start, {}
     rows = spread_rows(measurements, measurements.session_rows[0])  # later ones have another base
     left = rows.positions - start.position(rows.postures, conditions=rows.conditions)

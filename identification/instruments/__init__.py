@@ -4,9 +4,16 @@
 `KINDS` maps axes of arms, then words of arm files to classes (identification/README.md, "How to add an instrument").
 """
 
-from identification.instruments.base import KINDS, Coordinate, Instrument, register_instrument
+from identification.instruments.base import (
+    KINDS,
+    TRACKER,
+    Coordinate,
+    Instrument,
+    Placement,
+    Tracker,
+    Unplaced,
+    register_instrument,
+)
 from identification.instruments.cups import Socket
 from identification.instruments.distance import Distance, PlanarDistance, distance_to_center
 from identification.instruments.probe import Plane, Sphere
-from identification.instruments.search import Placement, Unplaced
-from identification.instruments.tracker import TRACKER, Tracker

@@ -14,8 +14,7 @@ import numpy as np
 from identification.arrays import Array
 from identification.errors import InputError
 from identification.information import VISIBLE
-from identification.instruments.base import PLACE, AtTargets, OwnValue, register_instrument
-from identification.instruments.search import Placement, Unplaced
+from identification.instruments.base import PLACE, AtTargets, OwnValue, Placement, Unplaced, register_instrument
 from identification.kinematics.parameters import AXES, Parameter, error_names
 
 TOUCHES = 1e-6  # [mm] by which these are kept

@@ -12,8 +12,16 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.information import RANK_TOLERANCE
-from identification.instruments.base import PLACE, AtTargets, Coordinate, Instrument, OwnValue, register_instrument
-from identification.instruments.search import Placement, Unplaced, searched
+from identification.instruments.base import (
+    PLACE,
+    AtTargets,
+    Coordinate,
+    Instrument,
+    OwnValue,
+    Placement,
+    Unplaced,
+    register_instrument,
+)
 from identification.kinematics.frames import pose
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 
@@ -49,7 +57,7 @@ class Distance(Instrument):
         goals = np.sum(around**2, axis=2) - (rows.readings[:, 0] / rows.reach) ** 2
         solved = (np.linalg.pinv(columns, rcond=RANK_TOLERANCE) @ goals[..., None])[..., 0]
         bases[:, :3, 3] = -middle[:, 0] - rows.reach * solved[:, :3]
-        return searched(self, rows, bases)
+        return self.searched(rows, bases)
 
 
 @register_instrument

@@ -12,9 +12,8 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError
-from identification.instruments.base import PLACE, Instrument, register_instrument
+from identification.instruments.base import PLACE, Instrument, Placement, Unplaced, register_instrument
 from identification.instruments.distance import Distance, distance_to_center
-from identification.instruments.search import Placement, Unplaced, searched
 from identification.kinematics.frames import from_angles, pose, rotation_about
 from identification.kinematics.parameters import AXES, error_names
 from identification.workspace import circle_across
@@ -89,7 +88,7 @@ class Plane(Instrument):
             about = points - points.mean(axis=0)
             normal = np.linalg.eigh(about.T @ about)[1][:, 0]  # of the least scatter; of few points any
             bases.append(_standing_above(points, normal, normal @ points.mean(axis=0)))
-        best = searched(self, rows, np.array(bases))
+        best = self.searched(rows, np.array(bases))
         if rows.base is not None:
             return best
         (points,) = rows._replace(tool=best.tool).points

@@ -18,6 +18,16 @@ Denavit-Hartenberg tables as chains of joints, in the standard and in the modifi
     modified (Craig 1986)                     A_j = Rx(alpha_j) Tx(a_j) Rz(theta_j) Tz(d_j)
 
 with theta_j = q_j + offset_j for a revolute joint, d_j + q_j in the place of d_j for a prismatic one.
+
+Chains with their errors composed into them say where base, tools and joints really are: as a table of the joints, their
+offsets, and a Denavit-Hartenberg table. Between axes that the drawing has parallel the common normal stands anywhere,
+and the strict table explodes. There d stays as drawn, the next origin is where the next axis meets the plane of that d,
+and a turn beta about the new y axis follows alpha (S. A. Hayati, "Robot arm geometric link parameter estimation", CDC
+1983):
+
+    Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta)
+
+What is before the first axis is the base, what is behind the last axis the tip: there the table stays as drawn.
 """
 
 from __future__ import annotations
@@ -25,10 +35,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -37,7 +47,22 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
 from identification.instruments import TRACKER, Instrument
-from identification.kinematics.frames import Frame, X, Z, pose, rotation_about, rotation_to_z, rotation_vector
+from identification.kinematics.counting import Counting
+from identification.kinematics.frames import (
+    Frame,
+    X,
+    Y,
+    Z,
+    displacement,
+    point_table,
+    pose,
+    pose_table,
+    roll_pitch_yaw,
+    rotation_about,
+    rotation_to_z,
+    rotation_vector,
+    tool_tables,
+)
 from identification.kinematics.parameters import (
     JOINT_OFFSET,
     LENGTH_ERROR,
@@ -94,6 +119,10 @@ class Joint(ByValue):
         turned = turned.turned(2, q) if self.type == REVOLUTE else turned.moved(2, q)
         return turned.placed(pose(rotation=to_z.T))
 
+    def motion(self, q: float) -> Array:
+        """(4, 4) its motion by q [rad, mm]."""
+        return pose(rotation=rotation_about(self.axis, q)) if self.type == REVOLUTE else pose(self.axis * q)
+
 
 @dataclass(frozen=True, eq=False)
 class KinematicChain(ByValue):
@@ -110,14 +139,17 @@ class KinematicChain(ByValue):
     tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
 
+    kind: ClassVar[str] = "spatial"  # the word in arm files
+    # kinds of its parameters that files list over the joints -> the key of the list; others stand there by their names
+    lists: ClassVar[Mapping[str, str]] = NOTHING
     axes: ClassVar[str] = "xyz"  # of the frames, along which positions are measured
     turning: ClassVar[tuple[int, ...]] = (0, 1, 2)  # numbers of the axes that a frame may turn about
     turn_names: ClassVar[tuple[str, ...]] = ("wx", "wy", "wz")  # of the parts of a rotation
     base_shift: ClassVar[tuple[str, ...]] = error_names(BASE)[:3]  # names of the parameters that move the base
-    # kinds of the parameters that say where it stands and what is measured on it, each a frame
-    frame_kinds: ClassVar[tuple[str, ...]] = (BASE, TOOL)
+    drawn: ClassVar[frozenset[str]] = frozenset()  # those of `base` and `tool` that are always where the drawing is
+    point_column: ClassVar[str] = "marker"  # of files, which point or frame on the tip is measured; empty: the tip
+    first_point: ClassVar[int] = 0  # of its `points`, as frames count
     projection: ClassVar[str | None] = "3d"  # of the axes (matplotlib) that it is drawn in
-    planar: ClassVar[bool] = False  # a `PlanarChain`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
@@ -125,9 +157,6 @@ class KinematicChain(ByValue):
 
     def __len__(self) -> int:
         return len(self.joints)
-
-    # whether it is a planar arm of which positions are measured, as the closed form and the theorem have it
-    positions_in_plane = property(lambda self: self.planar and self.instrument.reads_positions)
 
     def refuse_contacts(self) -> None:
         """Raises `InputError` where a probe touches a surface and postures have to be free."""
@@ -139,9 +168,11 @@ class KinematicChain(ByValue):
     joint_types = property(lambda self: tuple(joint.type for joint in self.joints))  # (n) `revolute` or `prismatic`
 
     # whether it has more free errors than measurements can show, so that a fit needs a prior of them
-    redundant = property(lambda self: not self.planar and not self.fixed)
-    # names of those of the parameters that are not estimated: `fixed`, and in the plane what no reading shows
-    held = property(lambda self: self.fixed | (self.instrument.hidden(self.base) if self.planar else frozenset()))
+    redundant = property(lambda self: not self.fixed)
+    held = property(attrgetter("fixed"))  # names of those of the parameters that are not estimated
+    # names of the parameters that say where it stands, where these are of no kind `base`, and the effects that add some
+    standing = standing_effects = property(lambda self: tuple[str, ...]())
+    as_in_paper = False  # whether its readings are eq. 1 of the paper: of these are Table I and the planar theorem
 
     @property
     def coordinates(self) -> int:
@@ -149,20 +180,6 @@ class KinematicChain(ByValue):
         if self.angle_scale is not None:
             return 2 * DIMENSION
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
-
-    @property
-    def parallel_joints(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of
-        each whether it turns as the first does (1) or the other way (-1)."""
-        turns = accumulate((joint.origin[:3, :3] for joint in self.joints), np.matmul)
-        axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, self.joints, strict=True)]
-        runs = [(0, [1])]
-        for j, (before, axis) in enumerate(pairwise(axes), start=1):
-            if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
-                runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
-            else:
-                runs.append((j, [1]))
-        return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
     @cached_property
     def link_poses(self) -> tuple[Array, ...]:
@@ -322,7 +339,7 @@ class KinematicChain(ByValue):
         planar arm, whose joint 1 is the base."""
         *frames, _, measured = self._in_base(q, values)
         points = [*(frame.origin for frame in frames), measured.point(ca.SX(3, 1))]
-        return [point[: self.dimension] for point in points[self.planar :]]
+        return [point[: self.dimension] for point in points[self.first_point :]]
 
     def _in_base(self, q: ca.SX, values: Values) -> list[Frame]:
         """`frames` and that of the first measured point in the frame of the base, as if nothing were wrong with it."""
@@ -333,7 +350,7 @@ class KinematicChain(ByValue):
     # -- numbers: errors of the geometry by name -----------------------------------------------------------------------
     def points(self, postures: Array, values: Numbers) -> Array:
         """(..., n + 2, d) those of `symbolic_points` at postures (..., n), n + 1 of a planar arm."""
-        return np.delete(self.frames_at(values)(postures)[..., self.planar :, : self.dimension, 3], -2, axis=-2)
+        return np.delete(self.frames_at(values)(postures)[..., self.first_point :, : self.dimension, 3], -2, axis=-2)
 
     def tip_frames(self, postures: Array, values: Numbers = NOTHING) -> Array:
         """(m, 4, 4) poses of the tip in the base at postures (m, n)."""
@@ -371,14 +388,27 @@ class PlanarChain(KinematicChain):
     """A chain that moves in a plane: its free errors are link lengths and joint zeros, and its base and tip are where
     the drawing has them; where the base stands is an effect, and how it is turned the offset of joint 1."""
 
+    kind = "planar"
+    lists = MappingProxyType({LENGTH_ERROR: "length_errors_mm", JOINT_OFFSET: "joint_offsets_deg"})
     axes = "xy"
     turning = (2,)
     turn_names = ("w",)
     base_shift = ("base_offset.x0", "base_offset.y0")
-    frame_kinds = ()
+    drawn = frozenset({BASE, TOOL})
+    point_column = ""
+    first_point = 1
     projection = None
-    planar = True
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.angle_scale is not None:
+            raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
+
+    redundant = property(lambda self: False)
+    held = property(lambda self: self.fixed | self.instrument.hidden(self.base))  # what no reading shows, too
+    standing = property(lambda self: (*self.base_shift, f"{JOINT_OFFSET}:1") if self.as_in_paper else ())
+    standing_effects = property(lambda self: ("base_offset",) if self.as_in_paper else ())
+    as_in_paper = property(attrgetter("instrument.reads_positions"))
     levers = property(attrgetter("lengths"))
     every_parameter = property(lambda self: self.parameters())
 
@@ -393,7 +423,7 @@ class PlanarChain(KinematicChain):
 
     def closed_form(self, parameters: ParameterSet, others: bool) -> PlanarClosedForm | None:
         chain = [*parameters.indices(LENGTH_ERROR), *parameters.indices(JOINT_OFFSET)]
-        if not self.positions_in_plane or len(chain) < 2 * len(self):
+        if not self.as_in_paper or len(chain) < 2 * len(self):
             return None
         base = [k for k, name in enumerate(parameters.names) if name in self.base_shift]
         indices = np.array(chain + base if len(base) == 2 else chain)
@@ -408,7 +438,7 @@ def planar_chain(lengths: ArrayLike) -> KinematicChain:
     links = np.ravel(np.asarray(lengths, dtype=float))
     before = (pose((length, 0.0, 0.0)) for length in (0.0, *links[:-1]))
     joints = (Joint(f"joint_{j}", origin, Z) for j, origin in enumerate(before, start=1))
-    return PlanarChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=frozenset({BASE, TOOL}))
+    return PlanarChain(tuple(joints), pose((links[-1], 0.0, 0.0)), settled=PlanarChain.drawn)
 
 
 def in_space(vector: Any) -> Any:
@@ -501,3 +531,145 @@ class PlanarClosedForm:
             return np.concatenate(parts, axis=-1), np.einsum("ki,ki->k", squares, squares)
 
         return solve
+
+
+# -- a chain with its errors -------------------------------------------------------------------------------------------
+def corrected(chain: KinematicChain, values: Numbers) -> KinematicChain:
+    """The chain whose nominal geometry is this one's with its errors."""
+    joints = []
+    for j, joint in enumerate(chain.joints, start=1):
+        zero = joint.motion(values.get(f"{JOINT_OFFSET}:{j}", 0.0))
+        joints.append(replace(joint, origin=joint.origin @ pose(*displacement(values, error_names(j))) @ zero))
+    return replace(standing_in(chain, values), joints=tuple(joints))
+
+
+def standing_in(chain: KinematicChain, values: Numbers, back: bool = False) -> KinematicChain:
+    """The chain with base and measured points or frames where their errors bring them, or `back` from there; its joints
+    as they are."""
+
+    def moved(frame: str, place: Array, turn: Array) -> tuple[Array, Array]:
+        shift, rotation = displacement(values, error_names(frame))
+        return (place - shift, turn @ rotation.T) if back else (place + shift, turn @ rotation)
+
+    base = pose(*moved(BASE, chain.base[:3, 3], chain.base[:3, :3]))
+    axes = {name: chain.tool_axes.get(name, np.eye(3)) for name in chain.tools}
+    frames = {name: moved(f"tool[{name}]", np.asarray(place), axes[name]) for name, place in chain.tools.items()}
+    tools = {name: place for name, (place, _) in frames.items()}
+    axes = dict(chain.tool_axes) if chain.angle_scale is None else {name: turn for name, (_, turn) in frames.items()}
+    return replace(chain, base=base, tools=tools, tool_axes=axes)
+
+
+@dataclass(frozen=True)
+class CorrectedGeometry:
+    """A chain with the errors that were found.
+
+    chain : as nominal;  values : parameter name -> value [mm, rad];  counting : of the controller, None: as the chain's
+    """
+
+    chain: KinematicChain
+    values: Mapping[str, float]
+    counting: Counting | None = None
+
+    @cached_property
+    def real(self) -> KinematicChain:
+        """The chain whose nominal geometry is the corrected one."""
+        return corrected(self.chain, self.values)
+
+    @property
+    def places(self) -> dict[str, Any]:
+        """`base`, `tools` and `tool_axes` of a `Calibration`: those that were to be found."""
+        tools = {} if TOOL in self.chain.settled else dict(self.real.tools)
+        axes = dict(self.real.tool_axes) if self.chain.angle_scale is not None and tools else {}
+        return {"base": None if BASE in self.chain.settled else self.real.base, "tools": tools, "tool_axes": axes}
+
+    def to_json(self) -> dict[str, Any]:
+        """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys")."""
+        n, offsets = len(self.chain), []
+        shares = np.eye(n) if self.counting is None else self.counting.matrix
+        for j, kind in enumerate(self.chain.joint_types, start=1):
+            # what the joint adds to a command, and what a controller has to add to its own, as it counts
+            value = float(shares[j - 1] @ [self.values.get(f"{JOINT_OFFSET}:{i}", 0.0) for i in range(1, n + 1)])
+            value, unit = (float(np.degrees(value)), "deg") if kind == REVOLUTE else (value, "mm")
+            offsets.append({"joint": j, "unit": unit, "value": value, "command": 0.0 - value})
+        return {**self.tables(), "joint_offsets": offsets}
+
+    def tables(self) -> dict[str, Any]:
+        """The keys `base`, `tools` and `geometry` of these."""
+        rows = []
+        for j, joint in enumerate(self.chain.joints, start=1):
+            origin = self.origin(j)  # its angles the nearest to those drawn of all that make the same rotation
+            turn = roll_pitch_yaw(origin[:3, :3], near=roll_pitch_yaw(joint.origin[:3, :3]))
+            angles = zip(("roll_deg", "pitch_deg", "yaw_deg"), np.degrees(turn).tolist(), strict=True)
+            rows.append({"joint": j, "name": joint.name, **point_table(origin[:3, 3]), **dict(angles)})
+        base, tools, axes = self.places.values()
+        base = None if base is None else pose_table(base)
+        return {"base": base, "tools": tool_tables(tools, axes), "geometry": rows}
+
+    def origin(self, j: int) -> Array:
+        """(4, 4) pose of the frame of a joint, counted from 1, in that of the joint before, its offset apart [mm]."""
+        offset = self.values.get(f"{JOINT_OFFSET}:{j}", 0.0)
+        return self.real.joints[j - 1].origin @ self.chain.joints[j - 1].motion(-offset)
+
+
+class Link(NamedTuple):
+    """Rz(theta) Tz(d) Tx(a) Rx(alpha) Ry(beta) from the axis of a joint to the next [rad, mm]; beta None: axes are not
+    parallel."""
+
+    theta: float
+    d: float
+    a: float
+    alpha: float
+    beta: float | None = None
+
+
+def drawn_links(rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[Link, ...]:
+    """The links between the axes of a table.
+
+    Raises `InputError` for prismatic joints, whose axes have no place, and for successive axes that are one.
+    """
+    if any(row.type != REVOLUTE for row in rows):
+        raise InputError("dh: found prismatic joints, allowed: a table of revolute joints")
+    behind = rows[:-1] if convention == STANDARD else rows[1:]  # whose a and alpha lead to the next axis
+    links = tuple(  # beta where the drawing has axes parallel
+        Link(row.offset, row.d, after.a, after.alpha, 0.0 if abs(np.sin(after.alpha)) < 1e-6 else None)
+        for row, after in zip(rows, behind, strict=False)
+    )
+    if any(link.beta is not None and link.a == 0.0 for link in links):
+        raise InputError("dh: found successive joints with one axis, allowed: different axes")
+    return links
+
+
+def corrected_links(chain: KinematicChain, drawn: Sequence[Link]) -> tuple[tuple[Link, ...], Array, Array]:
+    """The n - 1 links of a chain of n revolute joints about their z axes (as `corrected`), nearest to those drawn; the
+    pose (4, 4) of the first axis's frame in that of the base, and of the tip's in that of the last axis.
+
+    By the common normal of two axes; where they are drawn parallel by the point in which the second axis meets the
+    plane of d as drawn.
+    """
+    *places, tip = np.array(list(accumulate([joint.origin for joint in chain.joints] + [chain.end], np.matmul)))
+    first = frame = places[0]
+    links = list[Link]()
+    for link, following in zip(drawn, places[1:], strict=True):
+        z, w, away, d = frame[:3, 2], following[:3, 2], following[:3, 3] - frame[:3, 3], link.d
+        parallel = link.beta is not None
+        away = away - d * z if parallel else away
+        away = away - w * float(away @ z) / float(w @ z) if parallel else away
+        normal = away if parallel else np.cross(z, w)
+        normal = normal / np.linalg.norm(normal)
+        normal = normal if normal @ (frame[:3, :3] @ rotation_about(Z, link.theta) @ X) >= 0.0 else -normal
+        x, y, _ = frame[:3, :3].T @ normal
+        theta, alpha = np.arctan2(y, x), float(np.arctan2(-np.cross(z, normal) @ w, z @ w))
+        beta = float(np.arcsin(np.clip(normal @ w, -1.0, 1.0))) if parallel else None
+        d = d if parallel else float(np.cross(away, w) @ normal / np.sin(alpha))
+        between = Link(_near(theta, link.theta), d, float(away @ normal), _near(alpha, link.alpha), beta)
+        if not links:  # where the first frame stands on its axis is free: theta and d as drawn
+            frame = frame @ pose((0.0, 0.0, between.d - link.d), rotation_about(Z, between.theta - link.theta))
+            between, first = between._replace(theta=link.theta, d=link.d), frame
+        tilt = rotation_about(X, between.alpha) @ rotation_about(Y, between.beta or 0.0)
+        frame = frame @ pose(rotation=rotation_about(Z, between.theta)) @ pose((between.a, 0.0, between.d), tilt)
+        links.append(between)
+    return tuple(links), first, np.linalg.inv(frame) @ tip
+
+
+def _near(angle: float, drawn: float) -> float:
+    return float(angle) - 2.0 * np.pi * round((float(angle) - drawn) / (2.0 * np.pi))

@@ -23,8 +23,15 @@ from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
 from identification.instruments import TRACKER, Unplaced
-from identification.kinematics.chain import BASE, DIMENSION, ROTATION_ERROR, TOOL, TRANSLATION_ERROR, KinematicChain
-from identification.kinematics.corrected import standing_in
+from identification.kinematics.chain import (
+    BASE,
+    DIMENSION,
+    ROTATION_ERROR,
+    TOOL,
+    TRANSLATION_ERROR,
+    KinematicChain,
+    standing_in,
+)
 from identification.kinematics.frames import nearest_rotation
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import Conditions, Measurements
@@ -291,43 +298,35 @@ def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) ->
     placed = placed_model(model, measurements)
     if not instrument.contact:
         return minimal(placed, least).arm
-    if instrument.own_targets:
-        shown = minimal(placed, least, measurements)
-    else:
-        from scipy.linalg import block_diag  # deferred: only contacts pay for the import
-
-        # what they show together, each beside a base of its own: a level surface does not show where axes lie along it
-        bases, others, names = list[Array](), list[Array](), list[str]()
-        for rows in (measurements.rows(index) for index in measurements.session_rows):
-            there = placed_model(model, rows)
-            order, sizes = ordered(there)
-            columns = (
-                there.jacobian(rows.postures, None, rows.conditions).reshape(-1, len(there.names))[:, order] * sizes
-            )
-            count = len(there.parameters.indices(BASE))
-            bases.append(columns[:, :count])
-            others.append(columns[:, count:])
-            names = [there.names[k] for k in order[count:]]
-        tall = np.concatenate(others)
-        # the longest step stays as drawn where nothing shows the size, and what is kept takes its place
-        if longest := longest_step(placed, names):
-            tall[:, names.index(longest)] = 0.0
-        own = sum(base.shape[1] for base in bases)
-        kept = {k - own for k in independent(np.column_stack([block_diag(*bases), tall]), least)}
-        return _fixing(placed, (name for k, name in enumerate(names) if k not in kept)).arm
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
-    # next to nothing: the longest step that is a parameter stays as drawn
-    longest = longest_step(shown, shown.names)
-    return _fixing(shown, [longest] if longest else ()).arm
+    # next to nothing: the longest step stays as drawn, and what is kept takes its place
+    longest = longest_step(placed)
+    if instrument.own_targets:
+        return minimal(_fixing(placed, longest), least, measurements).arm
+    from scipy.linalg import block_diag  # deferred: only contacts pay for the import
+
+    # what they show together, each beside a base of its own: a level surface does not show where axes lie along it
+    bases, others, names = list[Array](), list[Array](), list[str]()
+    for rows in (measurements.rows(index) for index in measurements.session_rows):
+        there = _fixing(placed_model(model, rows), longest)
+        order, sizes = ordered(there)
+        columns = there.jacobian(rows.postures, None, rows.conditions).reshape(-1, len(there.names))[:, order] * sizes
+        count = len(there.parameters.indices(BASE))
+        bases.append(columns[:, :count])
+        others.append(columns[:, count:])
+        names = [there.names[k] for k in order[count:]]
+    own = sum(base.shape[1] for base in bases)
+    kept = {k - own for k in independent(np.column_stack([block_diag(*bases), np.concatenate(others)]), least)}
+    return _fixing(placed, [*longest, *(name for k, name in enumerate(names) if k not in kept)]).arm
 
 
-def longest_step(model: Model, names: Iterable[str]) -> str | None:
-    """Of these parameters the step along the longest drawn one, where readings do not show the size of the arm."""
+def longest_step(model: Model) -> list[str]:
+    """The parameter along the longest step from joint to joint, where readings do not show the size of the arm."""
     steps: dict[str, float] = {}
     for j, joint in enumerate(model.arm.chain.joints if model.arm.chain.instrument.size_is_open[0] else (), start=1):
         along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
-        steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in names}
-    return max(steps, key=steps.__getitem__, default=None)
+        steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in model.names}
+    return [max(steps, key=steps.__getitem__)] if steps else []
 
 
 def ordered(model: Model) -> tuple[list[int], Array]:

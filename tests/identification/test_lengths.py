@@ -32,7 +32,7 @@ from identification.files.arm import load_arm, with_calibration
 from identification.files.measurement import measurement_text
 from identification.inspection.readings import data_warnings
 from identification.instruments import Distance, Instrument, Plane, Sphere
-from identification.kinematics.corrected import CorrectedGeometry
+from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.frames import pose
 from identification.model.placed import minimal, placed_model, practical
 from identification.sessions import with_sessions

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,22 +12,24 @@ from scipy.optimize import least_squares, minimize
 from identification import Array, Status
 from identification.levenberg_marquardt import (
     GRADIENT_TOLERANCE,
+    ITERATIONS,
     PATIENCE,
-    LeastSquares,
+    Index,
     Linearize,
+    Solution,
     compressed,
     damped_steps,
     levenberg_marquardt,
+    newton_ascent,
 )
-from identification.newton import Rows, newton_ascent
 
 INF = np.inf
 TIMES = np.linspace(0.0, 3.0, 12)
 
 
-def problem(linearize: Linearize, p: int, count: int, **changes: object) -> LeastSquares:
-    bounds = {"lower": np.full(p, -INF), "upper": np.full(p, INF)}
-    return LeastSquares(linearize, **{**bounds, "scales": np.ones(p), "rounding": np.zeros(count), **changes})
+def minima(linearize: Linearize, starts: np.ndarray, **changes: Any) -> Solution:
+    count, p = starts.shape
+    return levenberg_marquardt(linearize, starts, **{"scales": np.ones(p), "rounding": np.zeros(count), **changes})
 
 
 def decays(measured: np.ndarray) -> Linearize:
@@ -72,22 +75,22 @@ def test_ends_where_scipy_ends(lower: tuple[float, ...], upper: tuple[float, ...
     linearize = decays(measured_decays(40))
     others = np.array([scipy_end(linearize, np.array([2.5, 0.8, 0.1]), k, low, high) for k in range(40)])
     # with bounds there may be two minima: from near the one that scipy ends at
-    found = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), 1.05 * others)
+    found = minima(linearize, 1.05 * others, lower=low, upper=high)
     assert set(found.status) == {Status.converged}
     assert np.all((found.parameters >= low) & (found.parameters <= high))
     assert np.all(found.rss <= np.sum(linearize(others, np.arange(40))[0] ** 2, axis=1) * (1.0 + 1e-9))
     # scipy keeps a little inside the bounds: 1e-6 of values of order one
     np.testing.assert_allclose(found.parameters, others, rtol=0, atol=2e-5)
-    far = levenberg_marquardt(problem(linearize, 3, 40, lower=low, upper=high), np.tile([2.5, 0.8, 0.1], (40, 1)))
+    far = minima(linearize, np.tile([2.5, 0.8, 0.1], (40, 1)), lower=low, upper=high)
     assert set(far.status) == {Status.converged}
 
 
 def test_many_at_once_are_those_one_by_one() -> None:
     data, low = measured_decays(30, seed=2), np.array([0.0, 0.0, 0.0])
     data[7] = np.nan
-    together = levenberg_marquardt(problem(decays(data), 3, 30, lower=low), np.ones((30, 3)))
+    together = minima(decays(data), np.ones((30, 3)), lower=low)
     for k in range(30):
-        alone = levenberg_marquardt(problem(decays(data[k : k + 1]), 3, 1, lower=low), np.ones((1, 3)))
+        alone = minima(decays(data[k : k + 1]), np.ones((1, 3)), lower=low)
         assert alone.status[0] is together.status[k]
         assert alone.iterations[0] == together.iterations[k]
         np.testing.assert_allclose(alone.parameters[0], together.parameters[k], rtol=1e-12)
@@ -114,9 +117,7 @@ def test_from_every_corner_to_the_best_of_all_sets_of_active_bounds(seed: int) -
     upper = generator.choice([0.5, 2.0, INF], p)
     ends = np.where(np.isfinite(upper), upper, 5.0)
     starts = np.array([np.where(at, ends, lower) for at in np.ndindex(*[2] * p)])
-    fits = levenberg_marquardt(
-        problem(linear(matrix, np.tile(right, (16, 1))), p, 16, lower=lower, upper=upper), starts
-    )
+    fits = minima(linear(matrix, np.tile(right, (16, 1))), starts, lower=lower, upper=upper)
     best = INF
     for at in np.ndindex(*[3] * p):
         x, free = np.where(np.array(at) == 1, upper, lower), np.array(at) == 2
@@ -138,7 +139,7 @@ def test_what_is_not_determined_stays_where_it_was() -> None:
     generator = np.random.default_rng(6)
     matrix, right = generator.standard_normal((20, 4)), generator.standard_normal((1, 20))
     matrix[:, 2], matrix[:, 3] = matrix[:, 1], 0.0
-    found = levenberg_marquardt(problem(linear(matrix, right), 4, 1), np.array([[0.0, 0.3, 0.1, 7.0]]))
+    found = minima(linear(matrix, right), np.array([[0.0, 0.3, 0.1, 7.0]]))
     expected = np.linalg.lstsq(matrix[:, :2], right[0], rcond=None)[0]
     assert found.status[0] is Status.converged
     x = found.parameters[0]
@@ -148,9 +149,7 @@ def test_what_is_not_determined_stays_where_it_was() -> None:
 def test_the_metric_decides_which_step_is_the_shortest() -> None:
     """One equation, three unknowns: with weights w the shortest solution is W^-2 a (a' W^-2 a)^-1 b."""
     a, weights = np.array([[1.0, 2.0, -1.0]]), np.array([1.0, 3.0, 0.5])
-    found = levenberg_marquardt(
-        problem(linear(a, np.array([[4.0]])), 3, 1, metric=weights, rounding=np.array([1e-12])), np.zeros((1, 3))
-    )
+    found = minima(linear(a, np.array([[4.0]])), np.zeros((1, 3)), metric=weights, rounding=np.array([1e-12]))
     expected = a[0] / weights**2 / np.sum(a[0] ** 2 / weights**2) * 4.0
     np.testing.assert_allclose(found.parameters[0], expected, rtol=1e-12)
 
@@ -186,13 +185,13 @@ def test_statuses_say_how_it_ended() -> None:
         return residual, jacobian
 
     start, rounding = np.array([[-1.2, 1.0]]), np.array([1e-12])
-    found = levenberg_marquardt(problem(rosenbrock, 2, 1, rounding=rounding), start)
+    found = minima(rosenbrock, start, rounding=rounding)
     assert found.status[0] is Status.converged
     np.testing.assert_allclose(found.parameters, 1.0, rtol=1e-9)
-    cut = levenberg_marquardt(problem(rosenbrock, 2, 1, rounding=rounding, iterations=2), start)
+    cut = minima(rosenbrock, start, rounding=rounding, iterations=2)
     assert cut.status[0] is Status.iteration_limit
     assert cut.iterations[0] == 2
-    nowhere = levenberg_marquardt(problem(rosenbrock, 2, 1), np.array([[np.inf, 1.0]]))
+    nowhere = minima(rosenbrock, np.array([[np.inf, 1.0]]))
     assert nowhere.status[0] is Status.solver_failed
 
 
@@ -209,7 +208,7 @@ def test_a_valley_takes_as_few_steps_however_flat(steepness: float, bend: float)
         wall = np.array([steepness, 0.0, 0.0])
         return -residual, np.stack([wall + slope, wall - slope], axis=2)
 
-    found = levenberg_marquardt(problem(linearize, 2, 1), np.array([[0.3, -0.2]]))
+    found = minima(linearize, np.array([[0.3, -0.2]]))
     assert found.status[0] is Status.converged
     assert found.iterations[0] <= 8
     x = found.parameters[0, 0] - found.parameters[0, 1]
@@ -228,7 +227,7 @@ def test_a_curved_valley_takes_as_few_steps_however_steep(steepness: float) -> N
         jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -2.0 * steepness * x[:, 0], steepness, 1.0
         return residual, jacobian
 
-    found = levenberg_marquardt(problem(linearize, 2, 1, rounding=np.array([1e-12])), np.array([[-1.2, 1.0]]))
+    found = minima(linearize, np.array([[-1.2, 1.0]]), rounding=np.array([1e-12]))
     assert found.status[0] is Status.converged
     assert found.iterations[0] <= PATIENCE + 5
     np.testing.assert_allclose(found.parameters, 1.0, rtol=1e-9)
@@ -242,9 +241,9 @@ def test_a_wrong_derivative_ends_unconverged() -> None:
         residual, jacobian = right(x, index)
         return residual, -jacobian
 
-    found = levenberg_marquardt(problem(wrong, 3, 3), np.ones((3, 3)))
+    found = minima(wrong, np.ones((3, 3)))
     assert not np.any(found.status == Status.converged)
-    assert np.all(found.iterations < problem(wrong, 3, 3).iterations)
+    assert np.all(found.iterations < ITERATIONS)
     begun = np.sum(right(np.ones((3, 3)), np.arange(3))[0] ** 2, axis=1)
     assert np.all(found.rss <= begun * (1.0 + 1e-12))
 
@@ -278,12 +277,12 @@ PHASES, SIZES, UNITS = np.array([0.2, 1.0, -0.5]), np.array([1.0, 2.0, 0.5]), np
 LIMITS = np.array([-2.0, -1.0]), np.array([2.5, 1.5])
 
 
-def height(q: Array, rows: Rows) -> Array:
+def height(q: Array, rows: Index) -> Array:
     """A sum of waves."""
     return np.cos(q @ WAVES.T + PHASES) @ SIZES
 
 
-def slopes(q: Array, rows: Rows) -> tuple[Array, Array]:
+def slopes(q: Array, rows: Index) -> tuple[Array, Array]:
     angle = q @ WAVES.T + PHASES
     bend = -np.einsum("kw,wi,wj->kij", SIZES * np.cos(angle), WAVES, WAVES)
     return -(SIZES * np.sin(angle)) @ WAVES, bend
@@ -306,10 +305,10 @@ def test_ends_are_maxima_within_the_box() -> None:
 def test_a_saddle_is_left_and_a_wall_is_not_crossed() -> None:
     """cos x - cos y between the walls |y| <= 2 and below x = 0.5, where climbs from the right may not go."""
 
-    def walled(q: Array, rows: Rows) -> Array:
+    def walled(q: Array, rows: Index) -> Array:
         return np.where(q[:, 0] <= 0.5, np.cos(q[:, 0]) - np.cos(q[:, 1]), -np.inf)
 
-    def bend(q: Array, rows: Rows) -> tuple[Array, Array]:
+    def bend(q: Array, rows: Index) -> tuple[Array, Array]:
         second = np.stack([-np.cos(q[:, 0]), np.cos(q[:, 1])], axis=1)
         return np.stack([-np.sin(q[:, 0]), np.sin(q[:, 1])], axis=1), second[:, :, None] * np.eye(2)
 

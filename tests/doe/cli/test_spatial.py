@@ -18,7 +18,7 @@ from doe.problem.clearance import COLLISIONS
 from identification import Model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer
 from identification.files.urdf import read_urdf
-from identification.kinematics.corrected import corrected
+from identification.kinematics.chain import corrected
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, rotation_about
 from tests.doe.cli.conftest import ARM as PLANAR
 from tests.doe.cli.conftest import Folder, table

@@ -25,7 +25,7 @@ from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_
 from identification.kinematics.frames import pose
 from identification.validate import Validation
 from identification.workspace import Body, Cell, LineOfSight
-from tests.doe.report.browser import Watched
+from tests.doe.report.conftest import Watched
 
 RANDOM = np.random.default_rng(31)
 TURN = np.pi / 2.0
@@ -45,7 +45,6 @@ ARM = Arm(
     constraints=(LineOfSight((2000.0, 800.0, 600.0), 0.9, (0.0, 0.0, 500.0)),),
     cell=Cell((ELBOW, TABLE), floor=-190.0),
 )
-SMALL = {"width": 400, "height": 600}  # pixels that software draws
 POSTURES = RANDOM.uniform(-1.2, 1.2, (14, 6)) * [1.0, 0.3, 1.0, 1.0, 1.0, 1.0] - [0.0, TURN, 0.0, 0.0, 0.0, 0.0]
 POSTURES[13, 1] = 0.5  # the upper arm in the table
 
@@ -169,7 +168,7 @@ def sliding_arm() -> Arm:
 
 
 def test_the_script_has_the_kinematics_of_the_model(opened: Any, address: str) -> None:
-    seen = Watched(opened, address, viewport=SMALL)
+    seen = Watched(opened, address)
     script = "([chain, q]) => q.map(one => jointFrames(chain, one).slice(1).map(frame => frame.elements))"
     for arm in (ARM, sliding_arm()):
         model = design_model(Model(arm))
@@ -189,7 +188,7 @@ def picture(seen: Watched) -> np.ndarray:
 
 
 def test_a_cell_is_stepped_through_with_keys(opened: Any, address: str) -> None:
-    seen = Watched(opened, address, viewport=SMALL, color_scheme="light")
+    seen = Watched(opened, address)
     assert not seen.page.locator("svg.still").is_visible()
     canvas, keys, where = seen.page.locator(".scene canvas"), seen.page.keyboard, seen.page.locator(".where")
     assert canvas.get_attribute("aria-label")
@@ -254,7 +253,7 @@ def reddish(image: np.ndarray) -> float:
 
 
 def test_moves_are_played_and_paused(opened: Any, address: str) -> None:
-    seen = Watched(opened, address, viewport=SMALL)
+    seen = Watched(opened, address)
     seen.page.evaluate("SPEED.revolute = 1e3")
     where, play = seen.page.locator(".where"), seen.page.get_by_role("button", name="Play")
     play.click()
@@ -269,7 +268,7 @@ def test_moves_are_played_and_paused(opened: Any, address: str) -> None:
 
 
 def test_a_finger_turns_the_view_or_scrolls_the_page(opened: Any, address: str) -> None:
-    seen = Watched(opened, address, viewport=SMALL, has_touch=True, is_mobile=True)
+    seen = Watched(opened, address, has_touch=True, is_mobile=True)
     seen.page.locator(".scene").evaluate("one => one.scrollIntoView()")
     fingers = seen.context.new_cdp_session(seen.page)
 
@@ -308,7 +307,7 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
     (tmp_path / "plan.csv").write_text("\n".join([names, *rows]) + "\n")
     plan = Plan.load(tmp_path / "plan.csv", ARM.joint_types, vias=True)
     (tmp_path / "page.html").write_text(page(Document("Via", [""], [plan_section(ARM, plan)])))
-    seen = Watched(opened, (tmp_path / "page.html").as_uri(), viewport=SMALL, accept_downloads=True)
+    seen = Watched(opened, (tmp_path / "page.html").as_uri())
     assert seen.page.locator(".plan tbody tr").count() == 3
     seen.page.get_by_role("button", name="Step").click()
     np.testing.assert_allclose(np.degrees(seen.page.evaluate("plans[0].way")), q[1:], atol=1e-6)
@@ -333,7 +332,7 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
 
 def test_the_drawing_stands_in_in_print_and_no_other_script_runs(opened: Any, address: str) -> None:
     """Three scripts of the page run, each known by its hash."""
-    seen = Watched(opened, address, viewport=SMALL)
+    seen = Watched(opened, address)
     policy = seen.page.locator("meta[http-equiv]").get_attribute("content")
     assert policy.count("'sha256-") == 3
     assert "unsafe" not in policy.split("script-src")[1]
@@ -349,7 +348,7 @@ def test_the_drawing_stands_in_in_print_and_no_other_script_runs(opened: Any, ad
 
 
 def test_without_webgl_the_drawing_stands_in(opened: Any, address: str) -> None:
-    seen = Watched(opened, address, "HTMLCanvasElement.prototype.getContext = () => null", viewport=SMALL)
+    seen = Watched(opened, address, "HTMLCanvasElement.prototype.getContext = () => null")
     assert seen.page.locator("svg.still").is_visible()
     assert seen.page.locator("canvas").count() == 0
     assert seen.page.get_by_role("button", name="Play").count() == 0

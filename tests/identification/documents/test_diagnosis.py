@@ -196,5 +196,5 @@ def test_rows_that_no_fit_has_seen(
     assert ([row[-1] for row in table.rows], told) == (["", answer], sentence)
     other = test | {"file": None, "by": "cross-validation", "refitted": ["base"]}
     told = str(gap_parts(data | {"confirmation": other})[2])
-    assert all(words in told for words in ("another session", "cross-validated", "base refitted to these rows"))
+    assert all(words in told for words in ("another session", "cross-validated", "for both models: base"))
     assert len(gap_parts(data | {"confirmation": None})) < len(gap_parts(data | {"confirmation": test}))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -119,9 +120,8 @@ def test_reach_and_time_noise_scale_the_errors() -> None:
 
 def test_serial_correlation_keeps_the_variance() -> None:
     rows = errors("serial_correlation", rho=0.7)
-    lag = np.sum(rows[1:] * rows[:-1]) / np.sum(rows**2)
     # 8000 numbers: standard error of the correlation 0.008, of the deviation (effective number 2700) 1.4 %
-    assert lag == pytest.approx(0.7, abs=0.04)
+    assert np.sum(rows[1:] * rows[:-1]) / np.sum(rows**2) == pytest.approx(0.7, abs=0.04)
     assert np.std(rows) == pytest.approx(0.1, rel=0.06)
 
 
@@ -150,8 +150,7 @@ def test_outliers_have_their_size_and_share_and_point_anywhere(
     exact, far = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))
     width = 1 if instrument is not TRACKER else 3
     moved_by = (far.positions - exact.positions)[:, :width]
-    size = np.linalg.norm(moved_by, axis=1)
-    off = size > 1e-9
+    off = (size := np.linalg.norm(moved_by, axis=1)) > 1e-9
     assert off.sum() == len(size) // 2
     np.testing.assert_allclose(size[off], 2.0, rtol=1e-9)
     # 500 directions or more: standard errors of a mean .026 (of a sign .045), of a mean square .013
@@ -195,16 +194,21 @@ def test_what_a_sliding_joint_is_off_by_is_a_length() -> None:
     """Newtons bend it by millimetres; of the turning joint beside it torques and angles are as ever."""
     rows = [DHRow(300.0, np.pi / 2, 0.0), replace(DHRow(0.0, 0.0, 100.0), type=PRISMATIC, limits=(0.0, 200.0))]
     slider = chain_of(rows)
-    each = (EffectSpec(name, j) for name in ("joint_compliance", "backlash") for j in (1, 2))
-    keys = [p.toml_key for spec in each for p in build(spec, slider).parameters]
-    assert keys == ["c_rad_per_N_m", "c_mm_per_N", "b_deg", "b_mm"]
+    each = [EffectSpec(*at) for at in product(("joint_compliance", "backlash"), (1, 2))] + [
+        EffectSpec("joint_coupling", 2)
+    ]
+    sizes = {p.toml_key: p.typical for spec in each for p in build(spec, slider).parameters}
+    turning, as_far = {"c_rad_per_N_m": 1e-5, "b_deg": 1.5e-4}, {"c_mm_per_N": 1e-5, "b_mm": 1.5e-4, "c": 1e-4}
+    assert sizes == pytest.approx(turning | {key: size * slider.levers[1] for key, size in as_far.items()})
     every = build(EffectSpec("joint_compliance"), slider).parameters
     assert [p.file_unit for p in every] == ["rad/(N m)", "mm/N"]
     for name in ("encoder_eccentricity", "transmission_ripple", "joint_hysteresis", "axis_runout"):
         with pytest.raises(InputError, match=f"{name} at joint 2, which slides, allowed: at joints that turn"):
             build(EffectSpec(name, 2), slider)
-    members = hypotheses(Arm(slider, sigma=0.05), frozenset()).members
-    assert {b.spec.name for b in members if b.spec and b.spec.joint == 2} >= {"gear_ratio"}
+    assert "gear_ratio:2" in {b.label for b in hypotheses(Arm(slider, sigma=0.05), frozenset()).members}
+    # those of all joints are in the model
+    bent = hypotheses(HEAVY.with_effects(EffectSpec("joint_compliance")), frozenset()).members
+    assert not [b.label for b in bent if b.label.startswith("joint_compliance")]
 
 
 SCOPE = Scope(Arm([300.0, 200.0]), 2, np.zeros((3, 2)), Conditions(time=np.array([-0.5, 0.1234567, 0.5])))

@@ -20,7 +20,7 @@ from identification.documents.identification import corrected_section, corrected
 from identification.estimation.problem import Prior
 from identification.estimation.result import CorrectedValue, corrected_values, dh_table
 from identification.files.arm import load_arm, with_calibration
-from identification.kinematics.corrected import corrected, corrected_links, drawn_links
+from identification.kinematics.chain import corrected, corrected_links, drawn_links
 from tests.identification.estimation.cases import LENGTHS, arm, data, plan
 from tests.identification.kinematics.test_spatial import UR10, row_of_table
 

@@ -38,8 +38,9 @@ def fitted(columns: np.ndarray, values: np.ndarray, postures: np.ndarray | None 
     residual = values - columns @ np.linalg.lstsq(columns, values)[0]
     m, p = columns.shape
     numbers = np.arange(m) if postures is None else postures
-    rows = WhiteRows(columns[:, None, :], residual[:, None], p, np.arange(m), numbers, numbers)
-    return rows, spectrum(columns, np.ones(p)).root
+    decomposed = spectrum(columns, np.ones(p))
+    rows = WhiteRows(columns[:, None, :], residual[:, None], decomposed, p, np.arange(m), numbers, numbers)
+    return rows, decomposed.root
 
 
 def test_reflectors_of_one_posture_count_as_what_they_show_together() -> None:
@@ -51,7 +52,7 @@ def test_reflectors_of_one_posture_count_as_what_they_show_together() -> None:
         columns, fresh = (np.einsum("rk,gkp->grp", mixed, rng.normal(size=(g, 2, 8))) for g in (10, 200))
         rows, root = fitted(columns.reshape(60, 8), np.zeros(60), np.repeat(np.arange(10), 6))
         out = np.sum((fresh @ root) ** 2) / 200
-        shown.append(8 / 10 / rows.inside(root) / out)
+        shown.append(8 / 10 / rows.inside / out)
         one_by_one.append(8 / 10 / (1.0 - 8 / 60) / out)
     assert np.mean(shown) == pytest.approx(1.0, abs=0.2)
     assert np.mean(one_by_one) < 0.5
@@ -60,8 +61,8 @@ def test_reflectors_of_one_posture_count_as_what_they_show_together() -> None:
     for times in (1, 3):
         numbers = np.repeat(np.arange(8), 2 * times)
         stacked = np.stack([columns, np.concatenate([orthogonal.imag, orthogonal.real], axis=1)], axis=1)
-        rows, root = fitted(np.repeat(stacked, times, axis=0).reshape(-1, 6), np.zeros(16 * times), numbers)
-        assert rows.inside(root) == pytest.approx(1.0 - 6 / 16)
+        rows, _ = fitted(np.repeat(stacked, times, axis=0).reshape(-1, 6), np.zeros(16 * times), numbers)
+        assert rows.inside == pytest.approx(1.0 - 6 / 16)
 
 
 # -- which one is used -------------------------------------------------------------------------------------------------
@@ -140,10 +141,10 @@ def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
     exact = bread @ columns.T @ rho ** np.abs(np.subtract.outer(np.arange(m), np.arange(m))) @ columns @ bread
     rng, variances = np.random.default_rng(10), []
     for _ in range(30):
-        rows, root = fitted(columns, autoregression(rng, m, rho))
-        found = uncertainty(rows, spectrum(columns, np.ones(2)), sigma_given=False)
+        rows, _ = fitted(columns, autoregression(rng, m, rho))
+        found = uncertainty(rows, sigma_given=False)
         assert (found.kind, found.clusters) == ("sandwich", "stretches")
-        assert found.count == m // rows.correlated(root)
+        assert found.count == m // rows.correlated
         variances.append(np.diag(found.covariance))
     # stretches of finite length miss the correlation across their ends: some tenth of it
     np.testing.assert_allclose(np.mean(variances, axis=0), np.diag(exact), rtol=0.25)
@@ -153,7 +154,7 @@ def test_rows_that_are_correlated_in_time_are_taken_in_stretches() -> None:
 def test_white_noise_is_seldom_taken_for_correlated() -> None:
     rng, columns = np.random.default_rng(11), np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
     sets = (fitted(columns, rng.standard_normal(60)) for _ in range(400))
-    taken = [rows.correlated(root) > 1 for rows, root in sets]
+    taken = [rows.correlated > 1 for rows, _ in sets]
     assert np.mean(taken) < 0.03
 
 
@@ -171,13 +172,11 @@ def test_at_an_active_bound_the_robust_interval_is_that_without_it() -> None:
     """A slope that cannot be negative ends at 0; its interval is that of the slope behind the bound."""
     rng, columns = np.random.default_rng(15), np.column_stack([np.ones(40), np.linspace(-1.0, 1.0, 40)])
     values = -5.0 * columns[:, 1] + rng.standard_normal(40)
-    free, root = fitted(columns, values)
+    free, _ = fitted(columns, values)
     bounded = replace(free, residual=(values - values.mean())[:, None])
-    decomposed = spectrum(columns, np.ones(2))
-    assert bounded.correlated(root) > 1  # what the bound leaves looks like correlation in time
+    assert bounded.correlated > 1  # what the bound leaves looks like correlation in time
     found, without = (
-        uncertainty(rows, decomposed, sigma_given=True)
-        for rows in (bounded, replace(free, residual=2.0 * free.residual))
+        uncertainty(rows, sigma_given=True) for rows in (bounded, replace(free, residual=2.0 * free.residual))
     )
     assert found.kind == without.kind == "sandwich"
     np.testing.assert_allclose(4.0 * found.covariance, without.covariance, rtol=1e-10)

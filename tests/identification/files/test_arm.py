@@ -243,7 +243,7 @@ def test_provenance_leaves_out_what_toml_cannot_say() -> None:
 
 
 def test_calibrations_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match=r"length_errors_mm: found 3 values for 2 joints"):
+    with pytest.raises(InputError, match=r"calibration: unknown parameter 'length_error:3'"):
         with_calibration(PLAIN, Calibration.of(readonly([1, 2, 3]), readonly([0, 0, 0])))
     with pytest.raises(
         InputError, match=r"calibration: found 3 length errors and 2 joint offsets, allowed: one of each"

@@ -13,7 +13,7 @@ from identification import Arm, Measurements
 from identification.documents.diagnosis import holds_in_words
 from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_of
 from identification.gap.blocks import hypotheses
-from identification.gap.confirmation import Confirmation, HeldOut, Placed, confirm, predicted_from_others
+from identification.gap.confirmation import Confirmation, HeldOut, confirm, placed_again, predicted_from_others
 from identification.gap.fit import Rows
 from identification.gap.search import posterior_of
 
@@ -180,49 +180,32 @@ SHIFT, TURN = np.array([300.0, -80.0, 40.0]), Rotation.from_rotvec([0.2, -1.1, 0
 OTHER = np.array([25.0, -60.0, 10.0])  # from one point to the other, in the tip's frame
 
 
-def predicted(seed: int, base: bool, points: dict[str, np.ndarray], dimension: int = 3) -> Placed:
-    """Rows of points A and B in turns; measured with another base, or with points moved by so much."""
+def left_again(seed: int, points: dict[str, np.ndarray], dimension: int = 3) -> tuple[int, np.ndarray]:
+    """Rows of points A and B in turns, measured from another place with points moved by so much."""
     generator = np.random.default_rng(seed)
     axes = Rotation.random(ROWS, random_state=generator).as_matrix()
     tips = generator.uniform(-1000.0, 1000.0, (ROWS, dimension))
     names = np.tile(["A", "B"], ROWS // 2)
     moved = np.array([turn @ points.get(name, np.zeros(3)) for turn, name in zip(axes, names, strict=True)])
-    measured = tips + moved[:, :dimension]
     turn = TURN if dimension == 3 else Rotation.from_euler("z", 2.0).as_matrix()[:2, :2]
-    measured = measured @ turn.T + SHIFT[:dimension] if base else measured
+    measured = (tips + moved[:, :dimension]) @ turn.T + SHIFT[:dimension]
     measured = measured + NOISE * generator.standard_normal(tips.shape)
-    return Placed(tips, axes if dimension == 3 else None, measured, names)
+    return placed_again(tips, axes if dimension == 3 else None, measured, names)
 
 
 @pytest.mark.parametrize(
-    ("base", "moved", "fresh", "dimension"),
-    [
-        (False, (), (), 3),
-        (True, (), (), 3),
-        (False, ("A", "B"), (), 3),
-        (True, ("A", "B"), (), 3),
-        (False, ("B",), ("B",), 3),  # of a name that the data do not have
-        (True, ("B",), ("B",), 3),
-        (False, (), (), 2),
-        (True, (), (), 2),
-    ],
+    ("moved", "dimension", "count"), [((), 3, 12), (("A", "B"), 3, 12), (("B",), 3, 12), ((), 2, 3)]
 )
-def test_the_least_that_explains_it_is_refitted(
-    base: bool, moved: tuple[str, ...], fresh: tuple[str, ...], dimension: int
-) -> None:
-    rows = predicted(1, base, {name: OTHER if name == "A" else -OTHER for name in moved}, dimension)
-    assert rows.set_up(fresh, elsewhere=not fresh) == (base, moved)
-    left = rows.refitted(base, moved)[1]
+def test_nothing_but_noise_is_left_of_another_set_up(moved: tuple[str, ...], dimension: int, count: int) -> None:
+    fitted, left = left_again(1, {name: OTHER if name == "A" else -OTHER for name in moved}, dimension)
     # of 120 coordinates or more: 6 % is the standard deviation of such an estimate; the values fitted cost nothing
-    assert np.sqrt(np.mean(left**2)) == pytest.approx(NOISE, rel=0.15)
-    assert fresh or rows.set_up((), elsewhere=False) == (False, ())
+    assert (fitted, np.sqrt(np.mean(left**2))) == (count, pytest.approx(NOISE, rel=0.15))
 
 
 def test_residuals_do_not_shrink_by_what_is_fitted() -> None:
     """Fits of 6 + 6 values to 180 coordinates take a part of the noise, which is given back: on average over 200 sets
     the mean square is that of the noise, to 3 of its standard deviations."""
-    both = (True, ("A", "B"))
-    means = [float(np.mean(predicted(seed, True, {"A": OTHER}).refitted(*both)[1] ** 2)) for seed in range(200)]
+    means = [float(np.mean(left_again(seed, {"A": OTHER})[1] ** 2)) for seed in range(200)]
     error = NOISE**2 * np.sqrt(2.0 / (3 * ROWS - 12) / 200)
     assert np.mean(means) == pytest.approx(NOISE**2, abs=3.0 * error)
 
@@ -234,12 +217,9 @@ def test_points_have_the_numbers_of_the_data() -> None:
         return Measurements(q, q[:, :3], marker=np.array(names) if names else None)
 
     several, one = of("A", "B", "C", "A"), of(*"AAAA")
-    for held, data, numbers, fresh in (
-        (of("C", "D", "B", "C"), several, [2.0, 0.0, 1.0, 2.0], ("D",)),
-        (of(*"DDDD"), one, [0.0] * 4, ()),
-    ):
+    for held, data, numbers in ((of("C", "D", "B", "C"), several, [2.0, 0.0, 1.0, 2.0]), (of(*"DDDD"), one, [0.0] * 4)):
         seen = HeldOut.of(held, data)
-        assert (seen.conditions.marker.tolist(), seen.fresh) == (numbers, fresh)
+        assert (seen.conditions.marker.tolist(), seen.elsewhere) == (numbers, True)
     assert HeldOut.of(of(), several).conditions.marker is None
 
 

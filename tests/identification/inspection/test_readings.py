@@ -13,7 +13,7 @@ from hypothesis import assume, given
 
 from identification import Arm, DHRow, InputError, Measurements, Model, chain_of, load_arm, load_measurements
 from identification.inspection.inspection import inspect
-from identification.inspection.readings import Reading, data_warnings, read_differently
+from identification.inspection.readings import Reading, data_warnings, parallel_joints, read_differently
 from identification.instruments import PlanarDistance
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import from_angles, pose
@@ -228,7 +228,7 @@ SLIDE = DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 300.0))
     ],
 )
 def test_runs_of_parallel_axes_counted_by_hand(arm: Arm, runs: list[tuple[int, tuple[int, ...]]]) -> None:
-    assert arm.chain.parallel_joints == runs
+    assert parallel_joints(arm.chain) == runs
 
 
 # -- doubts before a fit -----------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from identification import (
 from identification.document import in_a_sentence
 from identification.documents.pictures import gap_figure
 from identification.instruments import TRACKER, Coordinate, Distance, Instrument, PlanarDistance, Plane, Sphere
-from identification.instruments.search import Unplaced, registered
+from identification.instruments.base import Unplaced, registered
 from identification.kinematics.frames import AXES, from_angles, pose
 from identification.sessions import with_sessions
 from identification.simulate import simulate

@@ -15,8 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from identification import PRISMATIC, Array, InputError, Parameter, ParameterSet, vectorize
 from identification.files.urdf import read_urdf
-from identification.kinematics.chain import MODIFIED, STANDARD, DHRow, Joint, KinematicChain, chain_of, planar_chain
-from identification.kinematics.corrected import corrected, corrected_links, drawn_links
+from identification.kinematics.chain import (
+    MODIFIED,
+    STANDARD,
+    DHRow,
+    Joint,
+    KinematicChain,
+    chain_of,
+    corrected,
+    corrected_links,
+    drawn_links,
+    planar_chain,
+)
 from identification.kinematics.frames import (
     from_angles,
     from_quaternions,

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from identification import PRISMATIC, Arm, Conditions, InputError, Measurements, Model
 from identification.instruments import Distance
-from identification.instruments.search import registered
+from identification.instruments.base import registered
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.model.placed import minimal, of_positions, placed_model, practical, tip_jacobian
