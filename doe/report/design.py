@@ -24,7 +24,7 @@ from identification.document import Document, Pictures, Section, Sheet, in_a_sen
 
 if TYPE_CHECKING:
     from doe.advise import Advice
-    from doe.discrimination.design import DiscriminationDesign
+    from doe.discrimination.design import Discrimination
     from doe.discrimination.t_optimal import NextPostures
     from identification import Arm, Diagnosis
 
@@ -367,7 +367,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
 
 
 # -- missing effects ---------------------------------------------------------------------------------------------------
-def discriminating_parts(result: DiscriminationDesign) -> list[Any]:
+def discriminating_parts(result: Discrimination) -> list[Any]:
     """The efficiency that the plan gives up, and what it can detect in return."""
     from doe.discrimination.design import LAMBDA, MOST_SEEN
 

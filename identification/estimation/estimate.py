@@ -173,7 +173,7 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
     was, after = problem.start, problem.residuals(x)[0]
     if free := placing(model.parameters):
         (left, slopes), was = problem.rows_about(was), was.copy()
-        was[free] += np.linalg.lstsq(slopes[:, free], left, rcond=None)[0]
+        was[free] += np.linalg.lstsq(slopes[:, free], left, rcond=RANK_TOLERANCE)[0]
     before = problem.residuals(was)[0]
     sentences, implausible = doubts(model, x, identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell
