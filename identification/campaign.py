@@ -22,9 +22,9 @@ from identification.files.arm import load_arm
 from identification.files.csv import read_table
 from identification.files.measurement import UNITS, Plan, load_measurements
 from identification.instruments import TRACKER
-from identification.measurements import Measurements
+from identification.measurements import MOST, Measurements
 from identification.reuse import same_drawing
-from identification.sessions import comes_from, diagnosed, identified
+from identification.sessions import diagnosed, identified, share_fitted
 from identification.validate import Validation, validate
 from identification.workflow import dh_lines
 
@@ -74,7 +74,7 @@ def campaign_document(
     # what each calibrated arm leaves of each set of measurements, those first that no arm says it was fitted to
     calibrated = {name: arm for name, arm in arms.items() if arm.calibration is not None}
     seen = {
-        rows: [name for name, arm in calibrated.items() if comes_from(identified(arm), measured)]
+        rows: [name for name, arm in calibrated.items() if share_fitted(identified(arm), measured) >= MOST]
         for rows, measured in measurements.items()
     }
     tests = {

@@ -155,7 +155,7 @@ def barred_by(constraints: Constraints, postures: Array) -> tuple[str, ...]:
     clauses = [list[str]() for _ in postures]
     for place, each in enumerate(constraints if len(postures) else (), start=1):
         margins, pairs = each.margin(postures), getattr(each, "pairs", ())
-        for k in np.flatnonzero(margins.min(axis=1) < -TOLERANCE).tolist():
+        for k in np.flatnonzero(margins.min(axis=1, initial=np.inf) < -TOLERANCE).tolist():
             worst = int(np.argmin(margins[k]))
             name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
             clauses[k].append(f"constraint {place} ({name}) is missed by {-margins[k, worst]:.4g} mm")
@@ -416,7 +416,7 @@ class Task(NamedTuple):
         distance = np.linalg.norm((postures - self.near[:, None]) * self.units / self.model.reach, axis=2)
         missed = np.zeros((k, s))
         for constraint in self.constraints:
-            by = -constraint.margin(solution.parameters).min(axis=1).reshape(k, s)
+            by = -constraint.margin(solution.parameters).min(axis=1, initial=np.inf).reshape(k, s)
             missed += np.where(by > TOLERANCE, by, 0.0)
         rank = NEAR * (left > TOLERANCE) + distance / (1.0 + distance)
         rank = np.where(left > self.enough, BEYOND + left, np.where(missed > 0.0, MISSED + missed, rank))
