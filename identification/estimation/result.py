@@ -145,15 +145,10 @@ class Identification(Documented):
         """Probability of a chi2 at least this large if model and sigma are right; None if sigma was not known."""
         return None if self.chi2 is None or self.dof == 0 else float(chdtrc(self.dof, self.chi2))
 
-    @cached_property
-    def expected_tip(self) -> float | None:
-        """How far the tip may be from where this fit computes it [mm], RMS over the joint limits; None: not known."""
-        return tip_of(self, measured=False)
-
-    @cached_property
-    def expected_tip_measured(self) -> float | None:
-        """The same over further postures like those measured."""
-        return tip_of(self, measured=True)
+    # how far the tip may be from where this fit computes it [mm], RMS over the joint limits, and over further postures
+    # like those measured; None: not known
+    expected_tip = cached_property(lambda self: tip_of(self, measured=False))
+    expected_tip_measured = cached_property(lambda self: tip_of(self, measured=True))
 
     @property
     def misfit(self) -> str | None:
