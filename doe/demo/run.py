@@ -257,12 +257,12 @@ def how_good(design: Design) -> str:
 
 def overview_figure(demo: Demo) -> Figure:
     """Plan, gap step by step, and residuals against the joint at fault."""
-    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), demo.arm.chain.projection
+    figure = Figure(figsize=(12.0, 3.9), layout="constrained")
     diagnosis = demo.diagnosed.result
     places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
-    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=space)
+    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=demo.arm.chain.projection)
     draw_arm(axes, demo.arm, postures)
-    within = "in the tracker's view" if space else "within the limits"
+    within = "in the tracker's view" if demo.arm.constraints else "within the limits"
     axes.set_title(f"1. plan: {len(postures)} postures {within},\n{how_good(demo.design)}", fontsize=10)
 
     # RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names
