@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from doe.bounds.best_known import best_known_bound, bound_that_holds
-from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound, postures_in_words
+from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians
@@ -121,6 +120,14 @@ class Design:
             return PROVEN if self.bound is not None and self.bound.rigorous else NUMERICAL
         return None if self.solver in (None, "random") else BEST_KNOWN
 
+    @property
+    def optimality_in_words(self) -> str:
+        """`proven optimal`, `optimal up to a numerical bound`, `best known`, each of a list where the bound is; or
+        empty."""
+        among = "" if self.bound is None or self.bound.source != "grid" else f" among {self.bound.postures}"
+        words = {PROVEN: f"proven optimal{among}", NUMERICAL: f"optimal{among} up to a numerical bound"}
+        return words.get(self.optimality or "", self.optimality or "")
+
     @cached_property
     def table_1_max_residual(self) -> float | None:
         """Largest |mean exp(i (q_(j+1) + ... + q_k))|, 0 at an unconstrained optimum; None unless the arm is planar.
@@ -177,8 +184,7 @@ class Design:
 
     def __str__(self) -> str:
         efficiency = self.no_efficiency or f"efficiency {self.efficiency:.6f}"
-        words = optimality_in_words(self.optimality, None if self.bound is None else self.bound.as_dict())
-        optimal = f", {words}" if self.certified_optimal else ""
+        optimal = f", {self.optimality_in_words}" if self.certified_optimal else ""
         value = round(self.value, 12) + 0.0  # no -1e-16
         return (
             f"{len(self.plan)} runs of a {self.plan.links}-link arm, {self.problem.criterion.name} = {value:.8g} "
@@ -189,16 +195,6 @@ class Design:
 
     def _repr_html_(self) -> str:
         return self.plan.to_html(self)
-
-
-def optimality_in_words(optimality: str | None, bound: Mapping[str, Any] | None) -> str:
-    """`proven optimal`, `optimal up to a numerical bound`, `best known`, each of a list where the bound is; or empty.
-
-    bound : as in JSON
-    """
-    among = "" if bound is None or bound["source"] != "grid" else f" among {postures_in_words(bound)}"
-    numerical = f"optimal{among} up to a numerical bound"
-    return {PROVEN: f"proven optimal{among}", NUMERICAL: numerical, BEST_KNOWN: BEST_KNOWN}.get(optimality or "", "")
 
 
 def score(problem: DesignProblem, plan: Plan | ArrayLike, bound: Bound | None = None) -> Design:

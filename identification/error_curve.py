@@ -52,9 +52,7 @@ class ErrorCurve(ByValue):
         # numerical: a thousandth of the weight of a value; less than that changes no wave of eight nodes or more
         steps = np.sqrt(1e-3) * np.diff(np.eye(count), axis=0)
         target = np.concatenate([values, np.zeros(count - 1)])
-        coefficients = np.linalg.lstsq(
-            np.concatenate([spline_table(angles, start, stop, count), steps]), target, rcond=None
-        )[0]
+        coefficients = np.linalg.lstsq(np.concatenate([spline_table(angles, start, stop, count), steps]), target)[0]
         padded = np.pad(coefficients, 1)
         at_nodes = (padded[:-2] + 4.0 * padded[1:-1] + padded[2:]) / 6.0
         return cls(start, stop, np.radians(np.round(np.degrees(at_nodes), 7)), geometry)

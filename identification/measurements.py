@@ -471,6 +471,7 @@ class Measurements(ByValue):
 # -- which rows --------------------------------------------------------------------------------------------------------
 ROW_DIGESTS = "digests_of_rows"  # key of a calibration's provenance
 KEPT = 2000  # digests: of 12,000 rows one in six, so that 30 of them are missed once in 240 times; 16 kB of text
+MOST = 0.5  # convention: share of rows from which they are the same; coarse readings of postures may agree by chance
 BYTES = 6  # of a digest: two of a million rows share one with a probability of 0.002 for each of a thousand others
 
 

@@ -24,10 +24,10 @@ from identification.information import product_inverse, spectrum
 from identification.kinematics.chain import BASE, ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
-from identification.measurements import ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
+from identification.measurements import MOST, ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
 from identification.model import Model
 from identification.model.placed import with_markers
-from identification.sessions import HELD_FROM, SESSIONS, comes_from, with_base, without_prior_effects
+from identification.sessions import HELD_FROM, SESSIONS, with_base, without_prior_effects
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {
@@ -108,9 +108,8 @@ def with_held(fit: Identification, before: Calibration | None, measurements: Mea
     identifiable, freedom = np.ones(len(x), dtype=bool), np.empty(len(x))
     identifiable[estimated], freedom[estimated] = fit.identifiable, fit.uncertainty.freedom
     freedom[others] = [known[before.parameter_names.index(name)] for name in held.parameter_names]
-    considered = replace(fit.uncertainty, covariance=covariance, freedom=freedom)
-    figures = {"parameters": x, "covariance": covariance, "identifiable": identifiable, "uncertainty": considered}
-    return replace(fit, model=whole, held=frozenset(names), **figures)
+    estimates = replace(fit, model=whole, parameters=x, identifiable=identifiable, held=frozenset(names))
+    return replace(estimates, uncertainty=replace(fit.uncertainty, covariance=covariance, freedom=freedom))
 
 
 def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Sequence[str]) -> Calibration:
@@ -153,17 +152,13 @@ def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibr
         beside = f"it holds beside {', '.join(lacking)}, which the model has not; give the file as ARM, too"
         warnings.warn(f"prior: {beside}", UserWarning, stacklevel=2)
     shared, of_its = 0.0, 0.0  # of these rows that are among its own, and of its own
-    if comes_from(calibration.provenance, measurements):
-        reason = "the calibration was fitted to these very measurements, which would count twice"
-        raise InputError(f"prior: {reason}, allowed: new measurements")
     if isinstance(text := calibration.provenance.get(ROW_DIGESTS), str):
         shared, of_its = shared_rows(text, measurements)
     else:
         why = "the calibration does not say which rows it comes from, as of an earlier version"
         warnings.warn(f"prior: {why}; measurements that are among them would count twice", UserWarning, stacklevel=2)
     share = f"about {100.0 * shared:.0f} % of these rows ({100.0 * of_its:.0f} % of the calibration's own)"
-    # most rows; coarse readings of postures that are commanded again may agree by chance
-    if max(shared, of_its) >= 0.5:
+    if max(shared, of_its) >= MOST:
         twice = "are among those it was fitted to, which would count twice, allowed: new measurements"
         raise InputError(f"prior: {share} {twice}")
     if shared > 0.0:

@@ -20,7 +20,7 @@ from identification.instruments.base import registered
 from identification.kinematics.chain import BASE, TOOL
 from identification.kinematics.counting import range_of, turned_into
 from identification.kinematics.parameters import ParameterSet
-from identification.measurements import POINT, Conditions, Measurements
+from identification.measurements import POINT, ROW_DIGESTS, Conditions, Measurements, shared_rows
 from identification.model import Model
 from identification.model.placed import placed_model, session_bases
 
@@ -227,14 +227,13 @@ def without_prior_effects(arm: Arm) -> Arm:
     return replace(arm, effects=tuple(kept), calibration=replace(calibration, values=values))
 
 
-def comes_from(provenance: Mapping[str, Any], measurements: Measurements) -> bool:
-    """Whether a calibration of this provenance was fitted to the files of these measurements, or what it holds was: by
-    their SHA-256, of one file, or of several that were sessions."""
-    hashes, rows = (
-        np.concatenate([np.atleast_1d(one.get("sha256", [])) for one in origins])
-        for origins in ((provenance, *provenance.get(HELD_FROM, {}).values()), (measurements.provenance,))
-    )
-    return bool(np.isin(rows, hashes).any())
+def share_fitted(provenance: Mapping[str, Any], measurements: Measurements) -> float:
+    """Share of the measurements among the rows that a calibration of this provenance, or what it holds, was fitted to,
+    in whatever file; of an earlier version, which does not say which these are, all of its file."""
+    if isinstance(text := provenance.get(ROW_DIGESTS), str):
+        return shared_rows(text, measurements)[0]
+    ours, theirs = ({*np.atleast_1d(one.get("sha256", [])).tolist()} for one in (provenance, measurements.provenance))
+    return float(not ours.isdisjoint(theirs))
 
 
 def familiar_range(arm: Arm) -> tuple[Array, Array]:

@@ -30,16 +30,16 @@ from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import pose, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import POINT, Conditions, Measurements, distances, rms_distance
+from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
 from identification.sessions import (
     SESSIONS,
     check_calibrated,
-    comes_from,
     extrapolated,
     identified,
     outside,
+    share_fitted,
     start_at_base,
     with_open_base,
     with_sessions,
@@ -159,12 +159,14 @@ class Validation(Documented):
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-        if own := comes_from(identified(arm), measurements):
+        if (own := share_fitted(identified(arm), measurements)) >= MOST:
             yield FITTED
+        elif own > 0.0:
+            yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
         if far := extrapolation(arm, measurements.postures):
             yield far
         model = Model(arm)
-        if once := [effect.key for effect in model.effects if effect.once and refit != "none" and not own]:
+        if once := [effect.key for effect in model.effects if effect.once and refit != "none" and own < MOST]:
             yield f"{', '.join(once)}: the value at the end of the session of the identification is used in all rows"
         yield from lacking(model, measurements)
         if left_open:
@@ -238,7 +240,7 @@ def _refitted(
     if "gravity" in model.needs and arm.gravity is None:
         raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
     conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
-    own = comes_from(identified(origin), measurements)
+    own = share_fitted(identified(origin), measurements) >= MOST
     if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
         conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
     if measurements.temperature is not None and mean is not None:
@@ -251,9 +253,9 @@ def _refitted(
         problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
         if refit != "none":
             if session.positions.size < (p := len(values)):
-                file = measurements.provenance.get("file", "measurements")
+                place = ": session ".join(filter(None, [measurements.provenance.get("file", "measurements"), name]))
                 allowed = f"allowed: at least {-(-p // session.dimension)} rows in each session"
-                raise InputError(f"{file}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
+                raise InputError(f"{place}: too few for {p} refitted parameters, {len(session)} in all, {allowed}")
             values = problem.minimized(values[None]).parameters[0]
             left_open += len(values) - spectrum(problem.rows_about(values)[1], model.scales).rank
         residuals[rows] = problem.residuals(values)[0]

@@ -7,7 +7,6 @@ Everything here is recomputed from the stored problem; no number of a solver is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -60,27 +59,22 @@ class Bound:
         data |= {"unconstrained": True} if self.unconstrained else {}
         return data | {"cut": True} if self.cut else data
 
+    @property
+    def postures(self) -> str:
+        """Of which it holds: `all postures`, `the list of 2,000 postures`."""
+        if self.candidates is not None:
+            return f"the list of {self.candidates:,} postures"
+        return "all postures, constraints or none" if self.unconstrained else "all postures"
+
+    @property
+    def words(self) -> str:
+        """Of what it holds, and how surely: `closed form, all postures, proven`."""
+        source = "closed form, " if self.source == "closed_form" else ""
+        cut = ", its search was cut by the time limit" if self.cut else ""
+        return f"{source}{self.postures}, {PROVEN if self.rigorous else NUMERICAL}{cut}"
+
     def __str__(self) -> str:
-        return f"{round(self.value, 12) + 0.0:.10g} ({bound_in_words(self.as_dict())})"
-
-
-def bound_in_words(bound: Mapping[str, Any]) -> str:
-    """Of what a bound, as in JSON, holds, and how surely: `closed form, all postures, proven`.
-
-    Files of earlier versions do not say which postures.
-    """
-    source = {"closed_form": "closed form, "}.get(bound["source"], "")
-    proof = PROVEN if bound.get("rigorous", False) else NUMERICAL
-    cut = ", its search was cut by the time limit" if bound.get("cut") else ""
-    return f"{source}{postures_in_words(bound)}, {proof}{cut}"
-
-
-def postures_in_words(bound: Mapping[str, Any]) -> str:
-    """`all postures`, `the list of 2,000 postures`."""
-    if SCOPES.get(bound["source"]) == "list":
-        count = bound.get("candidates")
-        return "the postures of the list" if count is None else f"the list of {count:,} postures"
-    return "all postures, constraints or none" if bound.get("unconstrained") else "all postures"
+        return f"{round(self.value, 12) + 0.0:.10g} ({self.words})"
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from doe.design import Design, optimality_in_words
+from doe.design import Design
 from doe.plan.moves import drive
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -218,7 +218,7 @@ def demo_document(demo: Demo) -> Document:
         ),
     ]
     within = " and the tracker's view" if arm.constraints else ""
-    chosen = f"Chosen within the joint limits{within}. {design_verdict(design.to_json())}"
+    chosen = f"Chosen within the joint limits{within}. {design_verdict(design)}"
     diagnosed = diagnosis.document(nominal=demo.identified.data["rms_drawing_mm"])
     certificate = (
         "Equivalence theorem: a plan is D-optimal when the largest d(q) over all postures is p (dashed). The line is "
@@ -252,18 +252,17 @@ def demo_document(demo: Demo) -> Document:
 
 def how_good(design: Design) -> str:
     """How sure the plan is, or its efficiency."""
-    sure = optimality_in_words(design.optimality, None if design.bound is None else design.bound.as_dict())
-    return sure if design.certified_optimal and sure else f"efficiency {design.efficiency:.4f}"
+    return design.optimality_in_words if design.certified_optimal else f"efficiency {design.efficiency:.4f}"
 
 
 def overview_figure(demo: Demo) -> Figure:
     """Plan, gap step by step, and residuals against the joint at fault."""
-    figure, space = Figure(figsize=(12.0, 3.9), layout="constrained"), demo.arm.chain.projection
+    figure = Figure(figsize=(12.0, 3.9), layout="constrained")
     diagnosis = demo.diagnosed.result
     places = figure.add_gridspec(1, 3, width_ratios=[1.0, 0.95, 1.25])
-    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=space)
+    postures, axes = demo.design.plan.postures, figure.add_subplot(places[0], projection=demo.arm.chain.projection)
     draw_arm(axes, demo.arm, postures)
-    within = "in the tracker's view" if space else "within the limits"
+    within = "in the tracker's view" if demo.arm.constraints else "within the limits"
     axes.set_title(f"1. plan: {len(postures)} postures {within},\n{how_good(demo.design)}", fontsize=10)
 
     # RMS on fresh random postures: drawing, identified, with the effect that the diagnosis names

@@ -148,8 +148,8 @@ class MisidentificationBound:
 
 # -- the plan ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class DiscriminationDesign:
-    """A plan, what it loses against the best one, and what it can and cannot see.
+class Discrimination:
+    """What a plan distinguishes, what it loses for that against the best one, and what it cannot see.
 
     design : judged by the criterion of the problem;  best : the best plan without regard to missing effects
     sees, best_sees : pre-flight of both (`Detectability`), with the postures measured already; None where the library
@@ -203,7 +203,7 @@ def discrimination_design(
     starts: int | None = None,
     seconds: float | None = None,
     progress: Progress = Progress(),
-) -> DiscriminationDesign:
+) -> Discrimination:
     """The plan of `runs` measurements that shows missing effects best, at a D-efficiency within `loss` of the best.
 
     effects : which may be missing: those of the library that this arm can have, or others
@@ -246,7 +246,7 @@ def discrimination_design(
     cloud = pool_of(state.extended, many * runs, dice)
     at_random = float(np.median([state.wrong(dice.permutation(cloud)[:runs]) for _ in range(many)]))
     bounds = state.wrong(chosen), state.wrong(best.plan.postures), at_random
-    return DiscriminationDesign(design, best, sees[0], sees[1], *(min(1.0, bound) for bound in bounds))
+    return Discrimination(design, best, sees[0], sees[1], *(min(1.0, bound) for bound in bounds))
 
 
 def in_order(postures: Array, library: EffectLibrary, generator: Generator, budget: Budget) -> Array:

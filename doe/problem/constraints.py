@@ -121,7 +121,7 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
     """The constraints that a model has, ready to be evaluated; none of one that has none."""
     model, made = design_model(model), list[Constraint]()
     sights = [
-        np.array(each.tracker)
+        np.array([*each.tracker, 0.0][:3])
         for each in getattr(model, "constraints", ())
         if getattr(each, "kind", "") == "line_of_sight"
     ]
@@ -132,7 +132,7 @@ def constraints_of(model: Any) -> tuple[Constraint, ...]:
         build = in_view if limit.kind == "line_of_sight" else KINDS[limit.kind]
         made.append(Expression(partial(build, model, limit), len(model.joint_types), limit.kind))
     if offers(model, "cell") and model.cell.bodies:
-        made.append(Clearance(model, sights if model.space == 3 else ()))
+        made.append(Clearance(model, sights))
     return tuple(made)
 
 
@@ -178,7 +178,7 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
         looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
-    solid = model.space == 3 and offers(model, "cell") and model.cell.bodies
+    solid = offers(model, "cell") and model.cell.bodies
     links = [] if solid else [*pairwise(points[:-1])]
     gaps = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
     return ca.vertcat(*expressions, *gaps)

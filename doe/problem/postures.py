@@ -66,17 +66,17 @@ def connected(problem: DesignProblem, postures: Array) -> Array:
 
 
 def put_inside(problem: DesignProblem, postures: Array) -> Array:
-    """(m, n) postures moved by as little as satisfies the constraints that are broken, most of them into all."""
+    """(m, n) postures moved until they satisfy all constraints, most of them: by short steps, each back over the wall
+    that is missed most (T. S. Motzkin, I. J. Schoenberg, "The relaxation method for linear inequalities", 1954)."""
     inside = np.array(postures)
-    for _ in range(20):  # Newton steps back inside
+    for _ in range(20):  # effort: steps
         values, slopes = problem.walls.first(inside)
-        lacking = np.maximum(0.0, 2.0 * INSIDE - values / problem.steepness)
-        outside = np.flatnonzero((lacking > INSIDE).any(axis=1))
-        if not len(outside):
+        lacking = 2.0 * INSIDE - values / problem.steepness
+        most = lacking.max(axis=1)
+        if not len(outside := np.flatnonzero(most > INSIDE)):
             break
-        slopes = np.where(lacking[outside, None] > 0.0, slopes[outside] / problem.steepness, 0.0)
-        # the shortest steps, by the slopes that are more than rounding
-        steps = (np.linalg.pinv(np.swapaxes(slopes, 1, 2), rcond=1e-6) @ lacking[outside, :, None])[..., 0]
+        slope = (slopes / problem.steepness)[outside, :, lacking[outside].argmax(axis=1)]
+        steps = slope * (most[outside] / np.maximum(np.sum(slope**2, axis=1), 1e-300))[:, None]
         # the largest change of a joint in one step
         steps *= np.minimum(1.0, 0.3 / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
         inside[outside] = problem.clip(inside[outside] + steps)

@@ -113,7 +113,7 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
     postures, bound, rounding = design.plan.postures, design.bound, 1e-9  # [rad], in a margin, in the value
     value = problem.objective(postures)
     outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
-    outside += [-np.min(constraint.margin(postures)) for constraint in problem.constraints]
+    outside += [-np.min(constraint.margin(postures), initial=np.inf) for constraint in problem.constraints]
     allowed = len(postures) == runs and design.plan.weights is None and max(outside) <= rounding
     claimed = abs(value - design.value) <= rounding and (bound is None or value <= bound.value + rounding)
     return {

@@ -13,7 +13,7 @@ from identification.arm import Arm
 from identification.arrays import Array, rows_in_words
 from identification.estimation.problem import Problem
 from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_groups
-from identification.information import ALONE, RANK_TOLERANCE, spectrum
+from identification.information import ALONE, spectrum
 from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import ROTATION_ERROR, TOOL, TRANSLATION_ERROR
 from identification.kinematics.counting import in_columns, turned_into
@@ -40,25 +40,18 @@ FEW = "too few measurements"  # the beginning of that sentence
 
 
 def doubts(
-    model: Model,
-    parameters: Array,
-    identifiable: NDArray[np.bool_],
-    before: Array,
-    residual: Array,
-    measurements: Measurements,
+    model: Model, x: Array, identifiable: NDArray[np.bool_], before: Array, residual: Array, measurements: Measurements
 ) -> tuple[tuple[str, ...], bool]:
-    """What is doubtful about a fit, worst first, and whether it is no result to work with.
-
-    parameters, identifiable : (p,);  before, residual : (m, d) [mm], of the arm as it was and as fitted
-    """
+    """What is doubtful about a fit, worst first, and whether it is no result to work with;  x, identifiable : (p,)
+    before, residual : (m, d) [mm], of the arm as it was and as fitted"""
     bad, arm = far_off(residual, model), getattr(model, "arm", None)  # other models have none
     if arm is None:
         return tuple(bad), bool(bad)
     read, hidden = misread(arm, measurements) if rms_distance(before) > DRAWN * arm.reach else ([], False)
-    bad = [*(read if hidden else []), *bad, *flipped(model, parameters, identifiable)]
-    others = [] if hidden else (read and far_zeros(model, parameters)) or read
+    bad = [*(read if hidden else []), *bad, *flipped(model, x, identifiable)]
+    others = [] if hidden else (read and far_zeros(model, x)) or read
     others += [*another_frame(model, measurements), *outside_limits(arm, measurements), *copied_rows(measurements)]
-    others += only_rounding(residual, measurements) if residual.size > parameters.size else []
+    others += only_rounding(residual, measurements) if residual.size > x.size else []
     return (*bad, *others), bool(bad)
 
 
@@ -100,16 +93,15 @@ def far_from_drawing(arm: Arm, width: float, of_zeros: float) -> list[str]:
     so many times more."""
     rotation, translation = f"{np.degrees(arm.machining.rotation):g} deg", f"{arm.machining.translation:g} mm"
     ask = "; are units, order and signs of joints and coordinates right? armcal check tells"
-    sizes = f"farther from its drawing than [machining] says ({translation} and {rotation}): taken {width:g} times"
-    zeros = f"farther from the drawing than [machining] says ({rotation}): taken as {width * of_zeros:g} times"
-    as_where = "as large, as where a motor was changed or a drawing counts from elsewhere"
-    sentences = [f"the arm is {sizes} as large{ask if width >= UNUSUAL else ''}"] if width != 1.0 else []
-    return [*sentences, *([f"zeros of joints are {zeros} {as_where}"] if of_zeros != 1.0 else [])]
+    sizes = f"than [machining] says ({translation} and {rotation}): taken {width:g} times as large"
+    zeros = f"than [machining] says ({rotation}): taken as {width * of_zeros:g} times as large"
+    why = "as where a motor was changed or a drawing counts from elsewhere"
+    sentences = [f"the arm is farther from its drawing {sizes}{ask if width >= UNUSUAL else ''}"] * (width != 1.0)
+    return sentences + [f"zeros of joints are farther from the drawing {zeros}, {why}"] * (of_zeros != 1.0)
 
 
 def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.bool_]) -> list[str]:
-    """Which rows nothing explains; residual : (m, d) [mm];  outlier, together : (m,) by themselves, and those that come
-    together (`uncertainty.together`)."""
+    """Which rows nothing explains: by themselves, and those that come together (`uncertainty.together`)."""
     off = distances(residual[:, POINT])
     causes = (
         "a lost beam, an arm that was still moving, or what the model lacks there. armcal diagnose tells these apart; "
@@ -243,22 +235,21 @@ def copied_rows(measurements: Measurements) -> list[str]:
     rows = np.flatnonzero(measurements.originals != np.arange(len(measurements)))
     if not rows.size:
         return []
-    copy, original = int(rows[0]) + 1, int(measurements.originals[rows[0]]) + 1
-    number = "1 row is an exact copy" if rows.size == 1 else f"{rows.size} rows are exact copies"
-    no = "it is no measurement of its own" if rows.size == 1 else "they are no measurements of their own"
-    seen = f"{number} of another (of {len(measurements)} rows): the first row {copy} of row {original}"
-    return [f"{seen}: {no}, which identify and diagnose do not count"]
+    first = f"(of {len(measurements)} rows): the first row {rows[0] + 1} of row {measurements.originals[rows[0]] + 1}"
+    number, no = f"{rows.size} rows are exact copies", "they are no measurements of their own"
+    if rows.size == 1:
+        number, no = "1 row is an exact copy", "it is no measurement of its own"
+    return [f"{number} of another {first}: {no}, which identify and diagnose do not count"]
 
 
 # -- the covariance of the parameters, at the tip ----------------------------------------------------------------------
 @single_thread()  # the same bits, whatever the number of threads
 def expected_tip(model: Model, parameters: Array, covariance: Array, postures: Array) -> float:
-    """Root mean square over postures of the expected distance [mm]: the square root of the mean of trace(J C J^T).
+    """Root mean square over postures (m, n) [rad] of the expected distance [mm], root of the mean of trace(J C J^T),
+    C the covariance (p, p) of the parameters (p,).
 
     The tip is the first measured point, in the frame of the measurements (of lengths: best registered again), under
     neutral conditions. What the model lacks is not in it.
-
-    parameters : (p,) of the fit;  covariance : (p, p), with a prior that of the posterior;  postures : (m, n) [rad]
     """
     jacobian = tip_jacobian(model, postures, parameters)[:, POINT]
     total = float(np.einsum("mdp,pq,mdq->", jacobian, covariance, jacobian, optimize=True))
@@ -278,7 +269,6 @@ def tip_of(fit: Identification, *, measured: bool) -> float | None:
         return None
     if not arm.chain.instrument.places and len(postures) < FEWEST:
         return None
-
     low, high = (postures.min(axis=0), postures.max(axis=0)) if measured else (arm.lower, arm.upper)
     anywhere = np.random.default_rng(0).uniform(low, high, (1000, len(low)))
     tip = expected_tip(fit.model, fit.parameters, fit.covariance, anywhere)
@@ -334,9 +324,7 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     With the leverages H_g = Q_g Q_g^T of the rows of a posture the residuals without them are (I - H_g)^-1 r_g =
     r_g + Q_g (I - Q_g^T Q_g)^-1 Q_g^T r_g: exact for a model that is linear in its parameters, and to first order for
     any other (R. D. Cook, S. Weisberg, "Residuals and Influence in Regression", 1982, section 2.2). The noise of one
-    measurement is in it.
-
-    measurements : the rows of the fit; copies do not count, and get what is left of the row they copy
+    measurement is in it. Copies do not count, and get what is left of the row they copy.
 
     None where something is not identifiable, or a posture alone determines it.
     """
@@ -346,8 +334,8 @@ def left_out_residuals(fit: Identification, measurements: Measurements) -> Array
     problem = replace(problem, noise=(fit.scatter or 0.0) / (problem.sigma or 1.0))
     rows = WhiteRows.of(problem, measurements, fit.parameters)
     free = np.array([name not in fit.held for name in fit.names])
-    whole = rows.jacobian[..., free], fit.model.scales[free], RANK_TOLERANCE, problem.prior_rows[:, free]
-    columns = rows.jacobian[..., free] @ spectrum(*whole).root
+    jacobian = rows.jacobian[..., free]
+    columns = jacobian @ spectrum(jacobian, fit.model.scales[free], prior=problem.prior_rows[:, free]).root
     pull = np.empty((int(rows.postures.max()) + 1, columns.shape[2]))
     for alike, leverages, vectors, scores in decomposed_groups(columns, rows.residual, rows.postures):
         if leverages.max() > 1.0 - ALONE:

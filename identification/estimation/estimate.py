@@ -7,7 +7,7 @@ less than a sigma that is given. Many data sets on one plan are fitted by the ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from types import MappingProxyType
@@ -73,7 +73,6 @@ def estimate(
         return _with_prior(model, measurements, prior, sigma)
     placed = placed_model(model, measurements)
     problem = Problem.of(placed, measurements, sigma)
-    method = "linear" if problem.exact_form else "levenberg_marquardt"
     useful = RANK_TOLERANCE
     while True:
         if (form := problem.exact_form) is None:
@@ -82,7 +81,7 @@ def estimate(
             x, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
             solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
         if not (status := solution.status[0]).succeeded:
-            raise JobError(f"{method}: {status.value}")
+            raise JobError(f"{problem.method}: {status.value}")
         rows = WhiteRows.of(problem, measurements, solution.parameters[0])
         if useful > RANK_TOLERANCE:
             break
@@ -93,7 +92,7 @@ def estimate(
         if rows.decomposed.truncated(useful).rank == rows.rank:
             break
         problem = replace(problem, tolerance=useful)
-    return _identification(problem, measurements, method, solution, rows)
+    return _identification(problem, measurements, solution, rows)
 
 
 @single_thread()
@@ -133,7 +132,7 @@ def _with_prior(
         if is_given or (turn and (goes_on or change <= 1e-4 * noise)):  # far below its own uncertainty
             break
     solution, white = replace(solution, iterations=steps), WhiteRows.of(posed, measurements, x)
-    fit = _identification(posed, measurements, "levenberg_marquardt", solution, white)
+    fit = _identification(posed, measurements, solution, white)
     contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
     factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths[:2])
     return replace(
@@ -161,9 +160,7 @@ def without_outliers(
         kept = np.delete(kept, np.array(fitted.outlier_rows) - 1)
 
 
-def _identification(
-    problem: Problem, data: Measurements, method: str, solution: Solution, rows: WhiteRows
-) -> Identification:
+def _identification(problem: Problem, data: Measurements, solution: Solution, rows: WhiteRows) -> Identification:
     """The `Identification` of a solution: what is estimable, the uncertainty, and doubts about the fit."""
     model, x, has_sigma = problem.model, solution.parameters[0], problem.sigma is not None
     noise = problem.noise if problem.prior.names else None
@@ -176,7 +173,7 @@ def _identification(
     was, after = problem.start, problem.residuals(x)[0]
     if free := placing(model.parameters):
         (left, slopes), was = problem.rows_about(was), was.copy()
-        was[free] += np.linalg.lstsq(slopes[:, free], left, rcond=None)[0]
+        was[free] += np.linalg.lstsq(slopes[:, free], left, rcond=RANK_TOLERANCE)[0]
     before = problem.residuals(was)[0]
     sentences, implausible = doubts(model, x, identifiable, before, after, data)
     # rows that the model does not explain, where enough equations are left to tell
@@ -192,16 +189,14 @@ def _identification(
     return Identification(
         model=model,
         parameters=x,
-        covariance=made.covariance,
         identifiable=identifiable,
         not_identifiable=undetermined,
         sigma=problem.sigma if has_sigma else scatter,
-        sigma_known=has_sigma,
         chi2=rows.squares if has_sigma else None,
         dof=round(rows.freedom),
         residuals_before=before,
         residuals_after=after,
-        method=method,
+        method=problem.method,
         status=Status.implausible if implausible else status,
         iterations=int(solution.iterations[0]),
         provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
@@ -241,29 +236,28 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
     if undetermined := decomposed.combinations(model.names, model.scales):
         raise JobError(f"the plan does not identify: {'; '.join(undetermined)}")
     x, rss = np.empty((len(measured), len(model.names))), np.empty(len(measured))
-    if (form := problem.exact_form) is not None:
-        # one pseudo-inverse for all (identification/README.md, "Closed form")
-        solve = form.solver(problem.postures, problem.weights, problem.tolerance)
-        for part in _chunks(len(measured), m):
+    status, form = np.full(len(measured), Status.converged, dtype=object), problem.exact_form
+    # one pseudo-inverse for all (identification/README.md, "Closed form")
+    solve = form and form.solver(problem.postures, problem.weights, problem.tolerance)
+    size = max(1, 20_000 // m)  # rows of all data sets: the arrays of one pass stay in the processor's cache
+    for part in (slice(first, first + size) for first in range(0, len(measured), size)):
+        if solve:
             x[part], rss[part] = solve(measured[part])
-        return Solution(x, rss, outcomes(np.isfinite(rss), Status.converged, Status.solver_failed))
-    # from the closed form, by the chord method with one matrix for all, then one about where that led the others; what
-    # neither brings to an end, by Levenberg-Marquardt
-    for part in _chunks(len(measured), m):
-        x[part] = starts(problem.rows(part))
-    rest, status = np.arange(len(measured)), np.full(len(measured), Status.not_identifiable, dtype=object)
-    for _ in range(2):
-        usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
-        center = np.mean(usable, axis=0) if len(usable) else problem.start
-        shared = np.concatenate([problem.rows_about(center)[1], problem.prior_rows])
-        for part in _chunks(len(rest), m):
-            sets = rest[part]
-            x[sets], rss[sets], stationary = chord_steps(problem.rows(sets), shared, x[sets])
-            status[sets] = outcomes(stationary, Status.converged, Status.not_identifiable)
-        rest = np.flatnonzero(status != Status.converged)
-    for part in _chunks(len(rest), m):
-        each = problem.rows(sets := rest[part]).minimized(x[sets])
-        x[sets], rss[sets], status[sets] = each.parameters, each.rss, each.status
+            status[part] = outcomes(np.isfinite(rss[part]), Status.converged, Status.solver_failed)
+            continue
+        # from the closed form, by the chord method with one matrix for all, then one about where that led the others;
+        # what neither brings to an end, by Levenberg-Marquardt
+        rest, x[part] = np.arange(len(measured))[part], starts(problem.rows(part))
+        for _ in range(2):
+            usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
+            center = np.mean(usable, axis=0) if len(usable) else problem.start
+            shared = np.concatenate([problem.rows_about(center)[1], problem.prior_rows])
+            x[rest], rss[rest], stationary = chord_steps(problem.rows(rest), shared, x[rest])
+            if not len(rest := rest[~stationary]):
+                break
+        else:
+            each = problem.rows(rest).minimized(x[rest])
+            x[rest], rss[rest], status[rest] = each.parameters, each.rss, each.status
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
     return Solution(x, rss, status)
 
@@ -308,8 +302,3 @@ def chord_steps(problem: Problem, jacobian: Array, starts: Array) -> tuple[Array
         on, data = on[going], data if going.all() else np.ascontiguousarray(data[:, going])
         x[on] += gradient[going] @ inverse
     return parameters, squares, stationary
-
-
-def _chunks(count: int, rows: int) -> Iterator[slice]:
-    size = max(1, 20_000 // rows)  # rows of all data sets: the arrays of one pass stay in the processor's cache
-    return (slice(start, min(start + size, count)) for start in range(0, count, size))

@@ -219,6 +219,8 @@ class Problem:
         form = self.model.closed_form
         return form if form is not None and form.exact and not self.prior.names else None
 
+    method = property(lambda self: "linear" if self.exact_form else "levenberg_marquardt")  # by which it is solved
+
     def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
         return replace(self, positions=self.positions[index])

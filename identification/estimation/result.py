@@ -70,12 +70,12 @@ Values = Mapping[str, float]  # parameter name -> value [API unit]
 class Identification(Documented):
     """Estimated parameters of a model, in the order of `model.parameters` and in API units [mm, rad].
 
-    parameters : (p,);  covariance : (p, p), zero along what is not estimable; NaN without sigma and spare equations
+    parameters : (p,)
     identifiable : (p,) True where the parameter itself is estimable
     not_identifiable : combinations of parameters that the data do not determine, in words
     sigma : standard deviation of one coordinate [mm] (with sigma per row: their root mean square; with relative
-        weights: of a row of weight one), given beforehand (`sigma_known`) or estimated; None if it is unknown
-    chi2 : weighted sum of squares in units of sigma^2, None if sigma was not known
+        weights: of a row of weight one), given beforehand or estimated; None if it is unknown
+    chi2 : weighted sum of squares in units of sigma^2, None if sigma was not given
     dof : d m equations minus the number of estimable combinations
     residuals_before, residuals_after : (m, d) measured minus computed [mm], with the arm as it was and as identified
     scatter : standard deviation of one coordinate that the residuals show [mm], None without spare equations
@@ -89,11 +89,9 @@ class Identification(Documented):
 
     model: Model
     parameters: Array
-    covariance: Array
     identifiable: NDArray[np.bool_]
     not_identifiable: tuple[str, ...]
     sigma: float | None
-    sigma_known: bool
     chi2: float | None
     dof: int
     residuals_before: Array
@@ -115,12 +113,15 @@ class Identification(Documented):
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        for name in ("parameters", "covariance", "residuals_before", "residuals_after", "postures"):
+        for name in ("parameters", "residuals_before", "residuals_after", "postures"):
             object.__setattr__(self, name, readonly(getattr(self, name)))
         self.identifiable.setflags(write=False)
 
     # -- parameters and their uncertainty --------------------------------------------------------------------------
     names = property(attrgetter("model.names"))  # (p) of the parameters
+    # (p, p), zero along what is not estimable; NaN without sigma and spare equations
+    covariance = property(attrgetter("uncertainty.covariance"))
+    sigma_known = property(lambda self: self.chi2 is not None)  # whether sigma was given beforehand
 
     @property
     def arm(self) -> Arm | None:

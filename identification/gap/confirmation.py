@@ -29,7 +29,7 @@ from identification.gap.fit import At
 from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
-from identification.information import RANK_TOLERANCE, column_space
+from identification.information import ALONE, RANK_TOLERANCE, column_space
 from identification.instruments.base import registered
 from identification.measurements import POINT, Conditions, Measurements, distances
 
@@ -355,7 +355,7 @@ def predicted_from_others(
         grams = np.array([tall.T @ tall for tall in (white[np.repeat(test, d)] for test in tests)])
         for test, others in zip(tests, np.sum(grams, axis=0) - grams, strict=True):
             values, vectors = np.linalg.eigh(others[:rank, :rank])
-            seen = values > RANK_TOLERANCE
+            seen = values > ALONE
             turn = vectors[:, seen] / np.sqrt(values[seen])
             inside = turn.T @ others[:rank, rank:]
             rest = others[rank:, rank:] - inside.T @ inside

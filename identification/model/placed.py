@@ -12,7 +12,7 @@ Which of several equivalent ones is kept is a choice: those that an engineer loo
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -267,31 +267,44 @@ def led_to_contact(
 
 
 # -- a minimal set of parameters ---------------------------------------------------------------------------------------
-def minimal(model: Model, least: float = DISTINCT, rows: Measurements | None = None) -> Model:
+def minimal(
+    model: Model, least: float = DISTINCT, parts: Sequence[tuple[Model, Array, Sequence[Conditions]]] = ()
+) -> Model:
     """The model of a spatial arm with a minimal set of geometric parameters, free of any prior; the others are zero, or
     what a calibration says.
 
     least : [mm] what the smallest parameter that counts moves a coordinate by, see `DISTINCT`
-    rows : at which something is touched, which show less than postures inside the limits; None: every measured point at
-        any of these
+    parts : model, postures and conditions of each session, which has a base of its own, where these show less than
+        postures inside the limits; none: every measured point at any of these
     Where the measured points lie decides how many there are: for points that are to be found, of `placed_model`.
     """
-    arm, parameters = model.arm, model.parameters
-    order, sizes = ordered(model)
-    if rows is None:  # three equations each for some forty parameters
-        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (100, arm.links))
-        each = [Conditions(marker=np.full(len(postures), float(k))) for k in range(len(arm.chain.tools))]
-    else:
-        postures, each = rows.postures, [rows.conditions]
-    columns = np.concatenate([model.jacobian(postures, None, at) for at in each]).reshape(-1, len(parameters))
-    kept = {order[k] for k in independent(columns[:, order] * sizes, least)}
+    from scipy.linalg import block_diag  # deferred: fits with a prior need none of this
+
+    if not parts:  # three equations each for some forty parameters
+        postures = np.random.default_rng(0).uniform(model.arm.lower, model.arm.upper, (100, model.joints))
+        markers = np.arange(len(model.arm.chain.tools), dtype=float)[:, None] * np.ones(len(postures))
+        parts = [(model, postures, [Conditions(marker=marker) for marker in markers])]
+    bases, others = list[Array](), list[Array]()
+    for there, postures, conditions in parts:
+        parameters = there.parameters
+        first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
+        order, count = [k for kind in first for k in parameters.indices(kind)], len(parameters.indices(BASE))
+        sizes = [there.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order]  # they can be off by
+        columns = np.concatenate([there.jacobian(postures, None, at) for at in conditions])
+        columns = columns.reshape(-1, len(parameters))[:, order] * sizes
+        bases.append(columns[:, :count])
+        others.append(columns[:, count:])
+    numbers = independent(np.column_stack([block_diag(*bases), np.concatenate(others)]), least)
+    further = count * (len(parts) - 1)  # the base stays free where that of each session is
+    kept = {order[k - further] for k in numbers if k >= further} | {*(order[:count] if further else ())}
     return _fixing(model, (parameters[k].name for k in order if k not in kept))
 
 
 def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) -> Arm:
     """A spatial arm for fits without a prior: base and measured points where the closed form finds them, and what
-    measurements hardly determine (`least`, as of `minimal`) as drawn; of contacts what the surfaces show at the
-    postures measured. A planar arm, and a spatial one whose set was chosen, stays as it is."""
+    measurements hardly determine (`least`, as of `minimal`) as drawn; of contacts what the surfaces show together at
+    the postures measured: a level one does not show where axes lie along it. A planar arm, and a spatial one whose set
+    was chosen, stays as it is."""
     if not arm.chain.redundant:
         return arm
     model, instrument = Model(arm), arm.chain.instrument
@@ -300,24 +313,12 @@ def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) ->
         return minimal(placed, least).arm
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
     # next to nothing: the longest step stays as drawn, and what is kept takes its place
-    longest = longest_step(placed)
-    if instrument.own_targets:
-        return minimal(_fixing(placed, longest), least, measurements).arm
-    from scipy.linalg import block_diag  # deferred: only contacts pay for the import
-
-    # what they show together, each beside a base of its own: a level surface does not show where axes lie along it
-    bases, others, names = list[Array](), list[Array](), list[str]()
-    for rows in (measurements.rows(index) for index in measurements.session_rows):
-        there = _fixing(placed_model(model, rows), longest)
-        order, sizes = ordered(there)
-        columns = there.jacobian(rows.postures, None, rows.conditions).reshape(-1, len(there.names))[:, order] * sizes
-        count = len(there.parameters.indices(BASE))
-        bases.append(columns[:, :count])
-        others.append(columns[:, count:])
-        names = [there.names[k] for k in order[count:]]
-    own = sum(base.shape[1] for base in bases)
-    kept = {k - own for k in independent(np.column_stack([block_diag(*bases), np.concatenate(others)]), least)}
-    return _fixing(placed, [*longest, *(name for k, name in enumerate(names) if k not in kept)]).arm
+    longest, sessions = longest_step(placed), [measurements.rows(index) for index in measurements.session_rows]
+    parts = [
+        (_fixing(placed_model(model, rows), longest), rows.postures, [rows.conditions])
+        for rows in ([measurements] if instrument.own_targets else sessions)
+    ]
+    return minimal(_fixing(placed, longest), least, parts).arm
 
 
 def longest_step(model: Model) -> list[str]:
@@ -327,14 +328,6 @@ def longest_step(model: Model) -> list[str]:
         along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
         steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in model.names}
     return [max(steps, key=steps.__getitem__)] if steps else []
-
-
-def ordered(model: Model) -> tuple[list[int], Array]:
-    """Numbers of the geometric parameters, what is kept before what, and what each can be off by."""
-    parameters = model.parameters
-    first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)
-    order = [k for kind in first for k in parameters.indices(kind)]
-    return order, np.array([model.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order])
 
 
 def _fixing(model: Model, names: Iterable[str]) -> Model:

@@ -29,7 +29,7 @@ from doe.studies.blind.simulator import (
     turn,
     wound_up,
 )
-from identification import Arm, Array, EffectSpec, Measurements, load_arm
+from identification import Arm, Array, EffectSpec, Measurements, load_arm, spectrum
 
 TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
 EVERY_JOINT = "joint_compliance*"  # stands for the compliance of all joints at once
@@ -214,10 +214,9 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
             np.column_stack([base_jacobian(truth, rows), *(column(truth, rows, effect) for effect in truth.effects)])
             for rows in (run, fresh)
         )
-        scale = np.linalg.norm(columns, axis=0)
-        wrong = np.linalg.lstsq(columns / scale, error.ravel(), rcond=1e-10)[0]
-        exact = simulator.position(truth, fresh)
-        reachable = float(np.sqrt(truth.dimension * np.mean((at_fresh / scale @ wrong) ** 2)))
+        root = spectrum(columns, np.ones(columns.shape[1])).root
+        exact, wrong = simulator.position(truth, fresh), root @ ((columns @ root).T @ error.ravel())
+        reachable = float(np.sqrt(truth.dimension * np.mean((at_fresh @ wrong) ** 2)))
     values: dict[str, float] = {}  # in space without the geometry, which others say differently
     if not (spec.outside or outside):
         if truth.in_plane:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from identification import Array, Measurements
+from identification import Array, Measurements, spectrum
 
 G = 9.81
 UPRIGHT = np.array([0.0, 0.0, 1.0])
@@ -361,7 +361,8 @@ def base_jacobian(truth: TrueArm, run: RowConditions) -> Array:
 
 def off(columns: Array, vector: Array) -> Array:
     """What a fit by least squares of the columns (N, p) leaves of vectors (N,) or (N, k)."""
-    return np.asarray(vector - columns @ np.linalg.lstsq(columns, vector, rcond=1e-10)[0])
+    basis = columns @ spectrum(columns, np.ones(columns.shape[1])).root
+    return np.asarray(vector - basis @ (basis.T @ vector))
 
 
 # -- the instrument ----------------------------------------------------------------------------------------------------

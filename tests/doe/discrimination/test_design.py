@@ -15,7 +15,7 @@ from doe import DesignProblem
 from doe.discrimination import design
 from doe.discrimination.design import (
     LAMBDA,
-    DiscriminationDesign,
+    Discrimination,
     EffectLibrary,
     MisidentificationBound,
     Swaps,
@@ -31,7 +31,7 @@ from identification.workspace import WorkspaceBox
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 
 
-def designed(lower: list[float], upper: list[float], runs: int, **options: Any) -> DiscriminationDesign:
+def designed(lower: list[float], upper: list[float], runs: int, **options: Any) -> Discrimination:
     arm = Arm(LENGTHS[: len(lower)], np.radians(lower), np.radians(upper), sigma=0.1)
     return discrimination_design(DesignProblem.of(Model(arm)), arm, runs, **options)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,35 +35,42 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     """The values of criterion I, which mean nothing to a reader, give way; what the bound allows stands beside it."""
     plain = problem(Arm([260.0, 180.0, 120.0], sigma=0.1))
     wide = robust_problem(plain, missing_effects(plain, ["gear_ratio"]))
-    data = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3))).to_json()
-    data |= {"bound": Bound(-1.0, "grid", True, candidates=2000).as_dict(), "efficiency": 0.3, "outside_limits": []}
-    data["no_efficiency"] = None
-    said = " ".join(str(Document(parts=[design_facts(data, "")])).split())
-    assert data["expected_error_mm"] is not None
-    assert "efficiency 0.300000 of the bound (the list of 2,000 postures, proven)" in said
+    bound = Bound(-1.0, "grid", True, candidates=2000)
+    design = score(wide, np.random.default_rng(3).uniform(-1.0, 1.0, (8, 3)), bound)
+    said = " ".join(str(Document(parts=[design_facts(design)])).split())
+    assert design.expected_error is not None
+    assert re.search(r"efficiency 0.0\d+ of the bound \(the list of 2,000 postures, proven\)", said)
     assert "value of I" not in said
     assert "upper bound" not in said
 
 
 def test_a_plan_in_a_sentence() -> None:
-    design = {"runs": 20, "criterion": "D", "efficiency": 0.98765, "certified_optimal": False}
-    assert design_verdict(design) == "The plan of 20 runs has the efficiency 0.9877 (D)."
-    assert "no known bound" in design_verdict(design | {"efficiency": None})
-    outside = design_verdict(design | {"efficiency": None, "outside_limits": [3]})
-    assert outside == "The plan of 20 runs has no bound: it is outside joint limits or constraints (D)."
-    error = {"criterion": "I", "efficiency": 0.329, "expected_error_mm": {"plan": 0.158, "bound": 0.0808}}
-    error["bound"] = {"value": -9.0, "source": "grid", "rigorous": True, "candidates": 2000}
-    said = design_verdict(design | error)
+    def verdict(criterion: str = "D", outside: tuple[int, ...] = (), **values: Any) -> str:
+        usual = {"efficiency": None, "certified_optimal": False, "expected_error": None, "bound": None}
+        stated = SimpleNamespace(criterion=SimpleNamespace(name=criterion))
+        plan = Plan(np.zeros((20, 2)))
+        return design_verdict(SimpleNamespace(problem=stated, plan=plan, outside=outside, **(usual | values)))  # type: ignore[arg-type]
+
+    assert verdict(efficiency=0.98765) == "The plan of 20 runs has the efficiency 0.9877 (D)."
+    assert "no known bound" in verdict()
+    assert verdict(outside=(3,)) == "The plan of 20 runs has no bound: it is outside joint limits or constraints (D)."
+    listed = Bound(-9.0, "grid", True, candidates=2000)
+    error = {"bound": listed, "efficiency": 0.329, "expected_error": {"plan": 0.158, "bound": 0.0808}}
+    said = verdict("I", **error)
     for part in (
         "an error of 0.158 mm at the tip",
         "list of 2,000 postures is below 0.0808 mm",
         "0.3290. Do not expect",
     ):
         assert part in said
-    assert "bound" not in design_verdict(design | error | {"outside_limits": [3]})  # none applies
-    sure = design | {"certified_optimal": True, "optimality": "numerical", "bound": {"source": "continuous"}}
-    assert design_verdict(sure).endswith("(D, optimal up to a numerical bound).")
-    assert design_verdict(sure | {"optimality": "proven"}).endswith("(D, proven optimal).")
+    assert "bound" not in verdict("I", (3,), **error)  # none applies
+    optimal = "optimal up to a numerical bound"
+    assert verdict(efficiency=1.0, certified_optimal=True, optimality_in_words=optimal).endswith(f"(D, {optimal}).")
+    for rigorous, words in ((True, "proven optimal"), (False, optimal)):
+        plan = score(problem(ARM), np.zeros((6, 2)))
+        made = replace(plan, bound=Bound(plan.value, "continuous", rigorous))
+        made.__dict__["efficiency"] = 1.0
+        assert made.optimality_in_words == words
 
 
 def test_rows_without_payload_are_completed_before_others_are_appended() -> None:
