@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import EffectSpec
+from identification.arm import EffectSpec, ErrorCurve
 from identification.arrays import Array
-from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import WAVES, around, curve_waves, slope_by_angle
 from identification.gap.fit import At

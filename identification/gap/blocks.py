@@ -20,12 +20,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm, EffectSpec, spline_table
 from identification.arrays import Array
 from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.base import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
-from identification.error_curve import spline_table
 from identification.gap.fit import At, Rows
 from identification.gap.likelihood import SIZES, Products
 from identification.information import RANK_TOLERANCE, VISIBLE, column_space, significant
