@@ -398,9 +398,9 @@ class Contradiction(NamedTuple):
         words = [self.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
         do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
         return (
-            f"the measurements contradict the prior: {by_each}{instead} (others as there). The fit is right for neither. "
-            f"Either it changed and is to be estimated again: {do}; or the model lacks what differs between both "
-            "measurements: armcal diagnose"
+            f"the measurements contradict the prior: {by_each}{instead} (others as there). The fit is right for "
+            f"neither. Either it changed and is to be estimated again: {do}; or the model lacks what differs between "
+            "both measurements: armcal diagnose"
         )
 
 
