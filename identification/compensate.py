@@ -95,7 +95,7 @@ def compensate(
         require(number == len(points), f"{name}: {number} rows for {len(points)} targets, allowed: as many")
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
     # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
-    likely = math.hypot(*(_figure(arm, key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
+    likely = math.hypot(*(identified(arm).get(key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
     tolerance = max(TOLERANCE, float(likely * np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
     limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
@@ -123,7 +123,14 @@ def compensate(
         commands = task._replace(near=commands, conditions=where).reached_within(boxes)
     left = goals - model.position(commands, conditions=where) if len(goals) else goals
     angles = None if turned is None else np.linalg.norm(left[:, POINT.stop :], axis=1) / model.reach
-    barred = barred_by(constraints, commands)
+    missed = [list[str]() for _ in goals]  # constraints, of bodies with the two that come nearest to what they keep
+    for order, each in enumerate(constraints if len(goals) else (), start=1):
+        margins, pairs = each.margin(commands), getattr(each, "pairs", ())
+        for k in np.flatnonzero(margins.min(axis=1, initial=np.inf) < -TOLERANCE).tolist():
+            worst = int(np.argmin(margins[k]))
+            name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
+            missed[k].append(f"constraint {order} ({name}) is missed by {-margins[k, worst]:.4g} mm")
+    barred = tuple("; ".join(clauses) for clauses in missed)
     if where.directions is not None:
         commands = commands - servo_shift(arm, where.directions)
     return Compensation(
@@ -138,28 +145,9 @@ def _checked(name: str, values: ArrayLike, columns: int) -> Array:
     return array
 
 
-def _figure(arm: Arm, key: str) -> float | None:
-    """What the arm's calibration says of itself [mm], None: nothing."""
-    value = identified(arm).get(key)
-    return value if isinstance(value, float | int) else None
-
-
 def miss_text(error: float) -> str:
     """What the calibrated model misses, [mm] or [deg], not to be read as the robot's accuracy; a dash for NaN."""
     return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
-
-
-def barred_by(constraints: Constraints, postures: Array) -> tuple[str, ...]:
-    """(k) what postures (k, n) miss of the constraints, in words, of bodies with the two that come nearest to what they
-    keep; empty where all hold."""
-    clauses = [list[str]() for _ in postures]
-    for place, each in enumerate(constraints if len(postures) else (), start=1):
-        margins, pairs = each.margin(postures), getattr(each, "pairs", ())
-        for k in np.flatnonzero(margins.min(axis=1, initial=np.inf) < -TOLERANCE).tolist():
-            worst = int(np.argmin(margins[k]))
-            name = f"{each.kind} of {' and '.join(pairs[worst])}" if pairs else each.kind
-            clauses[k].append(f"constraint {place} ({name}) is missed by {-margins[k, worst]:.4g} mm")
-    return tuple("; ".join(of_row) for of_row in clauses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,20 +261,15 @@ class Compensation(Documented):
         reached, angles = self.reached, posture_columns(self.commands, self.arm.joint_types)
         rows = np.column_stack([*angles.values()]).tolist()
         commands = [row if drive else None for row, drive in zip(rows, reached.tolist(), strict=True)]
-        columns = {
-            "target": range(1, len(reached) + 1),
-            "target_mm": self.targets.tolist(),
-            "command": commands,
-            **{key: [None if np.isnan(x) else x for x in left.tolist()] for key, left in self.misses.items()},
-            "reachable": reached.tolist(),
-            "message": self.messages,
-        }
+        columns = {"target": range(1, len(reached) + 1), "target_mm": self.targets.tolist(), "command": commands}
+        columns |= {key: [None if np.isnan(x) else x for x in left.tolist()] for key, left in self.misses.items()}
+        columns |= {"reachable": reached.tolist(), "message": self.messages}
         return {
             "targets": len(self.targets),
             "reached": int(np.count_nonzero(reached)),
             **{f"max_{key}": float(x[reached].max()) if reached.any() else None for key, x in self.misses.items()},
             "tolerance_mm": self.tolerance,
-            "model_rms_mm": _figure(self.arm, "rms_after_mm"),
+            "model_rms_mm": identified(self.arm).get("rms_after_mm"),
             "unreachable": (np.flatnonzero(~reached) + 1).tolist(),
             "warnings": self.warnings,
             "commands_deg": commands,
@@ -297,7 +280,7 @@ class Compensation(Documented):
         """How many targets are reached and which are not, then joint commands for the first ones."""
         reached, near = self.reached, self.near
         verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
-        if (rms := _figure(self.arm, "rms_after_mm")) is not None:
+        if (rms := identified(self.arm).get("rms_after_mm")) is not None:
             verdict += f" (RMS {rms:.4g} mm on its own measurements)"
         if self.angles is not None and reached.any():
             most = float(np.degrees(np.max(self.angles[reached])))

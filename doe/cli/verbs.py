@@ -274,10 +274,8 @@ def score_files(
         need = f"allowed: at least {bounded.fewest_runs} for {bounded.parameters} parameters"
         raise InputError(f"{plan}: {len(judged)} runs, {need}")
     design = score_plan(bounded, judged, seconds=seconds)
-    if outside := design.outside:
-        counted = f"{len(outside)} of {len(judged)} runs are outside joint limits or constraints"
-        sentence = f"{plan}: {counted}, the first is run {outside[0]}: the bound does not apply"
-        warnings.warn(sentence, UserWarning, stacklevel=2)
+    if design.outside:
+        warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
     sees = None
     try:
         sees = design_model(loaded).detectability(judged)

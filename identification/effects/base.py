@@ -25,9 +25,8 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, Gravity
+from identification.arm import Arm, ErrorCurve, Gravity
 from identification.arrays import Array, slices
-from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import KinematicChain, in_space
 from identification.kinematics.frames import Frame

@@ -281,6 +281,8 @@ class ProvenanceTable(BaseModel):
 
     model_config = ConfigDict(extra="allow", strict=True)
     rows: Annotated[int, Field(ge=1)] = 1
+    rms_after_mm: NotNegative = 0.0
+    expected_tip_mm: NotNegative = 0.0
     joint_range_deg: list[Range] = []
     joint_range_mm: list[Range] = []
 

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from identification.arm import EffectSpec
+from identification.arm import EffectSpec, ErrorCurve
 from identification.arrays import Array
-from identification.error_curve import ErrorCurve
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import WAVES, around, curve_waves, slope_by_angle
 from identification.gap.fit import At
@@ -155,8 +154,8 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     entries = (*specs, *tables, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
 
-    # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
-    # measured as much more as the curves are uncertain, and what is left out of it is there
+    # a file stores the covariance of parameters, not of curves: it is taken beside the curves as they are written, then
+    # raised so that the mean square error of the tip at the postures measured is that of the whole posterior
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     normal = posterior.problems[posterior.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]

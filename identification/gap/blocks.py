@@ -20,12 +20,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, EffectSpec
+from identification.arm import Arm, EffectSpec, spline_table
 from identification.arrays import Array
 from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.base import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
-from identification.error_curve import spline_table
 from identification.gap.fit import At, Rows
 from identification.gap.likelihood import SIZES, Products
 from identification.information import RANK_TOLERANCE, VISIBLE, column_space, significant
@@ -34,7 +33,7 @@ from identification.measurements import BY_ORDER, FOLLOWING, condition_columns
 from identification.model import Model
 from identification.vectorized import Evaluate, vectorize
 
-EFFECT, ORDER = "transmission_ripple", "k"
+RIPPLE, RIPPLE_ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 # numerical: expected square of a combination of columns at the block's largest size, below which it is left out
@@ -152,7 +151,7 @@ class Library:
         at : fit of the chosen effects, with any noise model
         """
         arm, known, names, rows = self.arm, {b.label for b in self.members}, at.model.names, at.rows
-        if not any(b.key.partition(":")[0] == EFFECT for b in self.members):
+        if not any(b.key.partition(":")[0] == RIPPLE for b in self.members):
             return self
         unseen, added, labels = untested_joints(at), list[Block](), {b.label for b in chosen}
         jacobian = at.linearized[1]
@@ -183,7 +182,7 @@ class Library:
             if freedom < 3 or -0.5 * freedom * np.log1p(-min(shares[best], 1.0 - 1e-12)) < 8.0:
                 continue
             for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
-                one = Block.of(arm, EffectSpec(EFFECT, j + 1, {ORDER: float(order)}), RARE / len(ORDERS))
+                one = Block.of(arm, EffectSpec(RIPPLE, j + 1, {RIPPLE_ORDER: float(order)}), RARE / len(ORDERS))
                 added += [one] if one.label not in known else []
         return replace(self, members=(*self.members, *added)) if added else self
 

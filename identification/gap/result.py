@@ -22,12 +22,12 @@ from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
+from identification.gap.across_sessions import Replication
 from identification.gap.average import Curve
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
 from identification.gap.fit import At
 from identification.gap.noise import Finding, Misfit
-from identification.gap.replication import Replication
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
 from identification.kinematics.chain import CorrectedGeometry

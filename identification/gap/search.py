@@ -346,46 +346,34 @@ def posterior_of(
             break
         library = wider
 
-    end, walked = at.on(rows), list[tuple[NoiseModel, Linearized, list[Weighed], Counter[Key]]]()
-    for k in [number, *(k for k in likely if every[k].name != every[number].name)][:PASSES]:
+    # the walk under each noise, among the blocks alone that are not negligible
+    taken = [number, *(k for k in likely if every[k].name != every[number].name)][:PASSES]
+    problems, draws, listed = list[Linearized](), list[Counter[Key]](), list[tuple[int, Key, float]]()
+    for k in taken:
         tell(f"sets of effects{', noise: ' + every[k].name if every[k].name else ''}")
         under = problem if k == number else linearized(library, at.on(every[k].rows), wrong)
-        near, sets, draws = _walked(under, _same_set(under, chosen), generator)
-        walked.append((every[k], near, [(key, odds + float(each[0][k])) for key, odds in sets], draws))
-    return _mixture(walked, problem, library, end)
+        top, search = _same_set(under, chosen), Search(under.products, under.blocks)
+        near = search.near(top)
+        if 2 * len(near) <= len(under.blocks):  # else what was computed serves the walk, too
+            total, place = search.total, {b: i for i, b in enumerate(near)}
+            under = under.of(near)
+            search = Search(under.products, under.blocks, total)
+            top = under.products.state([(place[b], size) for b, size in top.key])
+        sets, drawn = search.walk(top, generator)
+        listed += [(len(problems), key, odds + float(each[0][k])) for key, odds in sets]
+        problems.append(under)
+        draws.append(drawn)
+
+    probabilities = softmax([odds for *_, odds in listed])
+    explanations = []
+    for i in np.argsort(-np.round(probabilities, 9), kind="stable").tolist():
+        which, key, _ = listed[i]
+        blocks = tuple(problems[which].blocks[b] for b, _ in key)
+        explanations.append(Explanation(blocks, key, which, float(probabilities[i])))
+    models = tuple(every[k] for k in taken)
+    return Posterior(tuple(explanations), models, tuple(problems), tuple(draws), problem, library, at.on(rows))
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:
     """A set, label -> number of the size, as far as a problem has its blocks."""
     return problem.products.state([(problem.numbers[x], size) for x, size in chosen.items() if x in problem.numbers])
-
-
-def _walked(
-    problem: Linearized, top: State, generator: np.random.Generator
-) -> tuple[Linearized, list[Weighed], Counter[Key]]:
-    """The problem with the blocks alone that are not negligible, and the walk there."""
-    search = Search(problem.products, problem.blocks)
-    near = search.near(top)
-    if 2 * len(near) > len(problem.blocks):  # hardly smaller: what was computed serves the walk, too
-        return problem, *search.walk(top, generator)
-    few, place = problem.of(near), {b: i for i, b in enumerate(near)}
-    start = few.products.state([(place[b], size) for b, size in top.key])
-    return few, *Search(few.products, few.blocks, search.total).walk(start, generator)
-
-
-def _mixture(
-    models: Sequence[tuple[NoiseModel, Linearized, list[Weighed], Counter[Key]]],
-    whole: Linearized,
-    library: Library,
-    at: At,
-) -> Posterior:
-    """All explanations of all noise models together, from their log odds."""
-    every, problems, sets, draws = zip(*models, strict=True)
-    listed = [(number, key, odds) for number, weighed in enumerate(sets) for key, odds in weighed]
-    probabilities = softmax([odds for *_, odds in listed])
-    explanations = []
-    for k in np.argsort(-np.round(probabilities, 9), kind="stable").tolist():
-        number, key, _ = listed[k]
-        blocks = tuple(problems[number].blocks[b] for b, _ in key)
-        explanations.append(Explanation(blocks, key, number, float(probabilities[k])))
-    return Posterior(tuple(explanations), every, problems, draws, whole, library, at)

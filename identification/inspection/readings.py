@@ -153,16 +153,16 @@ class Readings:
     alike : others as simple that explain them as well: at a wrist whose axes meet, joint 5 reversed and joint 4 half
         a turn away are the same
     explained : the better one leaves no more than a drawing may be off by
-    counting : as the better one says, where the arm file can say it; None: it cannot, or it explains nothing
     certain : it leaves a tenth of what the columns as written do, too, for how far apart the positions are
+    counting : as the better one says, where the arm file can say it; None: it cannot, or it explains nothing
     """
 
     written: Reading
     better: Reading | None = None
     alike: tuple[Reading, ...] = ()
     explained: bool = True
-    counting: Counting | None = None
     certain: bool = False
+    counting: Counting | None = None
 
     @property
     def sentences(self) -> list[str]:
@@ -195,6 +195,7 @@ class Readings:
 
 
 # -- the search --------------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings
 def read_differently(arm: Arm, measurements: Measurements, *, search: bool = True) -> Readings:
     """Look for another way to read the columns that explains the positions clearly better (`CLEARLY`).
 
@@ -207,55 +208,9 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     """
     joints = f"found {measurements.links} joints, allowed: {arm.links}, as the arm has"
     require(measurements.links == arm.links, f"measurements: {joints}")
-    readings = _searched(_anywhere(arm), measurements, search)
-    if readings.better is None or not readings.explained:
-        return readings
-    return replace(readings, counting=readings.better.counting(arm.counting))
-
-
-def _anywhere(arm: Arm) -> Arm:
-    """The arm as drawn, where it stands left open, and in space what is measured on it."""
-    chain = arm.chain
-    tip = chain.drawn & {TOOL}
-    return replace(arm, chain=type(chain)(chain.joints, chain.end, settled=tip, instrument=chain.instrument.unplaced))
-
-
-def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
-    """Postures (m, n) and positions (m, d) of the point and session that is measured most, spread over the file, those
-    far from all others left out; and whether they are so few that another reading would fit by chance: of a pose, of a
-    point where it is open, and of one number more."""
-    rows = np.arange(len(measurements))
-    for names in (measurements.marker_numbers, measurements.session):  # between sessions the base may have moved
-        if names is not None:
-            each, counts = np.unique(names[rows], return_counts=True)
-            rows = rows[names[rows] == each[counts.argmax()]]
-    # 200 of them: a wrong sign shows in far fewer
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, 200).astype(int))]
-    x = measurements.positions[rows, : arm.chain.coordinates]
-    off = np.linalg.norm(x - np.median(x, axis=0), axis=1)
-    near = off <= FAR * np.quantile(off, 0.75)
-    # below three equations for each fitted number anything may fit
-    unknowns = arm.dimension + len(arm.chain.turning) + (0 if TOOL in arm.chain.settled else arm.dimension) + 1
-    return measurements.postures[rows][near], x[near], x.size < 3 * unknowns
-
-
-def parallel_joints(chain: KinematicChain) -> list[tuple[int, tuple[int, ...]]]:
-    """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
-    whether it turns as the first does (1) or the other way (-1)."""
-    turns = accumulate((joint.origin[:3, :3] for joint in chain.joints), np.matmul)
-    axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, chain.joints, strict=True)]
-    runs = [(0, [1])]
-    for j, (before, axis) in enumerate(pairwise(axes), start=1):
-        if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
-            runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
-        else:
-            runs.append((j, [1]))
-    return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
-
-
-@lru_cache(maxsize=4)  # asked for before a fit, and again for its warnings
-def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
-    """`read_differently` of an arm that may stand anywhere."""
+    # as drawn, where it stands left open, and in space what is measured on it
+    chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
+    arm = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.unplaced))
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides = np.array([kind == PRISMATIC for kind in kinds])
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions
@@ -384,7 +339,41 @@ def _searched(arm: Arm, measurements: Measurements, search: bool) -> Readings:
     alike = sorted((r for r in as_simple if r != best and tried[r] <= ALIKE * tried[best]), key=tried.__getitem__)
     hopeless = np.inf
     best, *others = map(placed, (best, *alike[:2]))  # two are named beside the simplest
-    return Readings(written, best, tuple(others), explained)
+    counting = best.counting(arm.counting) if explained else None
+    return Readings(written, best, tuple(others), explained, counting=counting)
+
+
+def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
+    """Postures (m, n) and positions (m, d) of the point and session that is measured most, spread over the file, those
+    far from all others left out; and whether they are so few that another reading would fit by chance: of a pose, of a
+    point where it is open, and of one number more."""
+    rows = np.arange(len(measurements))
+    for names in (measurements.marker_numbers, measurements.session):  # between sessions the base may have moved
+        if names is not None:
+            each, counts = np.unique(names[rows], return_counts=True)
+            rows = rows[names[rows] == each[counts.argmax()]]
+    # 200 of them: a wrong sign shows in far fewer
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, 200).astype(int))]
+    x = measurements.positions[rows, : arm.chain.coordinates]
+    off = np.linalg.norm(x - np.median(x, axis=0), axis=1)
+    near = off <= FAR * np.quantile(off, 0.75)
+    # below three equations for each fitted number anything may fit
+    unknowns = arm.dimension + len(arm.chain.turning) + (0 if TOOL in arm.chain.settled else arm.dimension) + 1
+    return measurements.postures[rows][near], x[near], x.size < 3 * unknowns
+
+
+def parallel_joints(chain: KinematicChain) -> list[tuple[int, tuple[int, ...]]]:
+    """Runs of two or more joints that turn about parallel axes, one after the other: the first (from 0), and of each
+    whether it turns as the first does (1) or the other way (-1)."""
+    turns = accumulate((joint.origin[:3, :3] for joint in chain.joints), np.matmul)
+    axes = [turn @ joint.axis * (joint.type == REVOLUTE) for turn, joint in zip(turns, chain.joints, strict=True)]
+    runs = [(0, [1])]
+    for j, (before, axis) in enumerate(pairwise(axes), start=1):
+        if abs(along := float(before @ axis)) > np.cos(np.radians(1.0)):  # a drawing's angles may be rounded
+            runs[-1][1].append(runs[-1][1][-1] * int(np.sign(along)))
+        else:
+            runs.append((j, [1]))
+    return [(first, tuple(senses)) for first, senses in runs if len(senses) > 1]
 
 
 def _spread(points: Array) -> float:
@@ -406,7 +395,7 @@ def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
         how = "lengths that were written in millimetres there come out 1000 times too large"
         units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")
     first = measurements.rows(measurements.session_rows[0])
-    if units or (turns := first.orientations) is None or _rows(_anywhere(arm), measurements)[2]:
+    if units or (turns := first.orientations) is None or _rows(arm, measurements)[2]:
         return units
     # as it is drawn; with one measured point where it has several and the rows name none
     chain = one_unnamed(arm.chain, measurements)
