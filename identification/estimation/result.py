@@ -136,10 +136,8 @@ class Identification(Documented):
 
     @cached_property
     def intervals(self) -> Array:
-        """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not estimable.
-
-        Normal quantile where they rely on a given sigma, else Student's t.
-        """
+        """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not estimable: by the
+        normal quantile where they rely on a given sigma, else Student's t."""
         return readonly(limits_95(self.model.parameters, self.parameters, self.std, self.uncertainty.freedom))
 
     @property

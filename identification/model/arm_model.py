@@ -140,10 +140,8 @@ class Model:
 
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:
-        """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
-
-        None in space, and where a length or an offset is known.
-        """
+        """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset;
+        None in space, and where a length or an offset is known."""
         others = bool(self.fixed) or any(effect.tabulated for effect in self.effects)
         return self.arm.chain.closed_form(self.parameters, others)
 
