@@ -178,7 +178,8 @@ class Candidate:
         model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
         jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
         tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
-        repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
+        at = rows.conditions
+        repeats = repeats_of(rows.posture_numbers, at.marker, at.session, at.payload)
         parts = spectrum(jacobian, model.scales)
         table = WhiteRows(*tall, parts, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
         sure = uncertainty(table, sigma_given=sigma is not None, doubtful=doubtful)
