@@ -535,12 +535,7 @@ def diagnose_files(
 
 # -- a calibration in use ----------------------------------------------------------------------------------------------
 @VERBS.declare("armcal validate calibrated.toml other_session.csv")
-def validate_files(
-    model: Path,
-    data: Path,
-    *,
-    refit: Literal["base", "offsets", "none"] = "base",
-) -> Answer:
+def validate_files(model: Path, data: Path, *, refit: Literal["base", "offsets", "none"] = "base") -> Answer:
     """How well a calibrated model predicts other measurements.
 
     Compare the calibrated MODEL (an arm file with [calibration]) with other measurements DATA. All that was identified

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 ORDER = {
     "identification": (
         "arrays errors running document vectorized",
-        "files kinematics kinematics.frames kinematics.parameters instruments arm cover workspace error_curve "
+        "files kinematics kinematics.frames kinematics.parameters instruments arm cover workspace "
         "information levenberg_marquardt",
         "documents effects measurements files.schema files.arm files.measurement files.first_files",
         "model",
@@ -38,7 +38,7 @@ ORDER = {
         "problem plan",
         "bounds design",
         "solvers",
-        "discrimination cross_check advise",
+        "discrimination advise",
         "report studies demo program",
         "cli __main__",
     ),

@@ -377,9 +377,9 @@ def relax_files(
     out : Write the plan with weights (CSV).
     """
     from doe.bounds.column_generation import LARGEST, relax
-    from doe.cross_check import cross_check
     from doe.plan.accuracy import with_choices
     from doe.report.design import relax_document
+    from doe.solvers.solving import cross_check
     from identification import Plan, load_arm
 
     loaded, robust = load_arm(arm, package_dir), criterion.robust

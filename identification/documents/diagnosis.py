@@ -248,7 +248,7 @@ def diagnosis_document(
     sections.append(Section("The gap, before and after", [*gap_parts(data, nominal), picture("gap_figure")]))
     # beside something unknown a fit of the names alone is off by what they take of it
     best = diagnosis.predicting if data["verdict"] == "unknown" else named
-    undetermined = [p.name for p in best.parameters if np.isnan(p.std)]
+    undetermined = [name for name, (low, _) in named.limits_95.items() if np.isnan(low)]
     values = corrected_values(diagnosis.extended_arm(best), best.calibration, unknown=undetermined)
     doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"

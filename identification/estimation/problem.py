@@ -23,7 +23,7 @@ from scipy.special import chdtrc, fdtrc
 
 from identification.arm import Calibration
 from identification.arrays import Array, ByValue
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
@@ -120,10 +120,8 @@ NO_PRIOR = Prior()
 
 # -- the problem -------------------------------------------------------------------------------------------------------
 def check_measurements(model: Model, measurements: Measurements, prior: Prior = NO_PRIOR) -> None:
-    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
-
-    prior : of parameters that need no equation, besides those of the model
-    """
+    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations;
+    prior : of parameters that need no equation, besides those of the model"""
     if lacking := [name for name in FITTED.split() if not hasattr(model, name)]:
         allowed = f"allowed: a Model, as in Model(arm), or one with {lacking[0]}"
         raise InputError(f"model: found {type(model).__name__}, {allowed}")
@@ -131,13 +129,12 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
         allowed = "allowed: Measurements, as load_measurements(path) gives"
         raise InputError(f"measurements: found {type(measurements).__name__}, {allowed}")
     n, m, p, d = model.joints, len(measurements), len(model.parameters), measurements.dimension
-    if measurements.links != n:
-        raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
+    counted = f"{measurements.links} joints for an arm of {n} links"
+    require(measurements.links == n, f"measurements: {counted}, allowed: {n}")
     if d not in getattr(model, "dimensions", (model.dimension,)):
         allowed = f"allowed: {model.dimension} as the model has"
         raise InputError(f"measurements: positions of {d} coordinates, {allowed}")
-    if p == 0:
-        raise InputError("model: every parameter is known, allowed: at least one to estimate")
+    require(p > 0, "model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
         arm = model.arm
         for need, lacks, what in (
@@ -344,10 +341,7 @@ def likeliest_noise(target: Array, effects: Array, spare: int, least: float, lar
 def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> tuple[float, tuple[float, ...]]:
     """Noise, no less than a sigma that is given (where intervals rely on that: it), and the widths of the prior of the
     largest likelihood: a factor on the sizes of the machining, a further one on those of joint zeros, and one of
-    `Prior.factors`.
-
-    residual, jacobian : of `Problem.linearized` about x (p,)
-    """
+    `Prior.factors`;  residual, jacobian : of `Problem.linearized` about x (p,)"""
     holds, parameters, prior = problem.reliance == "given", problem.model.parameters, problem.prior
     factor = prior.factor(parameters)
     held = factor.any(axis=1)
@@ -420,10 +414,8 @@ def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | No
     The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
     Errors of one parameter look like errors of others, so that of several the others are told once it is free; a zero
     of a joint before a frame that looks the same. Its change d since then is one more unknown, in prior rows
-    F^-1 (x - m - d e), and the fit without its prior gives it, from the one with it, since an error of degrees is not
-    linear.
-
-    x : (p,) of the fit with the whole prior
+    F^-1 (x - m - d e), and the fit without its prior gives it, from the one with it, x (p,), since an error of degrees
+    is not linear.
     """
     model, alone = problem.model, replace(problem, prior=prior.released(problem.model.names, problem.model.prior))
     residual, jacobian = problem.linearized(x)

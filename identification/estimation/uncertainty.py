@@ -225,10 +225,8 @@ def pure_error(residual: Array, repeats: Groups) -> tuple[float, int]:
 
 
 def lack_of_fit(residual: Array, repeats: Groups, rank: float) -> tuple[float, float]:
-    """F of the lack of fit against the scatter of repeats, and its p-value; 0 and 1 where too few are repeated.
-
-    residual : (m, d) of a fit of this rank;  repeats : (m,) equal numbers mark repeats
-    """
+    """F of the lack of fit against the scatter of repeats, and its p-value; 0 and 1 where too few are repeated;
+    residual : (m, d) of a fit of this rank;  repeats : (m,) equal numbers mark repeats"""
     pure, freedom = pure_error(residual, repeats)
     fit_freedom = residual.size - freedom - rank
     if freedom < 1 or fit_freedom < 1 or pure == 0.0:
@@ -295,11 +293,8 @@ def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterat
 
 # -- intervals ---------------------------------------------------------------------------------------------------------
 def quantile_95(freedom: ArrayLike) -> Array:
-    """Half the width of a 95 % interval in standard deviations, of the shape of `freedom`.
-
-    freedom : degrees of freedom of Student's t, from which a variance is estimated: infinite where it is known (the
-        normal distribution), not a number where there are none
-    """
+    """Half the width of a 95 % interval in standard deviations for degrees of freedom of Student's t, from which a
+    variance is estimated: infinite where it is known (the normal distribution), not a number where there are none."""
     dof = np.asarray(freedom, dtype=float)
     student = stdtrit(np.where(np.isfinite(dof) & (dof > 0.0), dof, 1.0), 0.975)
     return np.where(np.isposinf(dof), ndtri(0.975), np.where(dof > 0.0, student, np.nan))

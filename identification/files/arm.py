@@ -20,13 +20,11 @@ import numpy as np
 import tomlkit
 from pydantic import BaseModel
 
-from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
+from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve, Gravity, Machining
 from identification.arrays import Array, readonly
-from identification.error_curve import ErrorCurve
 from identification.errors import InputError, nearest
-from identification.files.bodies import ShapedBodies, pairs_apart
+from identification.files.bodies import Shape, ShapedBodies, pairs_apart
 from identification.files.io import PathLike, named_file, read_toml
-from identification.files.meshes import Shape
 from identification.files.schema import CURVE, CalibrationTable, EffectTable, PoseTable, validated, validated_arm
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
 from identification.instruments import KINDS

@@ -340,14 +340,7 @@ class Plan(ByValue):
         return readonly(np.column_stack([*self.columns.values()]))
 
     @classmethod
-    def load(
-        cls,
-        path: PathLike,
-        joints: JointTypes = None,
-        *,
-        carried_out: bool = False,
-        vias: bool = False,
-    ) -> Self:
+    def load(cls, path: PathLike, joints: JointTypes = None, *, carried_out: bool = False, vias: bool = False) -> Self:
         """The CSV file `run,q1_deg,...,qn_deg[,kind][,weight]`, `# fit: ...` above, with conditions of the rows.
 
         joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`

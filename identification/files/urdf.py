@@ -18,7 +18,6 @@ import numpy as np
 from identification.arrays import Array
 from identification.errors import InputError, printable
 from identification.files.io import PathLike, decode, read_bytes
-from identification.files.meshes import Shape
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
@@ -26,13 +25,6 @@ from identification.kinematics.parameters import PRISMATIC, REVOLUTE
 METER = 1000.0  # [mm]
 MOVING = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 FIXED = "fixed"
-SIZES = {  # of a `<collision>` -> how many numbers each has
-    "box": {"size": 3},
-    "sphere": {"radius": 1},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-    "mesh": {"scale": 3},
-}
 BASE_LINK, TIP = "base_link", "tip"  # of files written here
 
 
@@ -98,7 +90,7 @@ class Urdf:
 
     def _moving(self, joint: UrdfJoint, origin: Array, limited: Collection[str]) -> Joint:
         name, kind, limit = joint.name, joint.type, joint.element.find("limit")
-        axis = self._numbers(joint.element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
+        axis = self.numbers(joint.element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
         bounded = limit is not None and None not in (limit.get("lower"), limit.get("upper"))
         free = kind == "continuous" or MOVING.get(kind) in limited
         for wrong, sentence in (
@@ -111,7 +103,7 @@ class Urdf:
                 raise InputError(f"{self.path}: joint {name!r}{sentence}")
         lower, upper = -np.pi, np.pi
         if not free:
-            ends = (self._numbers(limit, f"joint {name!r}: limit", end, None, 1) for end in ("lower", "upper"))
+            ends = (self.numbers(limit, f"joint {name!r}: limit", end, None, 1) for end in ("lower", "upper"))
             lower, upper = np.concatenate([*ends]) * (METER if kind == "prismatic" else 1.0)
             if lower >= upper:
                 raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
@@ -169,7 +161,7 @@ class Urdf:
         for name, (number, place, _) in self.links_on(base, tip).items():
             inertial = self.links[name].find("inertial")
             if number and inertial is not None and (element := inertial.find("mass")) is not None:
-                mass, step = self._numbers(element, "mass", "value", None, 1).item(), steps[number - 1]
+                mass, step = self.numbers(element, "mass", "value", None, 1).item(), steps[number - 1]
                 center = (place @ self.origin(inertial, f"link {name!r}: inertial"))[:3, 3]
                 masses[number - 1] += mass
                 moments[number - 1] += mass * float((step / 2.0 if inertial.find("origin") is None else center) @ step)
@@ -192,38 +184,18 @@ class Urdf:
                 pairs.add(frozenset((link, above)))
         return frozenset(pairs)
 
-    def collisions(self, link: str) -> list[Shape]:
-        """The `<collision>` elements of a link, in its frame, with the names of files as they are written."""
-        solids = []
-        for element in self.links[link].findall("collision"):
-            where = f"link {link!r}: collision"
-            shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
-            if len(shapes) != 1 or shapes[0].tag not in SIZES:
-                state = " and ".join(f"<{shape.tag}>" for shape in shapes) or "nothing"
-                raise InputError(f"{self.path}: {where} of {state}, allowed: one of {', '.join(SIZES)}")
-            shape, sizes = shapes[0], []
-            for key, count in SIZES[shape.tag].items():
-                sizes.append(self._numbers(shape, where, key, (1.0, 1.0, 1.0) if key == "scale" else None, count))
-                if not np.all(sizes[-1] if key == "scale" else sizes[-1] > 0.0):
-                    raise InputError(f"{self.path}: {where} {key} has {shape.get(key)!r}, allowed: {count} numbers > 0")
-            if shape.tag == "mesh" and not shape.get("filename"):
-                raise InputError(f"{self.path}: {where} of a mesh without filename, allowed: the name of a file")
-            size, file = np.concatenate(sizes) * METER, shape.get("filename", "")
-            solids.append(Shape(shape.tag, self.origin(element, where), size, file))
-        return solids
-
     # -- attributes ------------------------------------------------------------------------------------------------
     def origin(self, element: ElementTree.Element, where: str = "") -> Array:
         """(4, 4) [mm] of a joint, or of another element;  where : its name in messages"""
         here = f"{where or 'joint ' + repr(element.get('name')) + ':'} origin"
-        place = self._numbers(element.find("origin"), here, "xyz", (0.0, 0.0, 0.0)) * METER
+        place = self.numbers(element.find("origin"), here, "xyz", (0.0, 0.0, 0.0)) * METER
         return pose(place, from_roll_pitch_yaw(*self.angles(element, here)))
 
     def angles(self, element: ElementTree.Element, where: str = "origin") -> Array:
         """(3,) roll, pitch and yaw [rad] of a joint."""
-        return self._numbers(element.find("origin"), where, "rpy", (0.0, 0.0, 0.0))
+        return self.numbers(element.find("origin"), where, "rpy", (0.0, 0.0, 0.0))
 
-    def _numbers(
+    def numbers(
         self, element: ElementTree.Element | None, where: str, key: str, usual: Sequence[float] | None, count: int = 3
     ) -> Array:
         """(count,) numbers of an attribute;  usual : where it is left out, None: it may not be"""

@@ -19,7 +19,7 @@ from identification.documents.identification import MISFIT
 from identification.estimation import Identification
 from identification.estimation.doubts import only_rounding
 from identification.estimation.uncertainty import LEVEL, lack_of_fit, pure_error
-from identification.gap.fit import At, Rows
+from identification.gap.fit import Fitted, Rows
 from identification.gap.likelihood import orthonormal
 from identification.measurements import POINT, Measurements
 
@@ -59,7 +59,7 @@ class Finding(NamedTuple):
     size: float
 
 
-def noises(at: At) -> Iterator[NoiseModel]:
+def noises(at: Fitted) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     rows, (position, _) = at.rows, at.linearized
     m, d = position.shape

@@ -24,11 +24,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arm import Arm
+from identification.arm import Arm, ErrorCurve
 from identification.arrays import Array, slices
 from identification.effects import Chain, Effect, build_all
 from identification.effects.base import position_and_state, widths
-from identification.error_curve import ErrorCurve
 from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
 from identification.kinematics.frames import turned
@@ -141,10 +140,8 @@ class Model:
 
     @cached_property
     def closed_form(self) -> PlanarClosedForm | None:
-        """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset.
-
-        None in space, and where a length or an offset is known.
-        """
+        """Least squares in closed form for lengths and offsets, as if there were no other effects than a base offset;
+        None in space, and where a length or an offset is known."""
         others = bool(self.fixed) or any(effect.tabulated for effect in self.effects)
         return self.arm.chain.closed_form(self.parameters, others)
 

@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from identification import Array
 from identification.cover import boxes_around, capsules_around, from_capsules
-from identification.files.meshes import Shape
+from identification.files.bodies import Shape
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 
 PLACE = pose((100.0, -50.0, 30.0), from_roll_pitch_yaw(0.3, -1.0, 2.0))

@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.arm import MAX_LINKS
 from identification.errors import InputError, printable
-from identification.files.bodies import mesh_file, name_beside
+from identification.files.bodies import collisions, mesh_file, name_beside
 from identification.files.io import PathLike
 from identification.files.measurement import column_of, posture_columns
 from identification.files.schema import ArmFile, validated_arm
@@ -103,7 +103,7 @@ def mesh_files(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> tuple[d
     """
     urdf, found, missing = read_urdf(path), dict[str, Path](), list[str]()
     try:
-        shapes = [shape for link in urdf.links for shape in urdf.collisions(link)]
+        shapes = [shape for link in urdf.links for shape in collisions(urdf, link)]
     except InputError:  # which is said to those who ask for bodies
         return {}, []
     for name in dict.fromkeys(shape.file for shape in shapes if shape.kind == "mesh"):

@@ -11,9 +11,9 @@ import pytest
 from scipy.interpolate import BSpline
 
 from identification import Arm, Calibration, EffectSpec, InputError, Measurements, Model, estimate, planar_chain
+from identification.arm import ErrorCurve
 from identification.compensate import compensate
 from identification.effects import build
-from identification.error_curve import ErrorCurve
 from identification.files.arm import load_arm, with_effects
 from identification.kinematics.frames import from_angles, pose
 from identification.simulate import simulate

@@ -15,8 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from identification import InputError, Model, readonly
-from identification.arm import Arm, Calibration, EffectSpec, Gravity, Machining
-from identification.error_curve import ErrorCurve
+from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve, Gravity, Machining
 from identification.files.arm import arm_from_tables, load_arm, with_calibration, with_effects
 from identification.files.urdf import read_urdf
 from identification.instruments import Distance, Instrument, PlanarDistance, Plane, Sphere

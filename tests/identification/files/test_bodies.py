@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from identification import Arm, Array, InputError, load_arm
-from identification.files.bodies import mesh_file
-from identification.files.meshes import read_mesh
+from identification.files.bodies import collisions, mesh_file, read_mesh
 from identification.files.urdf import parse_urdf
 from identification.workspace import Body
 from tests.identification.files.test_arm import CELL, DATA, PLAIN, PLANAR_CELL
@@ -81,7 +80,7 @@ def test_links_are_where_pinocchio_puts_them(tmp_path: Path) -> None:
         link, number = each.name.rsplit("_", 1)
         if each.parentJoint <= 1:
             joint, place, _ = places[link]
-            found = place @ urdf.collisions(link)[int(number)].place
+            found = place @ collisions(urdf, link)[int(number)].place
             expected = (base.inverse() * each.placement if joint == 0 else each.placement).homogeneous
             expected[:3, 3] *= 1000.0
             assert joint == each.parentJoint
@@ -222,7 +221,7 @@ def test_bodies_of_an_arm_in_space(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     not by commands that do not ask."""
     (tmp_path / "part.stl").write_bytes(binary(0.1 * FACES))
     with monkeypatch.context() as patch:
-        patch.setattr("identification.files.meshes.read_mesh", pytest.fail)
+        patch.setattr("identification.files.bodies.read_mesh", pytest.fail)
         arm = arm_of(tmp_path, text=ARM + CELL)
         again = pickle.loads(pickle.dumps(arm))
     assert (again, hash(again)) == (arm, hash(arm))

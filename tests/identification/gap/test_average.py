@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification import Arm, Array, EffectSpec, Measurements, Model
-from identification.error_curve import ErrorCurve
+from identification.arm import ErrorCurve
 from identification.gap.average import averaged, beside_known, shape_and_waves
 from identification.gap.blocks import around, hypotheses, measured_range
 from identification.gap.fit import Rows, fit

@@ -11,9 +11,9 @@ import pytest
 
 from doe.criteria import information_matrix
 from identification import PRISMATIC, Arm, Calibration, Conditions, EffectSpec, Gravity, InputError, Measurements, Model
+from identification.arm import ErrorCurve
 from identification.effects import Chain, base, library
 from identification.effects.base import position_and_state, widths
-from identification.error_curve import ErrorCurve
 from identification.instruments import Distance
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles, pose, turned

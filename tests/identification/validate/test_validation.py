@@ -26,8 +26,7 @@ from identification import (
     diagnose,
     estimate,
 )
-from identification.arm import Arm, Calibration, EffectSpec
-from identification.error_curve import ErrorCurve
+from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve
 from identification.gap.library_prior import library_prior
 from identification.inspection.readings import read_differently
 from identification.kinematics.chain import KinematicChain
