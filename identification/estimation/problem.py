@@ -120,11 +120,8 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
     n, m, p, d = model.joints, len(measurements), len(model.parameters), measurements.dimension
     counted = f"{measurements.links} joints for an arm of {n} links"
     require(measurements.links == n, f"measurements: {counted}, allowed: {n}")
-    fits, allowed = (
-        d in getattr(model, "dimensions", (model.dimension,)),
-        f"allowed: {model.dimension} as the model has",
-    )
-    require(fits, f"measurements: positions of {d} coordinates, {allowed}")
+    fits, counted = d in getattr(model, "dimensions", (model.dimension,)), f"positions of {d} coordinates"
+    require(fits, f"measurements: {counted}, allowed: {model.dimension} as the model has")
     require(p > 0, "model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
         arm, in_file = model.arm, "allowed: an arm file with"
