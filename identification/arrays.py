@@ -1,4 +1,4 @@
-"""Read-only arrays of floats, dataclasses of them that compare by value, eigenvalues of pairs, frames."""
+"""Read-only arrays of floats, dataclasses of them that compare by value, frames."""
 
 from __future__ import annotations
 
@@ -72,21 +72,6 @@ def slices(sizes: Mapping[str, int]) -> dict[str, slice]:
     """Where each part of a vector stands, of parts of these sizes in this order."""
     ends = accumulate(sizes.values())
     return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
-
-
-def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:
-    """`numpy.linalg.eigh` of (h, 2, 2) symmetric matrices, in a tenth of its time: one Jacobi rotation each (G. Golub,
-    C. Van Loan, "Matrix Computations", 2013, section 8.5)."""
-    first, across, second = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    gap = second - first
-    root = np.hypot(gap, 2.0 * across)
-    tangent = 2.0 * across / np.where(root > 0.0, gap + np.where(gap < 0.0, -root, root), 1.0)
-    cosine = 1.0 / np.hypot(1.0, tangent)
-    sine = tangent * cosine
-    values = np.stack([first - tangent * across, second + tangent * across], axis=-1)
-    vectors = np.stack([np.stack([cosine, sine], axis=-1), np.stack([-sine, cosine], axis=-1)], axis=-2)
-    order = np.argsort(values, axis=-1)
-    return np.take_along_axis(values, order, -1), np.take_along_axis(vectors, order[:, None, :], -1)
 
 
 def rows_in_words(chosen: NDArray[np.bool_]) -> str:
