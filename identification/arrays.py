@@ -1,9 +1,9 @@
-"""Read-only arrays of floats, dataclasses of them that compare by value, frames."""
+"""Read-only arrays of floats, and dataclasses of them that compare by value."""
 
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from itertools import accumulate
 from numbers import Real
@@ -79,11 +79,3 @@ def rows_in_words(chosen: NDArray[np.bool_]) -> str:
     numbers = (np.flatnonzero(chosen) + 1).tolist()
     rest = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
     return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{rest}"
-
-
-def as_frame(table: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Any:
-    """A polars frame of columns by name, or of rows with the same keys; what is None is null."""
-    import polars as pl  # takes longer to load than numpy: nothing else needs it to design or to fit
-
-    columns = dict(table) if isinstance(table, Mapping) else list(table)
-    return pl.DataFrame(columns, strict=False, infer_schema_length=None)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
-from identification.arrays import Array, ByValue, as_frame, readonly
+from identification.arrays import Array, ByValue, readonly
+from identification.document import Sheet, html
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
@@ -375,20 +376,15 @@ class Plan(ByValue):
         scaled = displayed * [next(iter(each.values())) for each in units]
         return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
 
-    def to_frame(self) -> Any:
-        """A row for each posture, as in a plan file."""
-        columns: dict[str, Any] = {"run": range(1, len(self) + 1), **self.columns}
-        return as_frame(columns if self.weights is None else columns | {"weight": self.weights})
-
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""
         return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
 
     def _repr_html_(self) -> str:
-        from polars import Config
-
-        with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
-            return str(self.to_frame()._repr_html_())
+        columns = self.columns if self.weights is None else self.columns | {"weight": self.weights}
+        rows = np.column_stack([*columns.values()]).tolist()
+        cells = [[str(run), *(f"{x:.6g}" for x in row)] for run, row in enumerate(rows, start=1)]
+        return html(Sheet(["run", *columns], cells))
 
     def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
         """The text of a plan file; `load` reads the same from it, to rounding (1e-14 rad).

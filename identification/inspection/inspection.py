@@ -143,22 +143,22 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         "problems": tuple(problems),
         "notes": tuple(notes),
     }
-    facts = [
-        ("rows", f"{data['rows']} rows, {data['postures']} postures"),
-        ("columns besides", ", ".join(given) or "none"),
-        ("sessions" if touched == "marker" else f"{column}s", ", ".join(measurements.sessions)),
-        (f"{column}s" if touched == "marker" else "measured points", ", ".join(measurements.marker_names)),
-        ("repeats scatter by", None if floor.value is None else f"{floor.value:.4g} mm"),
-    ]
+    facts = {
+        "rows": f"{data['rows']} rows, {data['postures']} postures",
+        "columns besides": ", ".join(given) or "none",
+        "sessions" if touched == "marker" else f"{column}s": ", ".join(measurements.sessions),
+        f"{column}s" if touched == "marker" else "measured points": ", ".join(measurements.marker_names),
+        "repeats scatter by": None if floor.value is None else f"{floor.value:.4g} mm",
+    }
     if not units:
-        facts.append(("drawing", f"{number(drawing)} mm RMS, {DRAWING_IN_WORDS['base']}"))
-        facts.append(("a fit leaves", f"{number(fitted)} mm RMS"))
-        facts += words[:1] if problems else words  # data that are to be put right are not judged
+        facts |= {"drawing": f"{number(drawing)} mm RMS, {DRAWING_IN_WORDS['base']}"}
+        facts |= {"a fit leaves": f"{number(fitted)} mm RMS"}
+        facts |= dict(words[:1] if problems else words)  # data that are to be put right are not judged
     parts = list[Any]()
     if readings.counting is not None and set(readings.sentences) & set(problems):
         parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
         parts += [f"    {line}" for line in readings.counting.toml.splitlines()]
-    parts.append(Sheet.facts(dict(facts)))
+    parts.append(Sheet.facts(facts))
     if not units:
         headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
         parts += [Sheet(headings, ranges, "Joints"), *(f"note: {note}" for note in notes)]
@@ -284,13 +284,11 @@ def sufficiency(
     tip, measured = (judged.expected_tip, judged.expected_tip_measured) if source else (None, None)
     # parameters without a prior, as where base and reflector are, that stay more uncertain than the frames of the arm
     # by `UNUSUAL` times, though the machining holds these; where nothing is held, such ones are not estimated at all
-    weak: list[tuple[str, float, str]] = []
-    if judged.model.arm.chain.redundant:
-        machining = judged.model.arm.machining
-        far = {"mm": doubts.UNUSUAL * machining.translation, "rad": doubts.UNUSUAL * machining.rotation}
-        stds = zip(judged.model.parameters, judged.std.tolist(), strict=True)
-        free = [(p, std) for p, std in stds if p.name not in judged.prior.names]
-        weak = [(p.name, std * p.to_file, p.file_unit) for p, std in free if std > far.get(p.unit, np.inf)]
+    machining, weak = judged.model.arm.machining, list[tuple[str, float, str]]()
+    far = {"mm": doubts.UNUSUAL * machining.translation, "rad": doubts.UNUSUAL * machining.rotation}
+    for p, std in zip(judged.model.parameters, judged.std.tolist(), strict=True):
+        if judged.model.arm.chain.redundant and p.name not in judged.prior.names and std > far.get(p.unit, np.inf):
+            weak.append((p.name, std * p.to_file, p.file_unit))
     determined = _in_words(fit, held, {name for name, *_ in weak})
     keys = {
         "numbers": fit.residuals_after.size,

@@ -224,7 +224,7 @@ def test_a_plan_comes_back(tmp_path_factory: pytest.TempPathFactory, counting: C
     kinds = JointKinds(["revolute"] * n, counting)
     q = np.random.default_rng(random.randint(0, 99)).uniform(-3.0, 3.0, (4, n))  # type: ignore[attr-defined]
     path = tmp_path_factory.mktemp("plans") / "plan.csv"
-    for text in (Plan(q).text(kinds), Plan(q, joint_types=kinds).to_frame().write_csv()):
+    for text in (Plan(q).text(kinds), Plan(q, joint_types=kinds).text()):
         path.write_text(text)
         np.testing.assert_allclose(Plan.load(path, kinds).postures, q, atol=1e-12)
         np.testing.assert_allclose(
