@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,16 +131,7 @@ def measurement_text(
         columns |= posture_columns(measurements.commanded, joint_types, "commanded")
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if (order := measurements.order) is not None:
-        # `order` or `time_s`; both where the order, read again, would not have the same gaps
-        gaps = np.zeros(len(order)) if measurements.gaps is None else measurements.gaps
-        again, counts = np.zeros(len(order), dtype=bool), np.empty(len(order))
-        for rows in measurements.session_rows:
-            again[rows] = gaps_of(order[rows])
-            sequence = rows[np.argsort(order[rows], kind="stable")]
-            counts[sequence] = np.arange(len(rows)) + np.cumsum(gaps[sequence])
-        counted = np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0)
-        columns["order" if counted else "time_s"] = order
-        columns |= {"order": counts} if gaps.any() and not counted else {}
+        columns["order" if np.all(order == np.round(order)) else "time_s"] = order
     optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
     if (directions := measurements.directions) is not None:
         counting = counting_in(joint_types)
@@ -410,32 +401,22 @@ class Plan(ByValue):
 
 
 # -- targets -----------------------------------------------------------------------------------------------------------
-class Targets(NamedTuple):
-    """What the tip is to reach: positions (k, d) [mm], or the nominal tips of postures (k, n) [rad]; one is None.
+def load_targets(path: PathLike, arm: Arm) -> dict[str, Array | None]:
+    """What the tip is to reach, as arguments of `compensate`: `targets` (k, d) [mm], nominal `postures` (k, n) [rad]
+    and `orientations` (k, 3, 3) of the tool, by a CSV file with `x_mm, y_mm` (or `x_m, y_m`), of a spatial arm with
+    `z_mm` too, and angles where these matter, or with `q1_deg..qn_deg`; None: the file does not say.
 
-    orientations : (k, 3, 3) of the tool beside positions, None: any will do
+    With both, positions are the targets and postures say which of the many solutions to stay near.
+    Raises `InputError` with file, row and column.
     """
-
-    positions: Array | None
-    postures: Array | None
-    orientations: Array | None = None
-
-    @classmethod
-    def load(cls, path: PathLike, arm: Arm) -> Self:
-        """The targets of a CSV file with `x_mm, y_mm` (or `x_m, y_m`), or with `q1_deg..qn_deg` of nominal postures; of
-        a spatial arm with `z_mm` too, and with orientations where these matter.
-
-        With both, positions are the targets and postures say which of the many solutions to stay near.
-        Raises `InputError` with file, row and column.
-        """
-        table, axes = read_table(path), arm.chain.axes
-        has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
-        has_postures = bool(_joint_columns(table, arm.joint_types))
-        if not has_positions and not has_postures:
-            allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
-            raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-        positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
-        postures = read_postures(table, arm.joint_types) if has_postures else None
-        orientations = read_orientations(table) if has_positions and arm.chain.point_column else None
-        table.warn_unused(["run"])
-        return cls(positions, postures, orientations)
+    table, axes = read_table(path), arm.chain.axes
+    has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
+    has_postures = bool(_joint_columns(table, arm.joint_types))
+    if not has_positions and not has_postures:
+        allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
+        raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
+    positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
+    postures = read_postures(table, arm.joint_types) if has_postures else None
+    orientations = read_orientations(table) if has_positions and arm.chain.point_column else None
+    table.warn_unused(["run"])
+    return {"targets": positions, "postures": postures, "orientations": orientations}

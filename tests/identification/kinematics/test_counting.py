@@ -27,7 +27,7 @@ from identification import (
     turned_into,
 )
 from identification.estimation.doubts import outside_limits
-from identification.files.measurement import Targets, measurement_text
+from identification.files.measurement import load_targets, measurement_text
 from identification.kinematics.counting import (
     Counting,
     JointKinds,
@@ -249,7 +249,7 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     assert not known[:, 2].all()  # joint 2 falls, column 3 too: the joint may do either
     np.testing.assert_array_equal(again.directions[known], data.directions[known])
     (tmp_path / "targets.csv").write_text(Plan(q).text(arm.joint_types))
-    wanted = Targets.load(tmp_path / "targets.csv", arm).postures
+    wanted = load_targets(tmp_path / "targets.csv", arm)["postures"]
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
     found = Plan.load(tmp_path / "plan.csv", arm.joint_types).conditions["directions"]
