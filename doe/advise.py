@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from doe.bounds.best_known import bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import Bound
+from doe.bounds.column_generation import bound_that_holds, bounds_of_runs
 from doe.design import Design
 from doe.plan.accuracy import TipErrors
 from doe.plan.spacing import with_additions

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from doe.bounds.best_known import best_known_bound, bound_that_holds
 from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound
+from doe.bounds.column_generation import best_known_bound, bound_that_holds
 from doe.bounds.planar_theorem import table_1_max_residual
 from doe.criteria import D
 from doe.plan.accuracy import ExpectedDeviations, error_at_poses, plan_jacobians

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from identification.arm import Arm
-from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, number
+from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, count_of, number
 from identification.documents.identification import (
     FITTED,
     calibrated_actions,
@@ -97,7 +97,7 @@ def campaign_document(
         why = f"it leaves the smallest error on {' and '.join(fresh)}" if fresh else "it is the last given"
         others = " and ".join(name for name in calibrated if name != model)
         lines.append(f"Of the calibrations the next steps use {model}: {why}. {others} is shown beside it.")
-    lines += [f"The plan {name} has {len(plan.measured)} runs." for name, plan in plans.items()]
+    lines += [f"The plan {name} has {count_of(len(plan.measured), 'run')}." for name, plan in plans.items()]
     verdict = lines or [f"{name}: {kind}." for name, kind in kinds.items()]
 
     sections = list[Section]()
@@ -152,7 +152,7 @@ def error_section(rows: str, tests: dict[str, Validation], fitted: Sequence[str]
     return Section(
         f"Error on {rows}",
         [
-            " ".join([f"{len(measured)} rows.", used, *notes]),
+            " ".join([f"{count_of(len(measured), 'row')}.", used, *notes]),
             PLACED,
             Sheet(["distance [mm]", "RMS", "mean", "95 % below", "largest"], cells),
             Pictures(lambda: [workspace_arrows(last.arm, measured.positions, pairs)]),

@@ -266,6 +266,11 @@ def in_a_sentence(value: float | None) -> str:
     return number(value, min(max(2 - math.floor(math.log10(abs(value))), 0), 6))
 
 
+def count_of(many: int, noun: str) -> str:
+    """`1 run`, `20 runs`."""
+    return f"{many} {noun}{'s' * (many != 1)}"
+
+
 def unit_or_dash(unit: str) -> str:
     """For a column of units: a dash where there is none."""
     return "–" if unit == "1" else unit

@@ -211,10 +211,10 @@ def distances(residuals: Array) -> Array:
     return np.asarray(np.linalg.norm(residuals[:, POINT], axis=1))
 
 
-def repeats_of(postures: NDArray[np.int64], marker: ArrayLike | None, session: ArrayLike | None) -> NDArray[np.int64]:
-    """(m,) equal numbers for rows of equal posture (m,), marker and session: reflectors of one posture are no repeats,
-    since what the model leaves of each is another error."""
-    columns = [np.asarray(numbers) for numbers in (postures, marker, session) if numbers is not None]
+def repeats_of(postures: NDArray[np.int64], *others: ArrayLike | None) -> NDArray[np.int64]:
+    """(m,) equal numbers for rows of equal posture (m,) and equal in others (m,), marker, session and payload: these
+    are no repeats, since what the model leaves of each is another error."""
+    columns = [np.asarray(numbers) for numbers in (postures, *others) if numbers is not None]
     if len(columns) == 1:
         return postures
     return np.unique(np.column_stack(columns), axis=0, return_inverse=True)[1].ravel()
@@ -385,8 +385,8 @@ class Measurements(ByValue):
 
     @cached_property
     def repeat_numbers(self) -> NDArray[np.int64]:
-        """(m,) equal numbers mark repeats: rows of one posture, marker and session, which noise alone tells apart."""
-        return repeats_of(self.posture_numbers, self.marker_numbers, self._session_numbers)
+        """(m,) equal numbers mark repeats: rows of one posture, marker, session and payload, which noise parts."""
+        return repeats_of(self.posture_numbers, self.marker_numbers, self._session_numbers, self.payload)
 
     @cached_property
     def originals(self) -> NDArray[np.int64]:

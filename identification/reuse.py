@@ -86,10 +86,7 @@ def only(arm: Arm, words: Sequence[str], measurements: Measurements | None = Non
 def with_held(fit: Identification, before: Calibration | None, measurements: Measurements) -> Identification:
     """A fit of `only` some parameters with those that it holds at the values of an earlier calibration among its own:
     they stay as they are, with the covariance of that calibration, and what they may be off by moves those estimated
-    (S. F. Schmidt, "Application of state-space methods to navigation problems", 1966: considered parameters).
-
-    measurements : the rows of the fit
-    """
+    (S. F. Schmidt, "Application of state-space methods to navigation problems", 1966: considered parameters)."""
     names = [] if before is None else [name for name in fit.model.held or () if name in before.parameter_names]
     if before is None or before.covariance is None or not names or not np.all(np.isfinite(fit.covariance)):
         return fit
@@ -135,8 +132,6 @@ def with_data_of(calibration: Calibration, before: Calibration | None, kinds: Se
 def earlier(calibrated: Arm, model: Model, measurements: Measurements) -> Calibration:
     """What a calibrated arm says of a model's parameters, but for where base and measured points are, which are found
     again; given what the model holds.
-
-    measurements : that it is to be the prior of
 
     Raises `InputError` for another drawing, no covariance, no parameter in common, and measurements that the
     calibration comes from: they would count twice. Warns (`UserWarning`) of some rows that are in both, and where the

@@ -277,10 +277,8 @@ def offer(
     by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p_value: float
 ) -> dict[str, Any]:
     """Key `offered` (identification/files/README.md, "JSON keys"): RMS and largest distance [mm] that the model offered
-    and the geometry alone leave, and whether it is better beyond chance, as `validate` judges it.
-
-    by : `holdout` or `cross-validation` (each posture by a fit to others);  p_value : one-sided, of no gain
-    """
+    and the geometry alone leave, and whether it is better beyond chance, as `validate` judges it;  by : `holdout` or
+    `cross-validation` (each posture by a fit to others);  p_value : one-sided, of no gain"""
     lengths = {"rms_mm": model[0], "max_mm": model[1], "rms_geometry_mm": geometry[0], "max_geometry_mm": geometry[1]}
     better = model[0] < geometry[0] and p_value <= LEVEL_95 / 2.0
     return {"by": by, "rows": rows, **lengths, "p_value": p_value, "better": better}
@@ -313,8 +311,6 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
     Where nothing is missing nothing is offered. On a hold-out both are placed as `validate` places them, so that the
     figures are those that it gives of the files of `diagnose --out` and of `identify --out`; without one, the
     cross-validation over postures says it.
-
-    arm : as it was diagnosed;  measurements, holdout : as for `diagnose`
     """
     if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
         return diagnosis

@@ -20,9 +20,12 @@ for _name in (
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture import providers
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell ignores it for what it starts in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
+# examples would hold numbers of the modules that are loaded, which differ between workers: they would not repeat
+providers.is_local_module_file = lambda _: False  # type: ignore[attr-defined]
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
 settings.register_profile("explore", deadline=None, print_blob=True)  # 100 new ones every time, failures are stored
 settings.register_profile("stress", deadline=None, max_examples=5000)  # of the stress tests a fifth or less

@@ -38,7 +38,7 @@ ORDER = {
         "problem plan",
         "bounds design",
         "solvers",
-        "discrimination cross_check advise",
+        "discrimination advise",
         "report studies demo program",
         "cli __main__",
     ),

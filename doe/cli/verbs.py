@@ -125,14 +125,13 @@ def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> Non
 
 
 def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
-    """The answer with what is known of collisions at postures (m, n), None: it has no plan; nothing is said of arms in
-    a plane whose bodies nobody has described."""
-    from doe.problem.clearance import COLLISIONS, Clearance
+    """The answer with what is known of collisions at postures (m, n), None: it has no plan."""
+    from doe.problem.clearance import bodies_looked_at
 
-    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
-    if looked or getattr(problem.model, "space", 0) == 3:
+    looked, words = bodies_looked_at(problem)
+    if looked or words:
         answer.data["collisions_checked"] = any(not each.unseen for each in looked)
-        answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
+        answer.document = answer.document.plus(*words)
     for clearance in looked if postures is not None else []:
         answer.data["collisions"] = clearance.too_near(postures)
         answer.document = answer.document.plus(*clearance.in_words(postures))
@@ -275,10 +274,8 @@ def score_files(
         need = f"allowed: at least {bounded.fewest_runs} for {bounded.parameters} parameters"
         raise InputError(f"{plan}: {len(judged)} runs, {need}")
     design = score_plan(bounded, judged, seconds=seconds)
-    if outside := design.outside:
-        counted = f"{len(outside)} of {len(judged)} runs are outside joint limits or constraints"
-        sentence = f"{plan}: {counted}, the first is run {outside[0]}: the bound does not apply"
-        warnings.warn(sentence, UserWarning, stacklevel=2)
+    if design.outside:
+        warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
     sees = None
     try:
         sees = design_model(loaded).detectability(judged)
@@ -379,9 +376,9 @@ def relax_files(
     out : Write the plan with weights (CSV).
     """
     from doe.bounds.column_generation import LARGEST, relax
-    from doe.cross_check import cross_check
     from doe.plan.accuracy import with_choices
     from doe.report.design import relax_document
+    from doe.solvers.solving import cross_check
     from identification import Plan, load_arm
 
     loaded, robust = load_arm(arm, package_dir), criterion.robust

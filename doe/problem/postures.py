@@ -151,18 +151,7 @@ def _allowed(problem: DesignProblem, postures: Array, inside: Array) -> Array:
     return postures[inside]
 
 
-def well_spread(candidates: Array, count: int) -> Array:
-    """About `count` of the candidates (k, n), well spread; all of them if there are no more.
-
-    Those with all joints at limits or middles of their ranges are among them: the optimum is often made of these.
-    """
-    if len(candidates) <= count:
-        return candidates
-    generator = np.random.default_rng(0)
-    marks = np.arange(len(candidates))
-    for column in candidates.T:  # one by one, as few are left after the first
-        low, high = column.min(), column.max()
-        places = 2.0 * (column[marks] - low) / (high - low if high > low else 1.0)
-        marks = marks[np.abs(places - np.round(places)) < 1e-9]
-    few = marks if len(marks) <= count // 2 else generator.choice(marks, count // 2, replace=False)
-    return candidates[np.unique(np.concatenate([few, generator.integers(0, len(candidates), count)[len(few) :]]))]
+def some_of(candidates: Array, count: int) -> Array:
+    """(count, n) of the candidates (k, n), at random; all of them if there are no more."""
+    chosen = np.random.default_rng(0).choice(len(candidates), min(count, len(candidates)), replace=False)
+    return candidates[np.sort(chosen)]

@@ -14,7 +14,7 @@ from doe.bounds.certificate import ApproximateDesign
 from doe.design import BEST_KNOWN, Design
 from doe.plan.moves import unproven
 from doe.plan.spacing import distance_to_keep
-from doe.problem.clearance import COLLISIONS, Clearance, distance_in_words
+from doe.problem.clearance import Clearance, bodies_looked_at, distance_in_words
 from doe.problem.model import offers
 from doe.problem.problem import DesignProblem
 from doe.report.page import PlanSteps
@@ -40,6 +40,8 @@ WHAT_TO_FIT = (  # and not `identify --library-prior` at once: what has a name c
 def design_document(design: Design) -> Document:
     """Everything about a plan: value, bound, efficiency, what a person reads first; then the postures, the accuracy."""
     plan, beside = design.plan, columns_beside(design)
+    if plan.weights is not None:
+        beside["weight"] = [f"{share:.5f}" for share in plan.shares]
     rows = [[str(run), *(f"{angle:.3f}" for angle in q)] for run, q in enumerate(plan.displayed, start=1)]
     rows = [[*row, *more] for row, *more in zip(rows, *beside.values(), strict=True)]
     table = Sheet(["run", *posture_headings(plan), *beside], rows, "Plan", 24)
@@ -47,7 +49,7 @@ def design_document(design: Design) -> Document:
     return Document("Plan", [design_verdict(design)], parts)
 
 
-def columns_beside(design: Design) -> Mapping[str, Sequence[str]]:
+def columns_beside(design: Design) -> dict[str, Sequence[str]]:
     """What the model says of the postures of a plan besides, name -> (m,): the cup that each touches, say."""
     model: Any = design.problem.model
     return dict(model.plan_columns(design.plan.postures)) if offers(model, "plan_columns") else {}
@@ -55,20 +57,20 @@ def columns_beside(design: Design) -> Mapping[str, Sequence[str]]:
 
 def design_verdict(design: Design) -> str:
     """How good a plan is, in a sentence or two."""
-    runs, bound, outside = len(design.plan), design.bound, design.outside
+    runs, bound, outside = f"{len(design.plan)} run{'s' * (len(design.plan) != 1)}", design.bound, design.outside
     optimal = f", {design.optimality_in_words}" if design.certified_optimal else ""
     criterion = f"{design.problem.criterion.name}{optimal}"
     if not (error := design.expected_error):
         efficiency = "no known bound" if design.efficiency is None else f"the efficiency {design.efficiency:.4f}"
         efficiency = "no bound: it is outside joint limits or constraints" if outside else efficiency
-        return f"The plan of {runs} runs has {efficiency} ({criterion})."
-    sentence = f"With the plan of {runs} runs (criterion {criterion}) expect an error of "
+        return f"The plan of {runs} has {efficiency} ({criterion})."
+    sentence = f"With the plan of {runs} (criterion {criterion}) expect an error of "
     sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
     sentence += f", if fitted by armcal identify --{design.plan.fit}" if design.plan.fit else ""
     if bound is None or error["bound"] is None or design.efficiency is None or outside:
         return f"{sentence}."  # no bound applies to a plan outside the limits
     kind = "" if bound.rigorous else " (a numerical bound)"
-    sentence += f"; no plan of {runs} runs from {bound.postures} is below {in_a_sentence(error['bound'])} mm{kind}"
+    sentence += f"; no plan of {runs} from {bound.postures} is below {in_a_sentence(error['bound'])} mm{kind}"
     # a plan of whole runs should reach nine tenths of the bound where it determines every parameter
     hope = "Do not expect it near 1: the" if design.efficiency < 0.9 else "The"
     judge = f"{hope} bound allows fractions of a run. Judge by the mm."
@@ -79,23 +81,22 @@ def design_facts(design: Design) -> Sheet:
     """Value, bound, efficiency; of criterion I not its own scale, which says nothing more than the millimetres."""
     bound, kind, in_mm = design.bound, design.problem.criterion.name, design.expected_error is not None
     outside, table_1 = design.outside, design.table_1_max_residual
+    counts = {"run": len(design.plan), "link": design.plan.links, "start": design.starts}
+    runs, links, starts = (f"{many} {one}{'s' * (many != 1)}" for one, many in counts.items())
     words = bound.words if bound and not outside else ""
+    highest = f"{number(bound.value, 7)} ({words})" if bound and words and not in_mm else ""
     efficiency = f"-: {design.no_efficiency}" if design.no_efficiency else number(design.efficiency, 6)
     optimal = design.optimality_in_words or "not shown"
     optimal += ": the bound does not say that it is optimal" if design.optimality == BEST_KNOWN else ""
     if outside:
-        listed = ", ".join(map(str, outside[:10])) + (", ..." if len(outside) > 10 else "")
-        are = f"run {listed} is" if len(outside) == 1 else f"runs {listed} are"
-        optimal = f"no: {are} outside joint limits or constraints"
-    starts = f"{design.starts} start{'s' * (design.starts != 1)}"
+        more = ", ..." * (len(outside) > 10)
+        optimal = f"no: outside joint limits or constraints in run {', '.join(map(str, outside[:10]))}{more}"
     return Sheet.facts(
         {
-            "criterion": f"{kind}, {len(design.plan)} runs, {design.plan.links} links",
+            "criterion": f"{kind}, {runs}, {links}",
             f"value of {kind}": "" if kind == "D" or in_mm else number(design.value, 7),
             "information (log det M')": "" if kind == "I" else number(design.log_det, 7),
-            "upper bound" if kind == "D" else f"upper bound of {kind}": f"{number(bound.value, 7)} ({words})"
-            if bound and words and not in_mm
-            else "",
+            "upper bound" if kind == "D" else f"upper bound of {kind}": highest,
             "efficiency": f"{efficiency} of the bound ({words})" if words and in_mm else efficiency,
             "optimal": optimal,
             "deviation from orthogonality (Table I)": "" if table_1 is None or kind == "I" else number(table_1, 6),
@@ -118,8 +119,7 @@ def remarks(design: Design) -> list[str]:
         lines.append(f"every figure is of these runs and the {kept} measured already (--keep) together")
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
-        rest = ", ..." if len(combinations) > 4 else ""
-        why = f"not estimable from the plan: {', '.join(combinations[:4])}{rest}"
+        why = f"not estimable from the plan: {', '.join(combinations[:4])}{', ...' * (len(combinations) > 4)}"
         if not combinations:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
@@ -155,6 +155,7 @@ def accuracy(design: Design) -> list[Sheet | str]:
                 rows.append([f"{parameter.name} [{parameter.file_unit}]", number(std * parameter.to_file, 5)])
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
     noise = f"{sigma:.4g} mm, an error of each posture included" if missing else f"{sigma:g} mm"
+    noise += "" if design.plan.weights is None else f", {len(design.plan)} runs shared out by the weights"
     table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {noise})")
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
     return [table, *([f"and {weak} {held}"] if weak else [])]
@@ -198,9 +199,8 @@ def plan_section(
     from doe.report.figures import plan_figure  # deferred: tables need no pictures
 
     problem, postures = DesignProblem.of(arm), plan.measured.postures
-    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
-    near = [line for clearance in looked for line in clearance.in_words(postures)]
-    near = near if looked or not arm.chain.projection else [COLLISIONS]
+    looked, near = bodies_looked_at(problem)
+    near += [line for clearance in looked for line in clearance.in_words(postures)]
     if plan.weights is None and (moves := unproven(problem.constraints, plan.postures)):
         near.append(f"Moves: {len(moves)} of {len(plan) - 1} may collide on the way; armcal score names them.")
     title = f"The plan {name}".rstrip()

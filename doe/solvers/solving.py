@@ -11,14 +11,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 from threadpoolctl import threadpool_limits
 
-from doe.bounds.best_known import best_known_bound, bound_that_holds
-from doe.bounds.certificate import Bound
-from doe.bounds.planar_theorem import applies, chain_joints
+from doe.bounds.certificate import ApproximateDesign, Bound
+from doe.bounds.column_generation import best_known_bound, bound_that_holds, continuous_design
+from doe.bounds.planar_theorem import applies, chain_joints, closed_form_bound
 from doe.design import Design
 from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
@@ -100,7 +101,7 @@ def solve(
     seed : the same seed gives the same plan, unless the time limit binds
     starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
         up to 100 runs, 30 s for more. The bound is part of it: whichever of search and bound comes first ends at half
-    bound : upper bound of the criterion; left out: the best that is known, see `doe.bounds.best_known`
+    bound : upper bound of the criterion; left out: the best that is known, see `doe.bounds.column_generation`
     begin : (m, n) a plan to begin with;  accepted : which plans may take its place
     throw : raise `JobError` where no plan identifies all parameters; False: return the last one, value -inf
 
@@ -235,3 +236,45 @@ def check_runs(problem: DesignProblem, runs: int) -> None:
         if runs + len(problem.kept) > most:
             postures = f"{runs + len(problem.kept)} postures {problem.spacing} apart"
             raise InputError(f"runs: {postures}, allowed: at most {most:.0f} in the limits")
+
+
+# -- independent answers -----------------------------------------------------------------------------------------------
+def cross_check(
+    problem: DesignProblem, relaxed: ApproximateDesign, runs: int, *, seed: int = 0, seconds: float = 60.0
+) -> list[dict[str, Any]]:
+    """Independent answers to one design problem side by side, which share the Jacobian and nothing else.
+
+    Rows `method`, `space`, attained `value`, upper `bound` and `table_1_max_residual` of the (weighted) plan: of the
+    relaxation, the optimum over all postures, an exact plan, and the closed form where it applies; bounds and attained
+    values bracket the truth.
+
+    With a prior over many effects, whose continuous optimum takes hours, without that.
+    seconds : for both, the first half for the exact plan, which a bound reached ends sooner
+    """
+    end = perf_counter() + seconds
+    # where the weights took all the time the exact plan has that of its first start
+    exact = solve(problem, runs, "exchange", seed=seed, seconds=max(0.5 * seconds, 0.01))
+    designs: list[tuple[str, str, ApproximateDesign | Design]] = [("relaxation", "candidates", relaxed)]
+    if not problem.deviations:
+        try:
+            everywhere = continuous_design(problem, runs=runs, stop=lambda: perf_counter() > end)
+            designs.append(("column generation", "all postures", everywhere))
+        except JobError:
+            pass
+    designs.append(("exact plan", f"{len(exact.plan)} runs", exact))
+    rows: list[dict[str, Any]] = [
+        {
+            "method": f"{name}, {design.solver}"
+            + (f", cut at {design.seconds:.0f} s" if design.status is Status.time_limit else "")
+            + (", bound cut" if design.bound is not None and design.bound.cut else ""),
+            "space": space,
+            "value": design.value,
+            "bound": None if design.bound is None else design.bound.value,
+            "table_1_max_residual": Design(problem, design.plan).table_1_max_residual,
+        }
+        for name, space, design in designs
+    ]
+    if (theorem := closed_form_bound(problem)) is not None:
+        closed = {"method": "closed form", "space": "all postures", "value": theorem.value, "bound": theorem.value}
+        rows.append(closed | {"table_1_max_residual": None})
+    return rows

@@ -16,6 +16,7 @@ from identification.document import (
     Section,
     Sheet,
     as_sentence,
+    count_of,
     estimate_text,
     in_a_sentence,
     number,
@@ -118,7 +119,7 @@ def gap_in_words(data: Data) -> str:
     if test is not None:
         before, after, expected = (in_a_sentence(test[f"{key}_mm"]) for key in ("before", "after", "predicted"))
         figures = f"from {before} to {after} {unit}; {expected} {unit} was predicted"
-        return f"On {test['rows']} rows that no fit has seen the RMS error goes {figures}."
+        return f"On {count_of(test['rows'], 'row')} that no fit has seen the RMS error goes {figures}."
     before, after = (in_a_sentence(data["gap"][f"rms_{when}_mm"]) for when in ("before", "after"))
     if data["verdict"] == "none":
         return f"The model leaves {after} {unit} RMS of the data; no rows were held out."
@@ -175,7 +176,8 @@ def diagnosis_actions(
 ) -> list[Action]:
     """What follows from a diagnosis of these files;  written : the extended model, where it has been"""
     again = " ".join(["armcal diagnose", arm, *rows])
-    alone = identify_command(arm, rows[0], ALONE) if len(rows) == 1 else f"{again} --out calibrated.toml"
+    joined = ", of all rows in one file with a column session" * (len(rows) > 1)
+    alone = identify_command(arm, "all.csv" if joined else rows[0], ALONE)
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{again} --holdout other.csv",
@@ -185,13 +187,13 @@ def diagnosis_actions(
         why = gain if shrinks(data) else ": rows that no fit has seen speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
-        return [Action("Use the calibration of the geometry:", alone), correct("calibrated.toml")]
+        return [Action(f"Use the calibration of the geometry{joined}:", alone), correct("calibrated.toml")]
     if data["verdict"] == "ambiguous":
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         measure = Action("Measure the postures that tell the explanations apart:", apart)
         return [measure, Action("Add the new rows to the data, and diagnose again:", again)]
     if not is_offered(data):
-        use = Action("Use the calibration of the geometry, unless other rows show that it is worse:", alone)
+        use = Action(f"Use the calibration of the geometry{joined}, unless other rows show that it is worse:", alone)
         return [use, correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
@@ -246,7 +248,7 @@ def diagnosis_document(
     sections.append(Section("The gap, before and after", [*gap_parts(data, nominal), picture("gap_figure")]))
     # beside something unknown a fit of the names alone is off by what they take of it
     best = diagnosis.predicting if data["verdict"] == "unknown" else named
-    undetermined = [p.name for p in best.parameters if np.isnan(p.std)]
+    undetermined = [name for name, (low, _) in named.limits_95.items() if np.isnan(low)]
     values = corrected_values(diagnosis.extended_arm(best), best.calibration, unknown=undetermined)
     doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"
@@ -328,7 +330,7 @@ def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
 def holds_in_words(test: Data, unit: str = "mm") -> tuple[str, str]:
     """Whether the named model holds in rows that were not used for the fits, in a word and in a sentence."""
     confirmed, which = test["confirmed"], test["file"] or test["transfer"]
-    groups = f"{test['rows']} rows in {test['groups']} independent groups"
+    groups = f"{count_of(test['rows'], 'row')} in {count_of(test['groups'], 'independent group')}"
     how = "" if test["by"] == "holdout" else "cross-validated, "
     where, answer = f"{which} ({how}{groups})", "no"
     if confirmed is None:

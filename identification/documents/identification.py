@@ -16,6 +16,7 @@ from identification.document import (
     Part,
     Section,
     Sheet,
+    count_of,
     estimate_text,
     in_a_sentence,
     number,
@@ -88,7 +89,7 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
         measured = f"{fit.expected_tip_measured:.4g} mm at the tip at postures like those measured"
         tip = f"{measured}, {fit.expected_tip:.4g} mm over the joint limits (RMS), if the model is right{doubt}"
     if fit.sigma is not None:
-        sigma = f"{fit.sigma:.4g} {unit} per axis ({'given' if fit.sigma_known else 'estimated'})"
+        sigma = f"{fit.sigma:.4g} {unit} per coordinate ({'given' if fit.sigma_known else 'estimated'})"
     if fit.p_value is not None:
         chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
         if fit.scatter is not None and not np.isclose(fit.scatter, fit.sigma or 0.0):  # a prior's fit has no less
@@ -298,7 +299,7 @@ def validation_verdict(data: Data, model: str = "the model", rows: str = "") -> 
     worth = f"{share} % of the error is removed{chance}" if gain > 0.0 else "no better than the drawing"
     worth = "this says nothing about others" if seen else worth
     most = f"95 % of the errors are below {in_a_sentence(data['p95_mm'])} {unit}"
-    return f"On {data['rows']} rows of {which} {model} takes the RMS error {figures}: {worth}; {most}."
+    return f"On {count_of(data['rows'], 'row')} of {which} {model} takes the RMS error {figures}: {worth}; {most}."
 
 
 def is_better(data: Data) -> bool:
@@ -320,10 +321,10 @@ def refitted_in_words(data: Data) -> str:
 def validation_sections(data: Data) -> list[Section]:
     """Drawing and model over all rows, and block by block."""
     keys, sessions = ("rms", "mean", "p95", "max"), {one["session"] for one in data["refitted"]}
-    unit, summary = data.get("reading_unit", "mm"), f"{data['rows']} rows, nothing refitted"
+    unit, summary = data.get("reading_unit", "mm"), f"{count_of(data['rows'], 'row')}, nothing refitted"
     if what := refitted_in_words(data):
         each = f" in each of {len(sessions)} sessions" if len(sessions) > 1 else ""
-        summary = f"{data['rows']} rows, refitted{each}: {what}; everything else as in the file"
+        summary = f"{count_of(data['rows'], 'row')}, refitted{each}: {what}; everything else as in the file"
     figures = ("RMS", "mean", "95 %\nbelow", "largest")
     rows = [["drawing", *(number(data[f"{key}_nominal_mm"]) for key in keys)]]
     rows.append(["model", *(number(data[f"{key}_mm"]) for key in keys)])

@@ -21,7 +21,7 @@ import numpy as np
 from identification.arm import EffectSpec
 from identification.effects import formulas, unlisted  # they fill the library
 from identification.effects.base import _LIBRARY, Chain, Effect, Scope, Setting, register, widths
-from identification.errors import InputError, close_names, nearest, suggestion
+from identification.errors import InputError, close_names, nearest, require, suggestion
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.parameters import PRISMATIC, Parameter
 from identification.running import additions
@@ -76,15 +76,12 @@ def build_all(specs: Sequence[EffectSpec], chain: KinematicChain) -> tuple[Effec
     alike = Counter(spec.key for spec in specs)
     effects = tuple(map(build, specs, repeat(chain), [alike[spec.key] > 1 for spec in specs]))
     for key, times in Counter(effect.key for effect in effects).items():
-        if times > 1:
-            raise InputError(f"effects: {key} is given {times} times, allowed: once")
+        require(times == 1, f"effects: {key} is given {times} times, allowed: once")
     return effects
 
 
 def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effect:
-    """Build the effect of one `[[effects]]` entry of an arm file.
-
-    tagged : the key includes the settings
+    """Build the effect of one `[[effects]]` entry of an arm file;  tagged : the key includes the settings
 
     Raises `InputError` for an unknown name, an effect without a method of any place, a joint that is missing, not
     allowed or out of range, an unknown parameter, and an effect not defined for arms of this dimension.
@@ -97,15 +94,13 @@ def build(spec: EffectSpec, chain: KinematicChain, tagged: bool = False) -> Effe
         )
     if not (cls.scatter or cls.of_commands or any(hasattr(cls, place) for place in widths(chain))):
         raise InputError(f"effects: {spec.name} adds nothing, allowed: a method named {' or '.join(widths(chain))}")
-    allowed = f"allowed: {cls.first_joint} to {len(chain)}"
-    if joint is None and cls.per_joint == "required":
-        raise InputError(f"effects: {spec.name} needs a joint, {allowed}")
-    if joint is not None and cls.per_joint == "none":
-        raise InputError(f"effects: {spec.name} is of the whole arm, joint = {joint} is not allowed")
-    if joint is not None and not cls.first_joint <= joint <= len(chain):
-        raise InputError(f"effects: {spec.name} at joint {joint}, {allowed}")
-    if joint is not None and cls.of_angle and chain.joint_types[joint - 1] == PRISMATIC:
-        raise InputError(f"effects: {spec.name} at joint {joint}, which slides, allowed: at joints that turn")
+    allowed, whole = f"allowed: {cls.first_joint} to {len(chain)}", f"{spec.name} is of the whole arm, joint = {joint}"
+    require(joint is not None or cls.per_joint != "required", f"effects: {spec.name} needs a joint, {allowed}")
+    require(joint is None or cls.per_joint != "none", f"effects: {whole} is not allowed")
+    if joint is not None:
+        require(cls.first_joint <= joint <= len(chain), f"effects: {spec.name} at joint {joint}, {allowed}")
+        fits, turn = not cls.of_angle or chain.joint_types[joint - 1] != PRISMATIC, "allowed: at joints that turn"
+        require(fits, f"effects: {spec.name} at joint {joint}, which slides, {turn}")
     chosen: dict[str, int | float] = {}
     for name, setting in cls.settings.items():
         value = spec.values.get(name)

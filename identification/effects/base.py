@@ -28,7 +28,7 @@ import numpy as np
 from identification.arm import Arm, ErrorCurve, Gravity
 from identification.arrays import Array, slices
 from identification.errors import InputError
-from identification.kinematics.chain import KinematicChain, in_space
+from identification.kinematics.chain import NOTHING, KinematicChain, in_space
 from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import LENGTH_ERROR, PRISMATIC, REVOLUTE, Parameter
 from identification.measurements import REMEMBERED, Conditions
@@ -91,10 +91,8 @@ class Setting:
 
 
 def clock(time: Any, session: Any) -> Any:
-    """Common time of all sessions: -0.5 to 0.5 in the first, 1.1 later in each further one.
-
-    time, session : numbers, arrays or CasADi symbols
-    """
+    """Common time of all sessions, in numbers, arrays or symbols: -0.5 to 0.5 in the first, 1.1 later in each further
+    one."""
     return time + SESSION * session
 
 
@@ -182,16 +180,9 @@ class Effect:
         cls.family = cls.family or getattr(cls, "name", "")
 
     def __init__(
-        self,
-        chain: KinematicChain,
-        joint: int | None = None,
-        chosen: Mapping[str, Any] | None = None,
-        tagged: bool = False,
+        self, chain: KinematicChain, joint: int | None = None, chosen: Mapping[str, Any] = NOTHING, tagged: bool = False
     ) -> None:
-        self.chain = chain
-        self.joint = joint
-        self.chosen = dict(chosen or {})
-        self.tagged = tagged
+        self.chain, self.joint, self.chosen, self.tagged = chain, joint, dict(chosen), tagged
         self.place = self.name if joint is None else f"{self.name}:{joint}"
         self.key = self.label if tagged else self.place  # in reports
         self.parameters: tuple[Parameter, ...] = self.define()

@@ -64,8 +64,6 @@ def estimate(
     from its drawing, a common multiple of them, and one of the joint zeros', likeliest together with the noise;
     `doubts` say so.
 
-    A model that is linear in its links is solved in closed form, every other by Levenberg-Marquardt.
-
     Raises `InputError` for data that do not fit the model, `JobError` if that fails.
     """
     check_measurements(model, measurements, prior)
@@ -167,7 +165,10 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
     made = uncertainty(rows, sigma_given=has_sigma, reliance=problem.reliance, noise=noise)
     scale = noise if noise is not None else float(np.sqrt(rows.squares / rows.freedom)) if rows.freedom > 0 else None
     scatter = None if scale is None else scale * (problem.sigma or 1.0)
-    identifiable, undetermined = rows.decomposed.identifiable, rows.decomposed.combinations(model.names, model.scales)
+    # a number of each joint that no row shows does nothing: gravity has no moment about a vertical axis
+    idle = {p.name for e in model.effects for p in e.parameters if len(e.parameters) > 1 and p.lower == 0.0}
+    identifiable, combinations = rows.decomposed.identifiable, rows.decomposed.combinations(model.names, model.scales)
+    undetermined = tuple(combination for combination in combinations if combination not in idle)
     # before: where nothing says where a spatial arm stands and what is measured on it, these are fitted in least
     # squares (one Gauss-Newton step from the closed form)
     was, after = problem.start, problem.residuals(x)[0]

@@ -23,7 +23,7 @@ from scipy.special import chdtrc, fdtrc
 
 from identification.arm import Calibration
 from identification.arrays import Array, ByValue
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
@@ -120,10 +120,8 @@ NO_PRIOR = Prior()
 
 # -- the problem -------------------------------------------------------------------------------------------------------
 def check_measurements(model: Model, measurements: Measurements, prior: Prior = NO_PRIOR) -> None:
-    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations.
-
-    prior : of parameters that need no equation, besides those of the model
-    """
+    """Raises `InputError` for other kinds, the wrong number of joints, data that effects lack, too few equations;
+    prior : of parameters that need no equation, besides those of the model"""
     if lacking := [name for name in FITTED.split() if not hasattr(model, name)]:
         allowed = f"allowed: a Model, as in Model(arm), or one with {lacking[0]}"
         raise InputError(f"model: found {type(model).__name__}, {allowed}")
@@ -131,13 +129,12 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
         allowed = "allowed: Measurements, as load_measurements(path) gives"
         raise InputError(f"measurements: found {type(measurements).__name__}, {allowed}")
     n, m, p, d = model.joints, len(measurements), len(model.parameters), measurements.dimension
-    if measurements.links != n:
-        raise InputError(f"measurements: {measurements.links} joints for an arm of {n} links, allowed: {n}")
+    counted = f"{measurements.links} joints for an arm of {n} links"
+    require(measurements.links == n, f"measurements: {counted}, allowed: {n}")
     if d not in getattr(model, "dimensions", (model.dimension,)):
         allowed = f"allowed: {model.dimension} as the model has"
         raise InputError(f"measurements: positions of {d} coordinates, {allowed}")
-    if p == 0:
-        raise InputError("model: every parameter is known, allowed: at least one to estimate")
+    require(p > 0, "model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
         arm = model.arm
         for need, lacks, what in (
@@ -196,10 +193,9 @@ class Problem:
         Raises `InputError`."""
         m, data = len(measurements), measurements
         relative = np.ones(m) if positions is not None else np.where(data.originals == np.arange(m), 1.0, 0.0)
-        reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
-        if isinstance(sigma, str) and sigma not in RELIANCE:
-            raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
-        numbers = None if isinstance(sigma, str) else sigma
+        reliance, numbers = (sigma, None) if isinstance(sigma, str) else (None if sigma is None else "given", sigma)
+        allowed = f"allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}"
+        require(reliance in (None, *RELIANCE), f"sigma: {sigma!r}, {allowed}")
         stated = next((s for s in (numbers, data.sigma, model.sigma) if s is not None), None)
         rows = data.postures, data.conditions, data.positions[None] if positions is None else positions
         if stated is None and reliance == "given":
@@ -208,8 +204,8 @@ class Problem:
         if stated is None or reliance == "estimated":
             return cls(model, *rows, relative, None, reliance, prior=prior)
         deviations = np.asarray(stated, dtype=float)
-        if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
-            raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
+        fits = deviations.shape in ((), (m,)) and bool(np.all(np.isfinite(deviations) & (deviations > 0.0)))
+        require(fits, f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
         mean = float(np.sqrt(np.mean(deviations**2)))
         return cls(model, *rows, relative / deviations**2, mean, reliance, prior=prior)
 
@@ -259,10 +255,6 @@ class Problem:
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
         return self.positions - self.model.position(self.postures, parameters, self.conditions)
-
-    def squares(self, parameters: Array) -> Array:
-        """(K,) weighted sums of squares."""
-        return np.einsum("kmd,m->k", self.residuals(parameters) ** 2, self.weights)
 
     def linearize(self, parameters: Array, index: Index) -> tuple[Array, Array]:
         """(k, m d + r) weighted residuals of the data sets numbered (k,) and the (k, m d + r, p) weighted Jacobian."""
@@ -344,10 +336,7 @@ def likeliest_noise(target: Array, effects: Array, spare: int, least: float, lar
 def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> tuple[float, tuple[float, ...]]:
     """Noise, no less than a sigma that is given (where intervals rely on that: it), and the widths of the prior of the
     largest likelihood: a factor on the sizes of the machining, a further one on those of joint zeros, and one of
-    `Prior.factors`.
-
-    residual, jacobian : of `Problem.linearized` about x (p,)
-    """
+    `Prior.factors`;  residual, jacobian : of `Problem.linearized` about x (p,)"""
     holds, parameters, prior = problem.reliance == "given", problem.model.parameters, problem.prior
     factor = prior.factor(parameters)
     held = factor.any(axis=1)
@@ -407,11 +396,12 @@ class Contradiction(NamedTuple):
         by_each = f"{self.name} is {before}, {self.value:.4g} +- {self.std:.2g} by these measurements"
         instead = f" (or instead {', '.join(self.instead)}: these rows cannot tell which)" if self.instead else ""
         words = [self.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
-        sentence = f"the measurements contradict the prior: {by_each}{instead} (others as there)"
         do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
-        lacks = "the model lacks what differs between both measurements: armcal diagnose"
-        either = f"Either it changed and is to be estimated again: {do}; or {lacks}"
-        return f"{sentence}. The fit is right for neither. {either}"
+        return (
+            f"the measurements contradict the prior: {by_each}{instead} (others as there). The fit is right for "
+            f"neither. Either it changed and is to be estimated again: {do}; or the model lacks what differs between "
+            "both measurements: armcal diagnose"
+        )
 
 
 def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | None:
@@ -420,10 +410,8 @@ def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | No
     The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
     Errors of one parameter look like errors of others, so that of several the others are told once it is free; a zero
     of a joint before a frame that looks the same. Its change d since then is one more unknown, in prior rows
-    F^-1 (x - m - d e), and the fit without its prior gives it, from the one with it, since an error of degrees is not
-    linear.
-
-    x : (p,) of the fit with the whole prior
+    F^-1 (x - m - d e), and the fit without its prior gives it, from the one with it, x (p,), since an error of degrees
+    is not linear.
     """
     model, alone = problem.model, replace(problem, prior=prior.released(problem.model.names, problem.model.prior))
     residual, jacobian = problem.linearized(x)
@@ -472,16 +460,14 @@ def released_drops(problem: Problem, x: Array) -> dict[str, float]:
 
 # -- where a search starts ---------------------------------------------------------------------------------------------
 def starts(problem: Problem) -> Array:
-    """(K, p) the closed form of the model without its effects, or the best known values where those fit better.
-
-    The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
-    """
+    """(K, p) the closed form of the model without its effects, whose global minimiser it is, so that any size of joint
+    offset is harmless, or the best known values where those fit better."""
     best_known = np.tile(problem.start, (len(problem.positions), 1))
-    form = problem.model.closed_form
-    if form is None:
+    if (form := problem.model.closed_form) is None:
         return best_known
     solved = best_known.copy()
     solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
-    return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
+    known, closed = (np.einsum("kmd,m->k", problem.residuals(x) ** 2, problem.weights) for x in (best_known, solved))
+    return np.where((known < closed)[:, None], best_known, solved)

@@ -136,10 +136,8 @@ class Identification(Documented):
 
     @cached_property
     def intervals(self) -> Array:
-        """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not estimable.
-
-        Normal quantile where they rely on a given sigma, else Student's t.
-        """
+        """(p, 2) 95 % confidence limits, cut at the physical bounds; NaN where a parameter is not estimable: by the
+        normal quantile where they rely on a given sigma, else Student's t."""
         return readonly(limits_95(self.model.parameters, self.parameters, self.std, self.uncertainty.freedom))
 
     @property
@@ -168,9 +166,8 @@ class Identification(Documented):
         cause, do = "the model is incomplete or sigma_mm too small", "armcal diagnose looks for what is missing"
         if self.contradiction:
             cause, do = f"the prior does not hold (above), {cause}", "settle the prior first"
-        follows = (
-            "rely on sigma_mm and are too narrow" if self.uncertainty.kind == "given" else "do not rely on sigma_mm"
-        )
+        given = self.uncertainty.kind == "given"
+        follows = "rely on sigma_mm and are too narrow" if given else "do not rely on sigma_mm"
         return f"{scatter} ({figures}): {cause}. The intervals {follows}; {do}"
 
     @property
@@ -218,12 +215,13 @@ class Identification(Documented):
         return None if self.arm is None else corrected_geometry(self.arm.chain, self.values, self.arm.counting)
 
     def calibration(self) -> Calibration:
-        """What an arm file keeps of this: all of `parameters`, and the known values."""
+        """What an arm file keeps of this: all values, and the covariance of those that the rows determine."""
         cov = self.covariance if np.all(np.isfinite(self.covariance)) else None
         figures = {k: v for k, v in self._summary().items() if v is not None and k not in NOT_KEPT.split()}
         freedom = freedom_kept(self.names, self.uncertainty.freedom)
         provenance = MappingProxyType({**self.provenance, **figures, **freedom})
-        calibration = Calibration(self.values, self.names, cov, provenance)
+        whole = Calibration(self.values, self.names, cov, provenance)
+        calibration = whole.about(np.array(self.names)[self.identifiable])
         return calibration if self.geometry is None else replace(calibration, **self.geometry.places)
 
     def calibrated_arm(self) -> Arm:

@@ -225,10 +225,8 @@ def pure_error(residual: Array, repeats: Groups) -> tuple[float, int]:
 
 
 def lack_of_fit(residual: Array, repeats: Groups, rank: float) -> tuple[float, float]:
-    """F of the lack of fit against the scatter of repeats, and its p-value; 0 and 1 where too few are repeated.
-
-    residual : (m, d) of a fit of this rank;  repeats : (m,) equal numbers mark repeats
-    """
+    """F of the lack of fit against the scatter of repeats, and its p-value; 0 and 1 where too few are repeated;
+    residual : (m, d) of a fit of this rank;  repeats : (m,) equal numbers mark repeats"""
     pure, freedom = pure_error(residual, repeats)
     fit_freedom = residual.size - freedom - rank
     if freedom < 1 or fit_freedom < 1 or pure == 0.0:
@@ -295,11 +293,8 @@ def decomposed_groups(columns: Array, residual: Array, groups: Groups) -> Iterat
 
 # -- intervals ---------------------------------------------------------------------------------------------------------
 def quantile_95(freedom: ArrayLike) -> Array:
-    """Half the width of a 95 % interval in standard deviations, of the shape of `freedom`.
-
-    freedom : degrees of freedom of Student's t, from which a variance is estimated: infinite where it is known (the
-        normal distribution), not a number where there are none
-    """
+    """Half the width of a 95 % interval in standard deviations for degrees of freedom of Student's t, from which a
+    variance is estimated: infinite where it is known (the normal distribution), not a number where there are none."""
     dof = np.asarray(freedom, dtype=float)
     student = stdtrit(np.where(np.isfinite(dof) & (dof > 0.0), dof, 1.0), 0.975)
     return np.where(np.isposinf(dof), ndtri(0.975), np.where(dof > 0.0, student, np.nan))
@@ -331,13 +326,12 @@ def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedo
 def outlying(
     residual: Array, columns: Array, held: Array | None = None, left: Array | None = None
 ) -> NDArray[np.bool_]:
-    """(m,) rows whose residual the model does not explain.
+    """(m,) rows whose residual (m, d), whitened, the model does not explain.
 
     The worst row is taken out and the linear model fitted again, until none is farther off than a limit: studentised
     squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
-    residual : (m, d) whitened, of any fit;  columns : (m d, p) its whitened Jacobian
-    held, left : (r, p) rows and (r,) residuals of a prior
+    columns : (m d, p) whitened Jacobian;  held, left : (r, p) rows and (r,) residuals of a prior
     """
     (m, d), p = residual.shape, columns.shape[1]
     basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))[0]

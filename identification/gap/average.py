@@ -14,7 +14,7 @@ from identification.arm import EffectSpec, ErrorCurve
 from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import WAVES, around, curve_waves, slope_by_angle
-from identification.gap.fit import At
+from identification.gap.fit import Fitted
 from identification.gap.likelihood import Index, Key, mixed
 from identification.gap.search import Posterior
 from identification.information import VISIBLE
@@ -26,7 +26,7 @@ COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")
 
 
 @dataclass(frozen=True, eq=False)
-class PredictingModel(At):
+class PredictingModel(Fitted):
     """The predicting model, and the rows that it was made from.
 
     covariance : (p, p) of its parameters;  specs : entries of the arm file beyond the base's;  curves : among them
@@ -46,7 +46,7 @@ class PredictingModel(At):
         return replace(self, covariance=self.covariance + max(square, 0.0) * self.spread)
 
 
-def geometry(base: At) -> PredictingModel:
+def geometry(base: Fitted) -> PredictingModel:
     """The base model as a predicting model."""
     covariance, columns = base.covariance, base.linearized[1]
     unit = float(np.sum((columns @ covariance) * columns)) / len(columns)
@@ -154,18 +154,18 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     entries = (*specs, *tables, *(curve.spec for curve in curves))
     model = Model(arm.with_effects(*arm.effects, *entries))
 
-    # a file's covariance knows parameters only: theirs beside the curves as they are written, and at the postures
-    # measured as much more as the curves are uncertain, and what is left out of it is there
+    # a file stores the covariance of parameters, not of curves: it is taken beside the curves as they are written, then
+    # raised so that the mean square error of the tip at the postures measured is that of the whole posterior
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     normal = posterior.problems[posterior.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
-    jacobian = At(model, values, posterior.at.rows).linearized[1]
+    jacobian = Fitted(model, values, posterior.at.rows).linearized[1]
     given = [*absorbed, *(label for label, _, _ in fixed)]
     known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[name] for name in given)])
     functions_of = [whole.columns[whole.numbers[name]] for name in given]
     every, tall = (
         [*index, *known],
-        np.concatenate([jacobian, *functions_of], axis=2).reshape(posterior.at.left.size, -1),
+        np.concatenate([jacobian, *functions_of], axis=2).reshape(posterior.at.errors.size, -1),
     )
     gram = tall.T @ tall / len(jacobian)  # of a covariance C the mean square distance is the sum of gram * C
     inside, beside = gram[: len(index), : len(index)], beside_known(covariance, index, known)

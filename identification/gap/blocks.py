@@ -25,7 +25,7 @@ from identification.arrays import Array
 from identification.effects import Effect, Scope, build, build_all, of_dimension
 from identification.effects.base import OF_LOAD, Chain, contribution, state_slices, widths
 from identification.effects.formulas import RARE
-from identification.gap.fit import At, Rows
+from identification.gap.fit import Fitted, Rows
 from identification.gap.likelihood import SIZES, Products
 from identification.information import RANK_TOLERANCE, VISIBLE, column_space, significant
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
@@ -33,7 +33,7 @@ from identification.measurements import BY_ORDER, FOLLOWING, condition_columns
 from identification.model import Model
 from identification.vectorized import Evaluate, vectorize
 
-EFFECT, ORDER = "transmission_ripple", "k"
+RIPPLE, RIPPLE_ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
 PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 # numerical: expected square of a combination of columns at the block's largest size, below which it is left out
@@ -144,14 +144,14 @@ class Library:
         names = ([p.name for effect in effects for p in effect.parameters] for effects in (self.base.effects, there))
         return dict(zip(*names, strict=True))
 
-    def with_further_orders(self, at: At, chosen: Sequence[Block]) -> Library:
+    def with_further_orders(self, at: Fitted, chosen: Sequence[Block]) -> Library:
         """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is
         clear.
 
         at : fit of the chosen effects, with any noise model
         """
         arm, known, names, rows = self.arm, {b.label for b in self.members}, at.model.names, at.rows
-        if not any(b.key.partition(":")[0] == EFFECT for b in self.members):
+        if not any(b.key.partition(":")[0] == RIPPLE for b in self.members):
             return self
         unseen, added, labels = untested_joints(at), list[Block](), {b.label for b in chosen}
         jacobian = at.linearized[1]
@@ -162,7 +162,7 @@ class Library:
             effects = [e for e in at.model.effects if e.joint == j + 1 and e.label in labels]
             own = [names.index(p.name) for e in effects for p in e.parameters if p.name in names]
             rest = np.setdiff1d(np.arange(len(names)), own)
-            y = rows.whiten(at.left + jacobian[:, :, own] @ at.values[own])
+            y = rows.whiten(at.errors + jacobian[:, :, own] @ at.values[own])
             basis = column_space(rows.whiten(jacobian[:, :, rest]), at.model.scales[rest])[0]
             y = y - basis @ (basis.T @ y)
             gains = []  # share of y^T y that a wave of each order explains
@@ -182,19 +182,19 @@ class Library:
             if freedom < 3 or -0.5 * freedom * np.log1p(-min(shares[best], 1.0 - 1e-12)) < 8.0:
                 continue
             for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
-                one = Block.of(arm, EffectSpec(EFFECT, j + 1, {ORDER: float(order)}), RARE / len(ORDERS))
+                one = Block.of(arm, EffectSpec(RIPPLE, j + 1, {RIPPLE_ORDER: float(order)}), RARE / len(ORDERS))
                 added += [one] if one.label not in known else []
         return replace(self, members=(*self.members, *added)) if added else self
 
-    def as_base(self, at: At) -> tuple[Array, Array, list[int]]:
+    def as_base(self, at: Fitted) -> tuple[Array, Array, list[int]]:
         """Rows as the base model sees them at a fit: (m, d) measured less computed positions, where what the fit has
         beyond it is given back; and the fit's (m, d, p) columns, and which of them are the base's."""
         renamed = self.renamed(at.model)
         base = [at.model.parameters.index(renamed.get(name, name)) for name in self.base.names]
         jacobian, added = at.linearized[1], np.setdiff1d(np.arange(len(at.values)), base)
-        return at.left + jacobian[:, :, added] @ at.values[added], jacobian, base
+        return at.errors + jacobian[:, :, added] @ at.values[added], jacobian, base
 
-    def columns(self, at: At, blocks: Sequence[Block]) -> list[Array]:
+    def columns(self, at: Fitted, blocks: Sequence[Block]) -> list[Array]:
         """Of blocks that are effects the (m, d, size) derivatives of the position with respect to their parameters, at
         their neutral values."""
         q, conditions = at.rows.postures, at.rows.conditions
@@ -267,7 +267,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     available |= set() if arm.gravity is None else {"gravity"}
     known, base = of_dimension(arm.dimension), Model(arm)
     kinds, own = frozenset(base.needs), {effect.label for effect in build_all(arm.effects, arm.chain)}
-    unseen = frozenset[int]() if rows is None else untested_joints(At(base, base.values, rows))
+    unseen = frozenset[int]() if rows is None else untested_joints(Fitted(base, base.values, rows))
     members, unlisted, skipped = list[Block](), list[Block](), dict[str, str]()
     for name, cls in known.items():
         if cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
@@ -299,7 +299,7 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     return Library(arm, tuple(members), tuple(unlisted), skipped, aliases)
 
 
-def untested_joints(at: At) -> frozenset[int]:
+def untested_joints(at: Fitted) -> frozenset[int]:
     """Joints (from 1) at which no joint effect is tested.
 
     Their RMS lever is below 0.005 of the reach, or of the way that they slide: a reflector on the last axis does not
@@ -391,7 +391,7 @@ class Linearized:
         return {block.label: k for k, block in enumerate(self.blocks)}
 
 
-def linearized(library: Library, at: At, wrong: Sequence[int] = (), outside: bool = True) -> Linearized:
+def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside: bool = True) -> Linearized:
     """All blocks at a fitted model, which may have effects of the library in it, for rows with any noise model.
 
     wrong : rows that may be outlying;  outside : whether blocks outside the library are among them

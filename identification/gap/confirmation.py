@@ -25,7 +25,7 @@ from identification.estimation.uncertainty import GROUPS, Groups, Mean, groups_o
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.average import PredictingModel
 from identification.gap.detectability import POWER
-from identification.gap.fit import At
+from identification.gap.fit import Fitted
 from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
@@ -225,7 +225,7 @@ class HeldOut:
         elsewhere = renamed or transfer in (SESSION, OTHER_ROWS)
         return cls(rows, replace(rows.conditions, **changes), transfer, elsewhere)
 
-    def residuals(self, base: At, model: At) -> tuple[Array, Array, tuple[str, ...]]:
+    def residuals(self, base: Fitted, model: Fitted) -> tuple[Array, Array, tuple[str, ...]]:
         """(m, d) residuals [mm] of both models, and in words what was fitted to the rows for both of them first: base
         and points, where that makes the RMS of the second fall by `FALL`."""
         lefts, again, count = list[Array](), list[Array](), 0
@@ -268,7 +268,13 @@ class HeldOut:
             )
 
     def test(
-        self, base: At, model: PredictingModel, data: Measurements, kept: NDArray[np.bool_], named: bool, more: float
+        self,
+        base: Fitted,
+        model: PredictingModel,
+        data: Measurements,
+        kept: NDArray[np.bool_],
+        named: bool,
+        more: float,
     ) -> Confirmation:
         """Test a model.
 

@@ -23,13 +23,13 @@ from identification.estimation.doubts import (
 )
 from identification.estimation.problem import check_measurements
 from identification.estimation.uncertainty import outlying, together
+from identification.gap.across_sessions import replications
 from identification.gap.average import averaged, geometry
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
-from identification.gap.fit import At, Rows, determined, fit
+from identification.gap.fit import Fitted, Rows, determined, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
-from identification.gap.replication import replications
 from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, probabilities
 from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
@@ -85,7 +85,9 @@ def diagnose(
     kept[[b.row for b in best.blocks if b.row is not None]] = False
     if not kept.all():
         base = fit(library.base, rows.pick(kept))
-    products = whole.products.beside([whole.numbers[block.label] for block in best.blocks if block.row is not None])
+    products = whole.products.conditioned_on(
+        [whole.numbers[block.label] for block in best.blocks if block.row is not None]
+    )
 
     # what predicts best, and what it leaves
     predicting = averaged(posterior, int(kept.sum()) * rows.dimension)
@@ -149,7 +151,7 @@ def diagnose(
     of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
     scatter = [Finding(noise.name, 1.0 - p, noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
     here = fitted.on(rows)
-    error, jacobian = rows.whiten(here.left).reshape(before.shape), here.linearized[1] / fitted.model.scales
+    error, jacobian = rows.whiten(here.errors).reshape(before.shape), here.linearized[1] / fitted.model.scales
     far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
@@ -228,7 +230,9 @@ def check_input(arm: object, measurements: Measurements, holdout: Measurements |
         raise InputError(f"holdout: {copied}, allowed: rows not used before")
 
 
-def notes(result: Diagnosis, posterior: Posterior, measurements: Measurements, best: At, alone: bool) -> Iterator[str]:
+def notes(
+    result: Diagnosis, posterior: Posterior, measurements: Measurements, best: Fitted, alone: bool
+) -> Iterator[str]:
     """Sentences to read before the verdict is trusted.
 
     best : fit of the likeliest set;  alone : whether the geometry alone predicts better

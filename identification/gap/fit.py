@@ -125,7 +125,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class At:
+class Fitted:
     """A model with values (p,) of its parameters [API units], and m rows, with N = m d whitened coordinates.
 
     free : (p,) False where a bound is active, None: nowhere;  status : how the fit to the rows ended, if it is one
@@ -137,9 +137,9 @@ class At:
     free: NDArray[np.bool_] | None = field(default=None, kw_only=True)
     status: Status = field(default=Status.converged, kw_only=True)
 
-    def on(self, rows: Rows) -> At:
+    def on(self, rows: Rows) -> Fitted:
         """The same model at other rows, or with another noise."""
-        return At(self.model, self.values, rows)
+        return Fitted(self.model, self.values, rows)
 
     @property
     def by_name(self) -> dict[str, float]:
@@ -157,7 +157,7 @@ class At:
         return self.model.joint_levers(self.rows.postures, self.values, self.rows.conditions)
 
     @property
-    def left(self) -> Array:
+    def errors(self) -> Array:
         """(m, d) measured less computed positions [mm], not whitened."""
         return self.rows.positions - self.linearized[0]
 
@@ -167,7 +167,7 @@ class At:
         return measurements.positions - self.model.position(measurements.postures, self.values, conditions)
 
     # -- of a least-squares fit to the rows ------------------------------------------------------------------------
-    residual = cached_property(lambda self: self.rows.whiten(self.left))  # (N,) whitened
+    residual = cached_property(lambda self: self.rows.whiten(self.errors))  # (N,) whitened
 
     @cached_property
     def jacobian(self) -> Array:
@@ -220,7 +220,7 @@ def fitted_arm(
     return replace(model.arm, calibration=Calibration(fit(model, Rows.of(measurements).pick(kept)).by_name))
 
 
-def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> At:
+def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> Fitted:
     """Fit a model to whitened rows by least squares within the bounds of its parameters.
 
     start : parameter name -> value, zero where missing; None, or far worse: as `estimation.problem.starts` finds it
@@ -239,4 +239,4 @@ def fit(model: Model, rows: Rows, start: Mapping[str, float] | None = None) -> A
         closed = starts(problem)[0]
         values = closed if values is None or left(closed) < left(values) else values
     solution = problem.minimized(values[None], linearize)
-    return At(model, solution.parameters[0], rows, free=~solution.active[0], status=solution.status[0])
+    return Fitted(model, solution.parameters[0], rows, free=~solution.active[0], status=solution.status[0])

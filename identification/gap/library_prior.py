@@ -20,7 +20,7 @@ from identification.arrays import Array
 from identification.effects import effect_named
 from identification.errors import InputError
 from identification.estimation.problem import Prior
-from identification.gap.blocks import EFFECT, ORDER, hypotheses, slope_by_angle
+from identification.gap.blocks import RIPPLE, RIPPLE_ORDER, hypotheses, slope_by_angle
 from identification.measurements import BY_ORDER, FOLLOWING, Measurements
 from identification.model import Model
 
@@ -93,7 +93,7 @@ def library_prior(
         elif effect.joint in with_curve and slope_by_angle(effect, (effect.joint or 0) - 1, every.base):
             left_out[key] = "its joint has an error curve"
         else:
-            wave = effect.chosen[ORDER] if effect.name == EFFECT else 0.0
+            wave = effect.chosen[RIPPLE_ORDER] if effect.name == RIPPLE else 0.0
             # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
             curve, share = 1e-3 / wave if wave and names is None else 0.0, np.sqrt(effect.prior / settings[key])
             each = [float(np.hypot((p.typical or 0.0) * share, curve)) for p in effect.parameters]

@@ -29,7 +29,7 @@ LEAST = 1e-14  # of y^T y; numerical: what rounding leaves of a sum of squares
 
 Index = NDArray[np.int64]
 Key = tuple[tuple[int, int], ...]  # blocks with the numbers of their sizes, ascending
-Left = tuple[Array, tuple[Array, ...]]  # of all columns, `State.left`
+Remaining = tuple[Array, tuple[Array, ...]]  # of all columns, `State.remaining`
 
 
 def orthonormal(gram: Array, tolerance: float = VISIBLE) -> Array:
@@ -82,12 +82,12 @@ class Products:
         """The set of these blocks with the numbers of their sizes."""
         return State(self, tuple(pairs))
 
-    def beside(self, blocks: Sequence[int]) -> Products:
+    def conditioned_on(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
         large = self.state([(block, len(SIZES) - 1) for block in blocks])
         rows, freedom = self.gram[large.places], self.freedom - len(large.places)
         gram = self.gram - rows.T @ large.solve(rows)
-        return Products(gram, large.left[0], large.squares, freedom, self.starts, self.signs)
+        return Products(gram, large.remaining[0], large.squares, freedom, self.starts, self.signs)
 
     def f_of(self, blocks: Sequence[int]) -> float:
         """F statistic of a few blocks against the base model."""
@@ -101,7 +101,7 @@ class Products:
     def added(self, state: State) -> Array:
         """(B, S) log likelihood ratio of each block added to a set, or in it, for each size."""
         values, parts = np.empty(len(self.right)), np.empty(len(self.right))
-        scores, within = state.left
+        scores, within = state.remaining
         for index, own in zip(self.alike, within, strict=True):
             if own.shape[1] == 1:
                 values[index], parts[index] = own[:, 0], scores[index]
@@ -207,15 +207,15 @@ class State:
         return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
 
     @cached_property
-    def left(self) -> Left:
+    def remaining(self) -> Remaining:
         """What the set leaves of all columns: (P,) V's counterpart of c, and of each group of `Products.alike` the
         blocks' own parts of V."""
         rows = self.products.gram[self.places]
         within = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
         return self._moved((self.products.right, within), self.mean, rows, -self.solve(rows))
 
-    def _moved(self, left: Left, mean: Array, one: Array, other: Array) -> Left:
-        """`left` for V + one^T other, with (v, P) each, where rows `one` have coefficients (v,)."""
+    def _moved(self, left: Remaining, mean: Array, one: Array, other: Array) -> Remaining:
+        """`remaining` for V + one^T other, with (v, P) each, where rows `one` have coefficients (v,)."""
         pairs = zip(self.products.alike, left[1], strict=True)
         within = tuple(part + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, part in pairs)
         return left[0] - mean @ one, within
@@ -251,12 +251,12 @@ class State:
         part = self.solve(np.eye(len(self.places))[:, out]).T
         # by what V is larger in the block's coefficients, and how they take up a unit of each column
         inner, taken = np.linalg.inv(part[:, out]), part @ self.products.gram[self.places]
-        left = self._moved(self.left, -inner @ self.mean[out], taken, inner @ taken)
-        known = {"squares": self.squares + float(self.mean[out] @ inner @ self.mean[out]), "left": left}
+        remaining = self._moved(self.remaining, -inner @ self.mean[out], taken, inner @ taken)
+        known = {"squares": self.squares + float(self.mean[out] @ inner @ self.mean[out]), "remaining": remaining}
         known["larger"] = self.factor, out
         return State(self.products, self.pairs[:number] + self.pairs[number + 1 :], known)
 
-    def beside(self, pair: tuple[int, int] | None) -> State:
+    def with_block(self, pair: tuple[int, int] | None) -> State:
         """The set with a further block of the size with this number; None: itself."""
         if pair is None:
             return self
@@ -264,10 +264,12 @@ class State:
         rows, ridge = self.products.gram[places], SIZES[pair[1]] ** -2.0 * np.eye(len(places))
         across = rows[:, self.places]
         taken = rows - self.solve(across.T).T @ self.products.gram[self.places]
-        inner, (scores, _) = taken[:, places] + ridge, self.left
+        inner, (scores, _) = taken[:, places] + ridge, self.remaining
         factor = np.zeros((len(self.places) + len(places),) * 2, order="F")
         factor[: len(self.places), : len(self.places)] = self.factor
         factor[len(self.places) :, : len(self.places)] = solve_triangular(self.factor, across.T, lower=True).T
         factor[len(self.places) :, len(self.places) :] = np.linalg.cholesky(inner)
-        left = self._moved(self.left, np.linalg.solve(inner, scores[places]), taken, -np.linalg.solve(inner, taken))
-        return State(self.products, (*self.pairs, pair), {"factor": factor, "left": left})
+        remaining = self._moved(
+            self.remaining, np.linalg.solve(inner, scores[places]), taken, -np.linalg.solve(inner, taken)
+        )
+        return State(self.products, (*self.pairs, pair), {"factor": factor, "remaining": remaining})

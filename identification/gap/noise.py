@@ -19,7 +19,7 @@ from identification.documents.identification import MISFIT
 from identification.estimation import Identification
 from identification.estimation.doubts import only_rounding
 from identification.estimation.uncertainty import LEVEL, lack_of_fit, pure_error
-from identification.gap.fit import At, Rows
+from identification.gap.fit import Fitted, Rows
 from identification.gap.likelihood import orthonormal
 from identification.measurements import POINT, Measurements
 
@@ -59,7 +59,7 @@ class Finding(NamedTuple):
     size: float
 
 
-def noises(at: At) -> Iterator[NoiseModel]:
+def noises(at: Fitted) -> Iterator[NoiseModel]:
     """White noise, and every other that these rows can have, at a fitted model."""
     rows, (position, _) = at.rows, at.linearized
     m, d = position.shape
@@ -231,7 +231,7 @@ def with_repeats_doubted(identified: Identification, measurements: Measurements)
     if floor is None or not repeat_finding(left, left.size - identified.dof, measurements, kept):
         return identified
     repeats = floor / float(np.sqrt(left[:, POINT].shape[1]))
-    scatter = f"{MISFIT} {known / repeats:.2g} times as much as repeats of one posture ({known:.3g} mm per axis, not "
+    scatter = f"{MISFIT} {known / repeats:.2g} times as much as repeats of one posture ({known:.3g} mm per coordinate, "
     hidden = "what that does to the parameters is not in their intervals"
-    doubt = f"{scatter}{repeats:.3g} mm): the model misses an effect, and {hidden}; armcal diagnose looks for it"
+    doubt = f"{scatter}not {repeats:.3g} mm): the model misses an effect, and {hidden}; armcal diagnose looks for it"
     return replace(identified, doubts=(doubt, *identified.doubts))

@@ -22,12 +22,12 @@ from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
+from identification.gap.across_sessions import Replication
 from identification.gap.average import Curve
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
-from identification.gap.fit import At
+from identification.gap.fit import Fitted
 from identification.gap.noise import Finding, Misfit
-from identification.gap.replication import Replication
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
 from identification.kinematics.chain import CorrectedGeometry
@@ -170,7 +170,7 @@ class Candidate:
     delta_bic: float = 0.0
 
     @classmethod
-    def of(cls, fitted: At, added: int, given: float | None = None, doubtful: bool = False) -> Self:
+    def of(cls, fitted: Fitted, added: int, given: float | None = None, doubtful: bool = False) -> Self:
         """The last `added` effects of a fitted model as a result, with intervals as if no bound were active.
 
         given : sigma of the arm file;  doubtful : a noise model was estimated, so that the sandwich covariance is used
@@ -178,7 +178,8 @@ class Candidate:
         model, rows, sigma = fitted.model, fitted.rows, None if doubtful else fitted.rows.sigma or given
         jacobian, residual = fitted.jacobian / (sigma or 1.0), fitted.residual / (sigma or 1.0)
         tall = jacobian.reshape(len(rows), rows.dimension, -1), residual.reshape(len(rows), rows.dimension)
-        repeats = repeats_of(rows.posture_numbers, rows.conditions.marker, rows.conditions.session)
+        at = rows.conditions
+        repeats = repeats_of(rows.posture_numbers, at.marker, at.session, at.payload)
         parts = spectrum(jacobian, model.scales)
         table = WhiteRows(*tall, parts, fitted.rank, rows.sequence, rows.posture_numbers, repeats)
         sure = uncertainty(table, sigma_given=sigma is not None, doubtful=doubtful)
@@ -228,7 +229,7 @@ class Candidate:
         }
 
 
-def as_calibration(fitted: At, covariance: Array, freedom: Array, postures: Array) -> Calibration:
+def as_calibration(fitted: Fitted, covariance: Array, freedom: Array, postures: Array) -> Calibration:
     """Estimates (p,) as an arm file has them, with the postures (m, n) and the scatter [mm] that they come from."""
     names, joints = fitted.model.names, joint_range(postures, fitted.model.joint_types)
     origin = {"source": DIAGNOSED, **joints, "scatter_mm": fitted.sigma, **freedom_kept(names, freedom)}

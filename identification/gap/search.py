@@ -23,7 +23,7 @@ from identification.arrays import Array
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import together
 from identification.gap.blocks import Block, Library, Linearized, linearized
-from identification.gap.fit import At, Rows, fit
+from identification.gap.fit import Fitted, Rows, fit
 from identification.gap.likelihood import SIZES, Key, Products, State
 from identification.gap.noise import NoiseModel, log_likelihoods, noises
 from identification.running import Tell
@@ -97,9 +97,9 @@ class Search:
         table = self._each(nothing)
         for block in np.argsort(-np.round(log_sums(table), 9), kind="stable")[:MOST].tolist():
             if np.isfinite(table[block]).any():  # two that hide each other are seen together
-                pair = single = nothing.beside((block, int(np.argmax(table[block]))))
+                pair = single = nothing.with_block((block, int(np.argmax(table[block]))))
                 best = self._likeliest(self._each(single))
-                pair = single if best is None else single.beside(best)
+                pair = single if best is None else single.with_block(best)
                 tops += [single, self._exchanged(pair, block, block)]
         top = max(tops, key=lambda one: round(self.log_odds(one), 9))
         for _ in range(PASSES):
@@ -113,7 +113,7 @@ class Search:
         for block in (None, *state.blocks):
             state = state if block is None else self._exchanged(state, block)
             while (best := self._likeliest(self._each(state))) is not None:
-                state = state.beside(best)
+                state = state.with_block(best)
         return state
 
     def _exchanged(self, state: State, block: int, only: int | None = None) -> State:
@@ -126,7 +126,7 @@ class Search:
         best = self._likeliest(
             table if only is None else np.where(np.arange(len(table))[:, None] == only, table, -np.inf), block, alone
         )
-        return state if best == (block, own) else left.beside(best)
+        return state if best == (block, own) else left.with_block(best)
 
     def _likeliest(self, table: Array, first: int | None = None, alone: bool = True) -> tuple[int, int] | None:
         """The block that is likeliest in a table, and its likeliest size; None if it is likelier without any.
@@ -166,7 +166,7 @@ class Search:
             drawn = int(np.searchsorted(total, generator.random() * total[-1], side="right"))
             pair = divmod(drawn, len(SIZES)) if drawn < len(total) - 1 else None
             if (key := left.key if pair is None else tuple(sorted((*left.key, pair)))) != state.key:
-                state = recent[key] if key in recent else left.beside(pair)
+                state = recent[key] if key in recent else left.with_block(pair)
             if len(recent) > RECENT:
                 recent.clear()
             recent |= {left.key: left, state.key: state}
@@ -273,7 +273,7 @@ class Posterior:
     draws: tuple[Counter[Key], ...]
     whole: Linearized
     library: Library
-    at: At
+    at: Fitted
 
     @property
     def best(self) -> Explanation:
@@ -301,7 +301,7 @@ def posterior_of(
         tell(f"pass {turn}")
         here = at.on(few)
         # rows whose residual is large, and that do not come together as whole postures or neighbors do
-        left = np.sqrt(np.mean(np.square(few.whiten(here.left).reshape(len(few), -1)), axis=1))
+        left = np.sqrt(np.mean(np.square(few.whiten(here.errors).reshape(len(few), -1)), axis=1))
         limit, far = 3.0 * float(np.median(left)) / 0.83, np.zeros(len(few), dtype=bool)  # robust standard deviations
         far[[k for k in np.argsort(-left, kind="stable")[:30] if left[k] > limit]] = True  # 30, as 3 above: effort
         wrong = np.flatnonzero(far & ~together(far, few.postures, few.posture_numbers)).tolist()
@@ -346,46 +346,34 @@ def posterior_of(
             break
         library = wider
 
-    end, walked = at.on(rows), list[tuple[NoiseModel, Linearized, list[Weighed], Counter[Key]]]()
-    for k in [number, *(k for k in likely if every[k].name != every[number].name)][:PASSES]:
+    # the walk under each noise, among the blocks alone that are not negligible
+    taken = [number, *(k for k in likely if every[k].name != every[number].name)][:PASSES]
+    problems, draws, listed = list[Linearized](), list[Counter[Key]](), list[tuple[int, Key, float]]()
+    for k in taken:
         tell(f"sets of effects{', noise: ' + every[k].name if every[k].name else ''}")
         under = problem if k == number else linearized(library, at.on(every[k].rows), wrong)
-        near, sets, draws = _walked(under, _same_set(under, chosen), generator)
-        walked.append((every[k], near, [(key, odds + float(each[0][k])) for key, odds in sets], draws))
-    return _mixture(walked, problem, library, end)
+        top, search = _same_set(under, chosen), Search(under.products, under.blocks)
+        near = search.near(top)
+        if 2 * len(near) <= len(under.blocks):  # else what was computed serves the walk, too
+            total, place = search.total, {b: i for i, b in enumerate(near)}
+            under = under.of(near)
+            search = Search(under.products, under.blocks, total)
+            top = under.products.state([(place[b], size) for b, size in top.key])
+        sets, drawn = search.walk(top, generator)
+        listed += [(len(problems), key, odds + float(each[0][k])) for key, odds in sets]
+        problems.append(under)
+        draws.append(drawn)
+
+    probabilities = softmax([odds for *_, odds in listed])
+    explanations = []
+    for i in np.argsort(-np.round(probabilities, 9), kind="stable").tolist():
+        which, key, _ = listed[i]
+        blocks = tuple(problems[which].blocks[b] for b, _ in key)
+        explanations.append(Explanation(blocks, key, which, float(probabilities[i])))
+    models = tuple(every[k] for k in taken)
+    return Posterior(tuple(explanations), models, tuple(problems), tuple(draws), problem, library, at.on(rows))
 
 
 def _same_set(problem: Linearized, chosen: dict[str, int]) -> State:
     """A set, label -> number of the size, as far as a problem has its blocks."""
     return problem.products.state([(problem.numbers[x], size) for x, size in chosen.items() if x in problem.numbers])
-
-
-def _walked(
-    problem: Linearized, top: State, generator: np.random.Generator
-) -> tuple[Linearized, list[Weighed], Counter[Key]]:
-    """The problem with the blocks alone that are not negligible, and the walk there."""
-    search = Search(problem.products, problem.blocks)
-    near = search.near(top)
-    if 2 * len(near) > len(problem.blocks):  # hardly smaller: what was computed serves the walk, too
-        return problem, *search.walk(top, generator)
-    few, place = problem.of(near), {b: i for i, b in enumerate(near)}
-    start = few.products.state([(place[b], size) for b, size in top.key])
-    return few, *Search(few.products, few.blocks, search.total).walk(start, generator)
-
-
-def _mixture(
-    models: Sequence[tuple[NoiseModel, Linearized, list[Weighed], Counter[Key]]],
-    whole: Linearized,
-    library: Library,
-    at: At,
-) -> Posterior:
-    """All explanations of all noise models together, from their log odds."""
-    every, problems, sets, draws = zip(*models, strict=True)
-    listed = [(number, key, odds) for number, weighed in enumerate(sets) for key, odds in weighed]
-    probabilities = softmax([odds for *_, odds in listed])
-    explanations = []
-    for k in np.argsort(-np.round(probabilities, 9), kind="stable").tolist():
-        number, key, _ = listed[k]
-        blocks = tuple(problems[number].blocks[b] for b, _ in key)
-        explanations.append(Explanation(blocks, key, number, float(probabilities[k])))
-    return Posterior(tuple(explanations), every, problems, draws, whole, library, at)

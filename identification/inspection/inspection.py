@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.arm import Arm
 from identification.arrays import Array
-from identification.document import Document, Documented, Sheet, number, of_joints
+from identification.document import Document, Documented, Sheet, count_of, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
 from identification.effects import build_all
@@ -144,7 +144,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         "notes": tuple(notes),
     }
     facts = {
-        "rows": f"{data['rows']} rows, {data['postures']} postures",
+        "rows": f"{count_of(data['rows'], 'row')}, {count_of(data['postures'], 'posture')}",
         "columns besides": ", ".join(given) or "none",
         "sessions" if touched == "marker" else f"{column}s": ", ".join(measurements.sessions),
         f"{column}s" if touched == "marker" else "measured points": ", ".join(measurements.marker_names),

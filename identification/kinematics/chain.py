@@ -261,11 +261,8 @@ class KinematicChain(ByValue):
         return None
 
     def along_base(self, shift: Mapping[str, float], values: Values, back: bool = False) -> dict[str, Any]:
-        """A shift of the base along its own axes as one along those of the instrument, both by the names of its
-        parameters; empty where there is none.
-
-        values : of parameters, where the base is turned by them;  back : the reverse
-        """
+        """A shift of the base along its own axes as one along those of the instrument, or `back`, by the names of its
+        parameters; empty where there is none;  values : of parameters, where the base is turned by them"""
         if set(self.base_shift).isdisjoint(shift):
             return {}
         axes, along = self._base_axes(values), in_space(ca.DM([shift.get(name, 0.0) for name in self.base_shift]))
@@ -304,10 +301,8 @@ class KinematicChain(ByValue):
         return [*placed, frame]
 
     def measured(self, tip: Frame, values: Values, marker: ca.SX | None = None, added: ca.SX | float = 0.0) -> Frame:
-        """The frame of a measured point, where the tip's frame is there: its origin is the point.
-
-        marker : number of the measured point from 0, None: the first;  added : (3,) to the place of each
-        """
+        """The frame of a measured point, where the tip's frame is there: its origin is the point;  marker : its number
+        from 0, None: the first;  added : (3,) to the place of each"""
         places, axes = [], []
         for name, place in self.tools.items():
             names = error_names(f"tool[{name}]")
@@ -413,10 +408,8 @@ class PlanarChain(KinematicChain):
     every_parameter = property(lambda self: self.parameters())
 
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
-        """Length errors, joint offsets and those of the instrument.
-
-        best : best known values, by which the offsets are scaled as far as anything is left of a link
-        """
+        """Length errors, joint offsets and those of the instrument;  best : best known values, by which the offsets are
+        scaled as far as anything is left of a link"""
         lengths = self.lengths + [best.get(f"{LENGTH_ERROR}:{j}", 0.0) for j in range(1, len(self) + 1)]
         scales = np.where(lengths == 0.0, self.lengths, np.abs(lengths))
         return ParameterSet([*chain_parameters(scales), *self.instrument.parameters])
@@ -661,7 +654,8 @@ def corrected_links(chain: KinematicChain, drawn: Sequence[Link]) -> tuple[tuple
         theta, alpha = np.arctan2(y, x), float(np.arctan2(-np.cross(z, normal) @ w, z @ w))
         beta = float(np.arcsin(np.clip(normal @ w, -1.0, 1.0))) if parallel else None
         d = d if parallel else float(np.cross(away, w) @ normal / np.sin(alpha))
-        between = Link(_near(theta, link.theta), d, float(away @ normal), _near(alpha, link.alpha), beta)
+        turns = (float(np.unwrap([drawn, angle])[1]) for drawn, angle in ((link.theta, theta), (link.alpha, alpha)))
+        between = Link(next(turns), d, float(away @ normal), next(turns), beta)
         if not links:  # where the first frame stands on its axis is free: theta and d as drawn
             frame = frame @ pose((0.0, 0.0, between.d - link.d), rotation_about(Z, between.theta - link.theta))
             between, first = between._replace(theta=link.theta, d=link.d), frame
@@ -669,7 +663,3 @@ def corrected_links(chain: KinematicChain, drawn: Sequence[Link]) -> tuple[tuple
         frame = frame @ pose(rotation=rotation_about(Z, between.theta)) @ pose((between.a, 0.0, between.d), tilt)
         links.append(between)
     return tuple(links), first, np.linalg.inv(frame) @ tip
-
-
-def _near(angle: float, drawn: float) -> float:
-    return float(angle) - 2.0 * np.pi * round((float(angle) - drawn) / (2.0 * np.pi))

@@ -170,10 +170,8 @@ def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:
 
 
 def turned_into(postures: Array, lower: Array, upper: Array, joint_types: Sequence[str], slack: float = 0.0) -> Array:
-    """(m, n) postures whose revolute joints beyond (n,) limits are moved by whole turns to where the limits allow them.
-
-    slack : [rad] beyond a limit that does not count
-    """
+    """(m, n) postures whose revolute joints beyond (n,) limits, by more than a slack [rad], are moved by whole turns to
+    where the limits allow them."""
     lower, upper = lower - slack, upper + slack
     turned = lower + np.mod(postures - lower, TURN)
     beyond = (postures < lower) | (postures > upper)

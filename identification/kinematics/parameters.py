@@ -125,10 +125,8 @@ class ParameterSet(tuple[Parameter, ...]):
         return {LENGTH_ERROR, JOINT_OFFSET, EFFECT}.issuperset(p.kind for p in self)
 
     def vector(self, values: Mapping[str, float], default: float | None = None) -> Array:
-        """(p,) the values in order; where the mapping has none `default`, None: `Parameter.neutral`, mostly 0.
-
-        Names of other parameters do not matter.
-        """
+        """(p,) the values in order; where the mapping, which may have others, has none, `default`, None:
+        `Parameter.neutral`, mostly 0."""
         missing = [p.neutral if default is None else default for p in self]
         return np.array([values.get(p.name, other) for p, other in zip(self, missing, strict=True)], dtype=float)
 
@@ -138,10 +136,8 @@ class ParameterSet(tuple[Parameter, ...]):
 
 
 def chain_parameters(lengths: Iterable[float] | Array) -> ParameterSet:
-    """(2 n) parameters of a planar chain: length errors dl_j [mm], then joint offsets dq_j [rad].
-
-    lengths : (n,) of the links behind the joints [mm], the scales of the offsets
-    """
+    """(2 n) parameters of a planar chain: length errors dl_j [mm], then joint offsets dq_j [rad];  lengths : (n,) of
+    the links behind the joints [mm], the scales of the offsets"""
     links = [(j, float(length)) for j, length in enumerate(lengths, start=1)]
     errors = [Parameter(f"{LENGTH_ERROR}:{j}", "mm", kind=LENGTH_ERROR, joint=j) for j, _ in links]
     offsets = [Parameter(f"{JOINT_OFFSET}:{j}", "rad", scale=s, kind=JOINT_OFFSET, joint=j) for j, s in links]

@@ -17,8 +17,8 @@ from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import relax
 from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A
-from doe.cross_check import cross_check
 from doe.report.design import BOUND_CUT, advice_document, advice_sentence, remarks
+from doe.solvers.solving import cross_check
 from identification import Arm, Calibration, EffectSpec, InputError, Model, Plan, Status
 from identification.document import Sheet
 from identification.reuse import only

@@ -40,7 +40,7 @@ def twist(axis: Array, point: Array) -> Array:
 def rotations(line: Array, angles: Array) -> Array:
     """(m, 4, 4) exp(angle line): the generator T of a rotation has T^3 = -T, which sums the series."""
     sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    return np.asarray(np.eye(4) + sine * line + (1.0 - cosine) * line @ line)
+    return np.asarray(np.eye(4) + sine * line + (1.0 - cosine) * (line @ line))
 
 
 class Exponentials:

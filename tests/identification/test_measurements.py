@@ -163,7 +163,7 @@ def test_conditions_travel_and_compare_by_their_numbers() -> None:
 # -- postures and repeats ----------------------------------------------------------------------------------------------
 def test_reflectors_of_one_posture_share_it_and_are_no_repeats() -> None:
     """Three reflectors at each of 982 random postures, read one after the other or in three rounds: no repeats. Read
-    twice, rows of equal posture and reflector are repeats, in each session its own."""
+    twice, rows of equal posture and reflector are repeats, in each session and with each payload its own."""
     generator = np.random.default_rng(41)
     q = generator.uniform(-2.5, 2.5, (982, 6))
     for posture in (np.repeat(np.arange(982), 3), np.tile(np.arange(982), 3)):
@@ -177,8 +177,10 @@ def test_reflectors_of_one_posture_share_it_and_are_no_repeats() -> None:
     assert np.array_equal(same(data.posture_numbers), same(twice))
     assert np.array_equal(np.bincount(data.repeat_numbers), np.full(3 * 982, 2))
     days = replace(data, session=np.repeat(["first", "second"], 3 * 982))
-    assert np.array_equal(same(days.posture_numbers), same(twice))
-    assert len(np.unique(days.repeat_numbers)) == len(twice)
+    loads = replace(data, payload=np.repeat([0.0, 5.0], 3 * 982))
+    for apart in (days, loads):
+        assert np.array_equal(same(apart.posture_numbers), same(twice))
+        assert len(np.unique(apart.repeat_numbers)) == len(twice)
 
 
 def same(numbers: np.ndarray) -> np.ndarray:

@@ -111,7 +111,7 @@ def test_what_a_calibration_leaves_of_other_rows_is_said_first(folder: Path) -> 
 
 def test_a_plan_is_read_and_what_is_no_table_of_the_arm_is_one_line(folder: Path) -> None:
     (folder / "plan.csv").write_text("run,q1_deg,q2_deg\n1,10,20\n")
-    assert campaign_document([folder / "arm.toml", folder / "plan.csv"])[0].verdict[0].endswith("plan.csv has 1 runs.")
+    assert campaign_document([folder / "arm.toml", folder / "plan.csv"])[0].verdict[0].endswith("plan.csv has 1 run.")
     (folder / "plan.csv").write_text("a,b\n1,10\n")
     refused(campaign_document, [folder / "arm.toml", folder / "plan.csv"], names=["q1_deg"])
 

@@ -29,6 +29,7 @@ SMALLER = {  # notebook -> what the reader sees, and what runs instead of it
     "2": [("range(4, 21)", "(4, 12, 20)")],
     "3": [
         ("tolerance=1e-4", "tolerance=1e-3"),
+        ("starts=20,", "starts=8,"),
         ("(50_000, 4)", "(5_000, 4)"),
         ("between=4, pause=2", "between=1, pause=1"),
         ("range(11)", "(0, 3, 9, 10)"),

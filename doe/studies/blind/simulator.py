@@ -130,12 +130,11 @@ def session(truth: TrueArm, q: Array, rng: np.random.Generator, reflectors: int 
 # -- rigid motions -----------------------------------------------------------------------------------------------------
 def turn(vector: Array) -> Array:
     """(..., 3, 3) rotations by vectors (..., 3) (Rodrigues)."""
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape[:-1], 3, 3)
-    whole = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    return np.asarray(np.eye(3) + whole[0] * cross + whole[1] * cross @ cross)
+    angle, half = np.linalg.norm(vector, axis=-1)[..., None, None], np.zeros((*vector.shape, 3))
+    half[..., [2, 0, 1], [1, 2, 0]] = vector
+    turned = np.sinc(angle / np.pi) * (half - np.swapaxes(half, -1, -2))
+    along = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * vector[..., None] * vector[..., None, :]
+    return np.asarray(np.cos(angle) * np.eye(3) + turned + along)
 
 
 def screw(rotation: Array, point: Array) -> Array:
@@ -316,7 +315,7 @@ def places(truth: TrueArm, run: RowConditions) -> list[Array]:
             elif name == "axis_tilt" and joint == j + 1:
                 lean = np.sqrt(v["square"]) * (np.cos(v["beta"]) * x + np.sin(v["beta"]) * y)
         place = frames[-1] @ shift(moved) @ screw(turn(lean), point) @ screw(turn(angle[:, None] * line), point)
-        place = place @ screw(turn(tilt), origin) @ shift(longer)
+        place = (place @ screw(turn(tilt), origin) if tilt.any() else place) @ shift(longer)
         frames.append(place @ screw(turn(bend[:, None] * axis), point + link) if bend.any() else place)
     tools = truth.at_home(truth.tools)[run.marker]
     for name, _, v in truth.effects:

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, solve
-from doe.bounds.best_known import best_design, best_known_bound, bound_that_holds, bounds_of_runs
 from doe.bounds.certificate import ApproximateDesign, Bound
-from doe.bounds.column_generation import CandidateSet
+from doe.bounds.column_generation import CandidateSet, best_design, best_known_bound, bound_that_holds, bounds_of_runs
 from doe.bounds.planar_theorem import closed_form_bound, closed_form_log_det
 from doe.criteria import A
 from identification import Arm, Array, Model, Plan, Status

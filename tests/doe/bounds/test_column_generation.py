@@ -13,10 +13,10 @@ from scipy.optimize import minimize
 
 from doe.bounds import column_generation as module
 from doe.bounds import weights as programs
-from doe.bounds.best_known import best_design
 from doe.bounds.column_generation import (
     LARGEST,
     ContinuousSet,
+    best_design,
     column_generation,
     continuous_design,
     generate_columns,

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem, score, solve
-from doe.bounds.best_known import best_known_bound
-from doe.bounds.column_generation import ContinuousSet, column_generation, continuous_design
+from doe.bounds.column_generation import ContinuousSet, best_known_bound, column_generation, continuous_design
 from doe.criteria import A, D
 from doe.plan.accuracy import missing_effects, robust_problem, with_choices, workspace
 from identification import Arm, Array, Conditions, DHRow, InputError, Model, chain_of

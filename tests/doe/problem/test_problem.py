@@ -19,7 +19,7 @@ from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.plan.accuracy import ExpectedDeviations, TipErrors, robust_problem
 from doe.problem.constraints import Expression
 from doe.problem.model import REQUIRED
-from doe.problem.postures import grid, listed_candidates, well_spread
+from doe.problem.postures import grid, listed_candidates
 from doe.problem.problem import PriorInformation
 from identification import Array, InputError, Measurements, Parameter, ParameterSet, diagnose, estimate, vectorize
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
@@ -109,15 +109,6 @@ def test_a_list_from_a_file_in_degrees_may_touch_the_limits() -> None:
     made = listed_candidates(problem(FOUR), [[0.0, FOUR.upper[1] + 4e-10, 0.0, FOUR.lower[3] - 4e-10]])
     assert len(made) == 1
     assert np.all((made >= FOUR.lower) & (made <= FOUR.upper))
-
-
-def test_a_part_is_spread_and_has_limits_and_middles() -> None:
-    full = grid(problem(FOUR), 21)
-    some = well_spread(full, 100)
-    assert 50 < len(some) <= 102
-    corners = np.all((some[:, 1:] == FOUR.lower[1:]) | (some[:, 1:] == FOUR.upper[1:]), axis=1)
-    assert np.count_nonzero(corners) == 8
-    np.testing.assert_array_equal(well_spread(full[:50], 100), full[:50])
 
 
 def test_bad_input() -> None:

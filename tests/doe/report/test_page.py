@@ -64,11 +64,8 @@ def test_everything_is_escaped_and_nothing_is_fetched(pages: Folder) -> None:
     assert bare.count("<script>") == 1
 
 
-@pytest.mark.parametrize("name", ["page", "six"])
-def test_pages_work_in_a_browser(pages: Folder, opened: Any, name: str) -> None:
-    address = (pages.path / f"{name}.html").as_uri()
-    seen = Watched(opened, address)
-    assert seen.page.title() == f"Calibration report: {NASTY if name == 'page' else 'arm'}"
+def shown_at_any_width(seen: Watched) -> None:
+    """In dark and light, with all that can be opened, and as PDF."""
     for width, scheme in ((1200, "dark"), (390, "light")):
         seen.page.set_viewport_size({"width": width, "height": 800})
         seen.page.emulate_media(color_scheme=scheme)
@@ -80,7 +77,6 @@ def test_pages_work_in_a_browser(pages: Folder, opened: Any, name: str) -> None:
         dark = sum(map(int, root[2].strip("rgb()").split(","))) < 3 * 128
         assert dark == (scheme == "dark")
     assert len(seen.page.pdf()) > 10_000
-    seen.close(address)
 
 
 @pytest.mark.parametrize(("name", "arm", "plan"), [("page", "arm.toml", "plan.csv"), ("six", "six.toml", "six.csv")])
@@ -90,12 +86,14 @@ def test_a_plan_is_stepped_through_edited_and_scored(
     whole = scored(pages, arm, plan)
     address = (pages.path / f"{name}.html").as_uri()
     seen = Watched(opened, address)
+    assert seen.page.title() == f"Calibration report: {NASTY if name == 'page' else 'arm'}"
     assert float(seen.facts()["log det M'"]) == pytest.approx(whole["log_det"], abs=1e-7)
     edit(seen)
     facts, without = seen.facts(), seen.page.locator(".plan tbody tr:not(.struck) td:last-child").all_inner_texts()
     with seen.page.expect_download() as download:
         seen.page.get_by_role("button", name="Download the edited plan").click()
     download.value.save_as(pages.path / "edited.csv")
+    shown_at_any_width(seen)
     seen.close(address)
     edited = scored(pages, arm, "edited.csv")
     order = [1, 0, *range(3, whole["runs"])]  # counted from 0: run 2 is first now, run 3 is struck out

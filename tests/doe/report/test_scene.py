@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from base64 import b64decode
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -167,8 +168,15 @@ def sliding_arm() -> Arm:
     return replace(arm, calibration=Calibration(values))
 
 
-def test_the_script_has_the_kinematics_of_the_model(opened: Any, address: str) -> None:
-    seen = Watched(opened, address)
+@pytest.fixture(scope="module")
+def seen(opened: Any, address: str) -> Iterator[Watched]:
+    """The page, for tests to which it does not matter where they find it."""
+    page = Watched(opened, address)
+    yield page
+    page.close(address)
+
+
+def test_the_script_has_the_kinematics_of_the_model(seen: Watched) -> None:
     script = "([chain, q]) => q.map(one => jointFrames(chain, one).slice(1).map(frame => frame.elements))"
     for arm in (ARM, sliding_arm()):
         model = design_model(Model(arm))
@@ -178,7 +186,6 @@ def test_the_script_has_the_kinematics_of_the_model(opened: Any, address: str) -
         expected = model.joint_frames(postures)
         assert np.linalg.norm(expected[:, -1, :3, 3], axis=1).min() > 1.0  # [mm]
         np.testing.assert_allclose(np.swapaxes(found.reshape(expected.shape), -1, -2), expected, rtol=0.0, atol=1e-9)
-    seen.close(address)
 
 
 def picture(seen: Watched) -> np.ndarray:
@@ -252,10 +259,10 @@ def reddish(image: np.ndarray) -> float:
     return float(np.mean(image[..., 0] > 1.5 * image[..., 1]))
 
 
-def test_moves_are_played_and_paused(opened: Any, address: str) -> None:
-    seen = Watched(opened, address)
+def test_moves_are_played_and_paused(seen: Watched) -> None:
     seen.page.evaluate("SPEED.revolute = 1e3")
     where, play = seen.page.locator(".where"), seen.page.get_by_role("button", name="Play")
+    seen.page.get_by_role("button", name="Undo all").click()
     play.click()
     where.filter(has_text="place 3").wait_for(timeout=10_000)
     seen.page.locator(".scene canvas").focus()
@@ -264,7 +271,6 @@ def test_moves_are_played_and_paused(opened: Any, address: str) -> None:
     place = where.inner_text()
     seen.page.wait_for_timeout(700)
     assert where.inner_text() == place
-    seen.close(address)
 
 
 def test_a_finger_turns_the_view_or_scrolls_the_page(opened: Any, address: str) -> None:
@@ -330,9 +336,8 @@ def test_way_points_are_passed_and_stay_with_their_move(opened: Any, tmp_path: P
         assert [file.cells[f"direction{j}"] for j in range(1, 7)] == 6 * [known]
 
 
-def test_the_drawing_stands_in_in_print_and_no_other_script_runs(opened: Any, address: str) -> None:
+def test_the_drawing_stands_in_in_print_and_no_other_script_runs(seen: Watched) -> None:
     """Three scripts of the page run, each known by its hash."""
-    seen = Watched(opened, address)
     policy = seen.page.locator("meta[http-equiv]").get_attribute("content")
     assert policy.count("'sha256-") == 3
     assert "unsafe" not in policy.split("script-src")[1]
@@ -344,7 +349,7 @@ def test_the_drawing_stands_in_in_print_and_no_other_script_runs(opened: Any, ad
     assert seen.page.locator("svg.still").is_visible()
     assert not seen.page.locator("canvas").is_visible()
     assert len(seen.page.pdf()) > 10_000
-    seen.close(address)
+    seen.page.emulate_media(media="screen")
 
 
 def test_without_webgl_the_drawing_stands_in(opened: Any, address: str) -> None:

@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
+from doe import jobs
 from doe.cli import main
 from doe.jobs import frame_of, seed_of
 from doe.problem.postures import random_postures
@@ -123,7 +124,12 @@ def test_a_task_of_long_plans_has_fewer_replications(monkeypatch: pytest.MonkeyP
     assert set(result["cells"]["fits"]) == {50}
 
 
-def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(tmp_path: Path) -> None:
+def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process is one, whatever was asked: to start it takes longer than to work."""
+    monkeypatch.setattr("doe.jobs._pool", lambda _, pool=jobs._pool: pool(1))
+
     def small(*runs: int) -> Study:
         arms = [ARM, Arm(LENGTHS[:2], sigma=0.1, name="two")]
         return Study.of(arms, ["exchange", "random"], runs=[*runs], replications=150)

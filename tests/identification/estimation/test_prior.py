@@ -26,8 +26,10 @@ from identification import (
     chain_of,
     estimate,
 )
+from identification.arm import EffectSpec
 from identification.estimation.problem import Prior, Problem, contradicted, likeliest, likeliest_noise, released_drops
 from identification.gap.library_prior import library_prior
+from tests import small_arm
 
 ARM = Arm([300.0, 200.0], sigma=0.1)
 LIBRARY = library_prior(ARM, names=["encoder_eccentricity", "gear_ratio"])
@@ -76,6 +78,16 @@ def test_what_neither_rows_nor_prior_determine_stays_undetermined() -> None:
     found = estimate(model, Measurements(q, model.position(q)))
     assert found.status is Status.not_identifiable
     assert any("base" in combination for combination in found.not_identifiable)
+
+
+def test_joints_about_which_gravity_has_no_moment_are_no_reason_to_refuse() -> None:
+    """The first axis of an upright arm: the file keeps no covariance of its compliance, so that it can be a prior."""
+    rng = np.random.default_rng(6)
+    truth = small_arm.small_arm(rng, compliance=np.array([0.0, 2e-4, 1e-4, 0.0, 0.0, 0.0]))
+    arm = small_arm.drawn_arm().with_effects(EffectSpec("joint_compliance"))
+    found = estimate(Model(arm), small_arm.measured(truth, small_arm.random_postures(40, rng), rng))
+    assert (found.status, found.not_identifiable) == (Status.converged, ())
+    assert {*found.names} - {*found.calibration().parameter_names} == {"joint_compliance.c1"}
 
 
 def test_it_is_ridge_regression_where_the_noise_is_given() -> None:

@@ -16,7 +16,7 @@ from identification import Array, InputError, Measurements, Model, diagnose, loa
 from identification.arm import Arm, EffectSpec, Gravity
 from identification.effects import Chain, Effect, Parameter, Setting, base, build
 from identification.gap.blocks import Block, Library, hypotheses
-from identification.gap.fit import At, Rows
+from identification.gap.fit import Fitted, Rows
 
 
 class Breathing(Effect):
@@ -106,7 +106,7 @@ def test_columns_of_every_effect_are_derivatives_by_its_parameters() -> None:
     the tip by a hundredth of a mm err by 1e-9 of the column."""
     library = known()
     blocks = [*library.members, *library.unlisted]
-    found = library.columns(At(library.base, library.base.parameters.vector(BASE), rows()), blocks)
+    found = library.columns(Fitted(library.base, library.base.parameters.vector(BASE), rows()), blocks)
     of_name: dict[str, list[tuple[EffectSpec, Array]]] = {}
     for block, columns in zip(blocks, found, strict=True):
         if block.spec is not None and block.spec.joint in (None, 3):

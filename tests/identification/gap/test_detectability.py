@@ -9,7 +9,7 @@ from scipy import stats
 from identification import Arm, EffectSpec, Gravity, InputError, Measurements, Model
 from identification.gap.blocks import hypotheses, linearized
 from identification.gap.detectability import assess, detectability, detectable_lambda
-from identification.gap.fit import At, Rows, fit
+from identification.gap.fit import Fitted, Rows, fit
 
 ARM = Arm(
     [260.0, 180.0, 120.0],
@@ -75,8 +75,8 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
     rows, kept = Rows.of(Measurements(POSTURES, noisy)), np.setdiff1d(np.arange(30), out)
     library = hypotheses(ARM, frozenset(), rows)
     at = fit(library.base, rows.pick(kept))
-    problem = linearized(library, At(at.model, at.values, rows), out)
-    beside = problem.products.beside([problem.numbers[f"row:{k}"] for k in out])
+    problem = linearized(library, Fitted(at.model, at.values, rows), out)
+    beside = problem.products.conditioned_on([problem.numbers[f"row:{k}"] for k in out])
     blocks = [problem.numbers[label] for label in effects]
     base = library.base.jacobian(POSTURES, at.values, rows.conditions)[kept].reshape(56, -1)
     own = np.concatenate([problem.columns[k] @ problem.roots[k] for k in blocks], axis=2)[kept].reshape(56, -1)

@@ -83,15 +83,15 @@ def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None
         block = int(rng.integers(len(WIDTHS)))
         state = state.without(block) if block in state.blocks else state
         if rng.random() < 0.7:
-            state = state.beside((block, int(rng.integers(6))))
+            state = state.with_block((block, int(rng.integers(6))))
         once = products.state(state.key)
         assert state.key == once.key
         assert state.ratio == pytest.approx(once.ratio, abs=1e-9)
         own = np.argsort(state.places)
         np.testing.assert_allclose(state.mean[own], once.mean, atol=1e-9)
         np.testing.assert_allclose(state.covariance[np.ix_(own, own)], once.covariance, atol=1e-9)
-        np.testing.assert_allclose(state.left[0], once.left[0], atol=1e-9)
-        for own, made in zip(state.left[1], once.left[1], strict=True):
+        np.testing.assert_allclose(state.remaining[0], once.remaining[0], atol=1e-9)
+        for own, made in zip(state.remaining[1], once.remaining[1], strict=True):
             np.testing.assert_allclose(own, made, atol=1e-9)
 
 
@@ -103,12 +103,12 @@ def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
     scales = np.repeat([SIZES[2], SIZES[1]], [2, 7])
     inverse = np.linalg.inv(np.eye(N) + (z[:, state.places] * scales**2) @ z[:, state.places].T)
     assert state.squares == pytest.approx(y @ inverse @ y, rel=1e-10)
-    np.testing.assert_allclose(state.left[0], z.T @ inverse @ y, atol=1e-9)
+    np.testing.assert_allclose(state.remaining[0], z.T @ inverse @ y, atol=1e-9)
     precision = z[:, state.places].T @ z[:, state.places] + np.diag(scales**-2.0)
     np.testing.assert_allclose(state.covariance, np.linalg.inv(precision), rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(state.mean, np.linalg.solve(precision, z[:, state.places].T @ y), atol=1e-9)
     left = z.T @ inverse @ z
-    for index, own in zip(products.alike, state.left[1], strict=True):
+    for index, own in zip(products.alike, state.remaining[1], strict=True):
         np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], atol=1e-9)
 
 

@@ -110,10 +110,8 @@ def test_an_identification_compares_its_residuals_with_repeats(sigma: float | No
     left = plain.residuals_after.reshape(2, 30, 2)
     repeats = np.sqrt(np.sum((left[0] - left[1]) ** 2 / 2.0) / 60.0)
     scatter = np.sqrt(np.sum(left**2) / (120.0 - 6.0))
-    expected = (
-        f"scatter {scatter / repeats:.2g} times as much as repeats of one posture ({scatter:.3g} mm per axis, not "
-    )
-    assert found.warnings[0].startswith(f"misfit: the residuals {expected}{repeats:.3g} mm)")
+    expected = f"misfit: the residuals scatter {scatter / repeats:.2g} times as much as repeats of one posture "
+    assert found.warnings[0].startswith(f"{expected}({scatter:.3g} mm per coordinate, not {repeats:.3g} mm)")
     np.testing.assert_array_equal(found.covariance, plain.covariance)
     assert "if the model is right; but repeats say that it is not" in str(fit_facts(found)["expected error"])
 

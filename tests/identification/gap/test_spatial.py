@@ -11,7 +11,7 @@ from doe.studies.blind.cells import CellSpec, arm_of, truth_of
 from doe.studies.blind.simulator import measure, session
 from identification import Arm, DHRow, EffectSpec, Gravity, Measurements, Model, chain_of, detectability, diagnose
 from identification.gap.blocks import hypotheses, untested_joints
-from identification.gap.fit import At, Rows, determined, fit
+from identification.gap.fit import Fitted, Rows, determined, fit
 from tests.identification.exponentials import Exponentials, drawing
 
 ARM = Arm(drawing(), sigma=0.05)
@@ -105,11 +105,11 @@ def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     arm, generator = Arm(chain), np.random.default_rng(3)
     postures = generator.uniform(-2.0, 2.0, (20, 6))
     rows = Rows.of(Measurements(postures, Model(arm).position(postures)))
-    assert untested_joints(At(Model(arm), Model(arm).values, rows)) == {6}
+    assert untested_joints(Fitted(Model(arm), Model(arm).values, rows)) == {6}
     planar = Model(Arm(np.array([300.0, 200.0])))
     rows_in_plane = Rows.of(Measurements(postures[:, :2], planar.position(postures[:, :2])))
     nothing = planar.parameters.vector({"length_error:1": -300.0, "length_error:2": -200.0})  # a fit that is nonsense
-    assert untested_joints(At(planar, nothing, rows_in_plane)) == frozenset()
+    assert untested_joints(Fitted(planar, nothing, rows_in_plane)) == frozenset()
     found = hypotheses(arm, frozenset(), rows)
     of_angles = [b.spec.joint for b in found.members if b.spec and hasattr(b.effect, "joint_angles")]
     assert set(of_angles) == {1, 2, 3, 4, 5}

@@ -60,25 +60,15 @@ def tip_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, float
 def places_by_exponentials(chain: KinematicChain, q: Array, values: dict[str, float]) -> list[Array]:
     """n + 2 poses (4, 4) of base, joints after they moved, and tip, by matrix exponentials of elementary twists."""
 
-    def elementary(name: str, k: int) -> Array:
-        size = values.get(name, 0.0)
-        return np.asarray(expm(size * twist(np.eye(6)[k]))) if size else np.eye(4)
-
-    def six(first: str, second: str, suffix: str) -> Array:
-        found = np.eye(4)
-        for k, axis in enumerate("xyz"):
-            found = found @ elementary(f"{first}{axis}{suffix}", k)
-        for k, axis in enumerate("xyz"):
-            found = found @ elementary(f"{second}{axis}{suffix}", 3 + k)
-        return found
-
     shift, turn = ([values.get(f"base.{r}{axis}", 0.0) for axis in "xyz"] for r in ("", "r"))
     place = pose(shift) @ chain.base
     for k in range(3):
         place = place @ expm(turn[k] * twist(np.eye(6)[3 + k])) if turn[k] else place
     found = [place]
     for j, (joint, angle) in enumerate(zip(chain.joints, q, strict=True), start=1):
-        place = place @ joint.origin @ six("translation_", "rotation_", f":{j}")
+        place = place @ joint.origin
+        for k, name in enumerate(f"{kind}_{axis}:{j}" for kind in ("translation", "rotation") for axis in "xyz"):
+            place = place @ expm(values[name] * twist(np.eye(6)[k])) if values.get(name) else place
         along = joint.type == PRISMATIC
         screw = np.r_[joint.axis, np.zeros(3)] if along else np.r_[np.zeros(3), joint.axis]
         place = place @ expm((angle + values.get(f"joint_offset:{j}", 0.0)) * twist(screw))

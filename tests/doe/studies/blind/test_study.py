@@ -48,10 +48,10 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a study of few sets."""
     folder = tmp_path_factory.mktemp("blind") / "study"
     named = [word for cell in (NONE, ONE, BEYOND) for word in ("--cell", cell)]
-    options = ["blind", *named, "--replications", "2", "--workers", "1", "--out", str(folder)]
+    options = ["blind", *named, "--replications", "1", "--workers", "1", "--out", str(folder)]
     done = CliRunner().invoke(main.commands["study"], options)
     assert done.exit_code == 0, done.output
-    assert "6 blind data sets" in done.output
+    assert "3 blind data sets" in done.output
     return folder
 
 
@@ -67,10 +67,10 @@ def test_the_bars_of_few_sets(small: Path) -> None:
 
 def test_an_extended_study_keeps_what_is_done(small: Path, tmp_path: Path) -> None:
     shutil.copytree(small, tmp_path / "study")
-    before, more = polars.read_parquet(small / "sets.parquet"), blind_study([NONE], 3, tmp_path / "study", resume=True)
+    before, more = polars.read_parquet(small / "sets.parquet"), blind_study([NONE], 2, tmp_path / "study", resume=True)
     after = polars.read_parquet(tmp_path / "study" / "sets.parquet")
-    assert (len(before), len(after), len(more["sets"])) == (6, 7, 3)
-    assert after["seconds"].to_list()[:2] == before["seconds"].to_list()[:2]  # not done again
+    assert (len(before), len(after), len(more["sets"])) == (3, 4, 2)
+    assert after["seconds"][0] == before["seconds"][0]  # not done again
 
 
 def test_a_set_in_space() -> None:

@@ -95,9 +95,9 @@ def test_own_effects_have_no_prior_and_keep_their_values() -> None:
     assert model.values[1] == 2.0
 
 
-@pytest.mark.parametrize("share", [2.0, 1.0, 0.25])
+@pytest.mark.parametrize("share", [2.0, 0.25])
 def test_the_error_expected_at_the_tip_is_that_of_arms_of_the_prior(share: float) -> None:
-    """12 arms with everything drawn from it, twice that or a quarter, an error of its own at every posture included,
+    """12 arms with twice of everything drawn from it, or a quarter, an error of its own at every posture included,
     measured at 40 postures and judged at others. The mean squares of the arms scatter by a fifth, their mean by 6 %:
     three of them."""
     library, generator = library_prior(replace(ARM, sigma=0.02)), np.random.default_rng(12)

@@ -9,9 +9,9 @@ from scipy.special import logsumexp, softmax
 
 from identification import Arm, EffectSpec, Measurements, Model
 from identification.documents.diagnosis import findings
+from identification.gap.across_sessions import SAME, Replication, replications
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES
-from identification.gap.replication import SAME, Replication, replications
 from identification.sessions import pooled_sessions, with_sessions
 
 LENGTHS, SIGMA, K = np.array([300.0, 200.0]), 0.1, 5

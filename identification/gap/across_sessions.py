@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from identification.arrays import Array
-from identification.gap.fit import At
+from identification.gap.fit import Fitted
 from identification.gap.likelihood import SIZES, Index, Products, orthonormal
 from identification.gap.search import CREDIBLE
 from identification.information import PRODUCT_TOLERANCE, VISIBLE
@@ -66,7 +66,7 @@ class Replication:
         return {"effect": self.effect, "replicates": self.replicates, "sessions": sessions}
 
 
-def replications(fitted: At, names: Sequence[str], labels: Sequence[str]) -> tuple[Replication, ...]:
+def replications(fitted: Fitted, names: Sequence[str], labels: Sequence[str]) -> tuple[Replication, ...]:
     """Replication of named effects across sessions; empty for a single session.
 
     fitted : with these effects;  names : of the sessions in the order of their numbers;  labels : of the effects
@@ -76,7 +76,7 @@ def replications(fitted: At, names: Sequence[str], labels: Sequence[str]) -> tup
     if session is None or np.ptp(session) == 0.0:
         return ()
     jacobian, scaled = fitted.linearized[1] / model.scales, fitted.values * model.scales
-    table = np.concatenate([jacobian, fitted.left[:, :, None]], axis=2)
+    table = np.concatenate([jacobian, fitted.errors[:, :, None]], axis=2)
     grams = []
     for number in np.unique(session):
         white = rows.whiten(np.concatenate([table, table * (session == number)[:, None, None]], axis=2))
@@ -93,7 +93,7 @@ def replications(fitted: At, names: Sequence[str], labels: Sequence[str]) -> tup
     return tuple(replicated)
 
 
-def in_session(name: str, gram: Array, target: Array, own: Index, units: Array, fitted: At) -> InSession:
+def in_session(name: str, gram: Array, target: Array, own: Index, units: Array, fitted: Fitted) -> InSession:
     """An effect in one session, from the products (2 n, 2 n) of n whitened columns and of their parts in the session.
 
     target : (2 n,) combination to be explained;  own : of the effect among the n, before the last, the residuals
