@@ -401,7 +401,7 @@ class Plan(ByValue):
 
 
 # -- targets -----------------------------------------------------------------------------------------------------------
-def load_targets(path: PathLike, arm: Arm) -> dict[str, Array | None]:
+def load_targets(path: PathLike, arm: Arm) -> dict[str, Any]:
     """What the tip is to reach, as arguments of `compensate`: `targets` (k, d) [mm], nominal `postures` (k, n) [rad]
     and `orientations` (k, 3, 3) of the tool, by a CSV file with `x_mm, y_mm` (or `x_m, y_m`), of a spatial arm with
     `z_mm` too, and angles where these matter, or with `q1_deg..qn_deg`; None: the file does not say.

@@ -232,7 +232,7 @@ def test_plans_and_targets(tmp_path: Path) -> None:
     for content, postures in ((with_posture, True), ("x_m,y_m,z_mm\n0.001,0.002,3\n", False)):
         path.write_text(content)
         found = load_targets(path, SPATIAL)
-        np.testing.assert_allclose(found["targets"], positions)  # type: ignore[arg-type]
+        np.testing.assert_allclose(found["targets"], positions)
         assert (found["postures"] is not None) is postures
 
 
