@@ -166,9 +166,8 @@ class Identification(Documented):
         cause, do = "the model is incomplete or sigma_mm too small", "armcal diagnose looks for what is missing"
         if self.contradiction:
             cause, do = f"the prior does not hold (above), {cause}", "settle the prior first"
-        follows = (
-            "rely on sigma_mm and are too narrow" if self.uncertainty.kind == "given" else "do not rely on sigma_mm"
-        )
+        given = self.uncertainty.kind == "given"
+        follows = "rely on sigma_mm and are too narrow" if given else "do not rely on sigma_mm"
         return f"{scatter} ({figures}): {cause}. The intervals {follows}; {do}"
 
     @property

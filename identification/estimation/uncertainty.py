@@ -326,13 +326,12 @@ def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedo
 def outlying(
     residual: Array, columns: Array, held: Array | None = None, left: Array | None = None
 ) -> NDArray[np.bool_]:
-    """(m,) rows whose residual the model does not explain.
+    """(m,) rows whose residual (m, d), whitened, the model does not explain.
 
     The worst row is taken out and the linear model fitted again, until none is farther off than a limit: studentised
     squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
-    residual : (m, d) whitened, of any fit;  columns : (m d, p) its whitened Jacobian
-    held, left : (r, p) rows and (r,) residuals of a prior
+    columns : (m d, p) whitened Jacobian;  held, left : (r, p) rows and (r,) residuals of a prior
     """
     (m, d), p = residual.shape, columns.shape[1]
     basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))[0]
