@@ -51,7 +51,7 @@ def _turned_back(values: ca.SX, angle: ca.SX) -> ca.SX:
 
 # -- between the commanded and the real joint angle --------------------------------------------------------------------
 def _compliances(self: Effect) -> list[Number]:
-    """Of its joint, or of all; typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6."""
+    """Of its joint, or of all."""
     numbers = list[Number]()
     for j in [self.joint] if self.joint else range(1, len(self.chain) + 1):
         unit, many = at_joint(self.chain, j, "rad/(N m)")
@@ -63,7 +63,7 @@ def _compliances(self: Effect) -> list[Number]:
 of_gravity(
     "joint_compliance",
     "joint winds up under gravity torque: q_j + c_j tau_j, c_j >= 0",
-    _compliances,
+    _compliances,  # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
     per_joint="optional",
     joint_angles=lambda self, chain, values: (
         values * (chain.torques[self.joint_index] if self.joint else chain.torques)
@@ -120,7 +120,7 @@ def _coupling(self: Effect) -> list[Number]:
 of_joint(
     "joint_coupling",
     "the joint before turns this one a little: c q_(j-1), of a belt or a wrist",
-    _coupling,
+    _coupling,  # typical: as of `gear_ratio`: what a controller leaves of a coupling
     first_joint=2,
     joint_angles=lambda self, chain, values: values * chain.q[self.joint_index - 1],
 )
