@@ -91,7 +91,7 @@ def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
 def from_angles(angles: ArrayLike) -> Array:
     """(..., 3, 3) Rx(x) Ry(y) Rz(z) of angles (..., 3) [rad]: turned about its own x, then its own y, then its own z
     axis (intrinsic X-Y-Z)."""
-    x, y, z = (turned(np.asarray(angles, dtype=float) * axis) for axis in np.eye(3))
+    x, y, z = np.moveaxis(turned(np.asarray(angles, dtype=float)[..., None] * np.eye(3)), -3, 0)
     return np.asarray(x @ y @ z)
 
 
