@@ -36,10 +36,9 @@ def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = 
 def turned(vectors: ArrayLike) -> Array:
     """(..., 3, 3) rotations by rotation vectors (..., 3) [rad] (Rodrigues)."""
     vectors = np.asarray(vectors, dtype=float)
-    angles = np.linalg.norm(vectors, axis=-1)
-    x, y, z = np.moveaxis(vectors / np.maximum(angles, np.finfo(float).tiny)[..., None], -1, 0)
-    zero, (sine, cosine) = np.zeros_like(x), (f(angles)[..., None, None] for f in (np.sin, np.cos))
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    angles, half = np.linalg.norm(vectors, axis=-1)[..., None], np.zeros((*vectors.shape, 3))
+    half[..., [2, 0, 1], [1, 2, 0]] = vectors / np.maximum(angles, np.finfo(float).tiny)
+    cross, (sine, cosine) = half - np.swapaxes(half, -1, -2), (f(angles)[..., None] for f in (np.sin, np.cos))
     return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * cross @ cross)
 
 
