@@ -189,10 +189,11 @@ class Effect:
 
     def define(self) -> tuple[Parameter, ...]:
         """The parameters, in the order in which the formulas receive their values."""
-        numbers = self.numbers() if callable(self.numbers) else self.numbers
-        scales = (float(one.scale(self) if callable(one.scale) else one.scale) for one in numbers)
-        each = (one._replace(scale=scale)._asdict() for one, scale in zip(numbers, scales, strict=True))
-        return tuple(self.parameter(**one) for one in each)
+        parameters = list[Parameter]()
+        for number in self.numbers() if callable(self.numbers) else self.numbers:
+            scale = float(number.scale(self) if callable(number.scale) else number.scale)
+            parameters.append(self.parameter(**number._replace(scale=scale)._asdict()))
+        return tuple(parameters)
 
     def parameter(self, short: str, unit: str, *, scale: float, typical: float | None = None, **more: Any) -> Parameter:
         """A parameter of this effect under its full name;  scale, typical, more : as of `Parameter`"""

@@ -37,8 +37,8 @@ def turning_waves(angle: ca.SX, orders: Iterable[int]) -> ca.SX:
 
 
 def half_waves(x: ca.SX, count: int) -> ca.SX:
-    """(count,) waves of 1, 2 .. half periods between 0 and 1, where they are even."""
-    return ca.cos(np.pi * ca.DM(range(1, count + 1)) * x)
+    """Of each coordinate in turn the (count,) waves of 1, 2 .. half periods between 0 and 1, where they are even."""
+    return ca.vec(ca.cos(np.pi * ca.mtimes(ca.DM(range(1, count + 1)), x.T)))
 
 
 def slow_waves(place: ca.SX, with_last: bool = False) -> ca.SX:
@@ -222,15 +222,15 @@ def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX], 
 
 
 def _fast(x: ca.SX) -> ca.SX:
-    """Waves between 0 and 1, the slow ones larger."""
-    return half_waves(x, FAST) / ca.sqrt(ca.DM(range(1, FAST + 1)))
+    """Waves of each coordinate between 0 and 1, the slow ones larger."""
+    return half_waves(x, FAST) / ca.repmat(ca.sqrt(ca.DM(range(1, FAST + 1))), x.numel())
 
 
 _over_workspace("workspace_smooth", "smooth over the workspace: slow waves along the axes of the base", slow_waves)
 _over_workspace(
     "workspace_axes",
     "smooth over the workspace: waves along each axis of the base",
-    lambda place: ca.vertcat(*(_fast(0.5 * (x + 1.0)) for x in ca.vertsplit(place))),
+    lambda place: _fast(0.5 * (place + 1.0)),
 )
 _over_workspace(
     "workspace_squares",
