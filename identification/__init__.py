@@ -15,10 +15,10 @@ if TYPE_CHECKING:  # isort: off
     from identification.model import Model
     from identification.effects import library
     from identification.measurements import Conditions, Measurements, rms_distance
-    from identification.kinematics.parameters import EFFECT, GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, PRISMATIC, REVOLUTE
-    from identification.kinematics.parameters import Parameter, ParameterSet
+    from identification.kinematics.parameters import PRISMATIC, REVOLUTE, Parameter, ParameterSet
     from identification.kinematics.counting import turned_into
     from identification.kinematics.chain import DHRow, chain_of, planar_chain
+    from identification.instruments.base import Coordinate, Instrument, register_instrument
     from identification.files.arm import load_arm, with_effects
     from identification.files.measurement import Plan, load_measurements
     from identification.workflow import load_sessions
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # isort: off
 
     # what data say
     from identification.estimation import Identification, estimate, estimate_batch
-    from identification.gap.detectability import Detectability, detectability
+    from identification.gap.detectability import detectability
     from identification.gap.diagnose import diagnose
     from identification.gap.fit import fitted_arm
     from identification.gap.result import Diagnosis
@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # isort: off
 
 _IMPORTS = (node for node in ast.walk(ast.parse(Path(__file__).read_text())) if isinstance(node, ast.ImportFrom))
 _PLACES = {each.name: node.module for node in _IMPORTS if "." in str(node.module) for each in node.names}
-__all__ = sorted(_PLACES)
+__all__ = [*_PLACES]
 
 
 def __getattr__(name: str) -> Any:

@@ -125,14 +125,13 @@ def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> Non
 
 
 def with_collisions(answer: Answer, problem: DesignProblem, postures: Any = None) -> Answer:
-    """The answer with what is known of collisions at postures (m, n), None: it has no plan; nothing is said of arms in
-    a plane whose bodies nobody has described."""
-    from doe.problem.clearance import COLLISIONS, Clearance
+    """The answer with what is known of collisions at postures (m, n), None: it has no plan."""
+    from doe.problem.clearance import bodies_looked_at
 
-    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
-    if looked or getattr(problem.model, "space", 0) == 3:
+    looked, words = bodies_looked_at(problem)
+    if looked or words:
         answer.data["collisions_checked"] = any(not each.unseen for each in looked)
-        answer.document = answer.document.plus(*([] if looked else [COLLISIONS]))
+        answer.document = answer.document.plus(*words)
     for clearance in looked if postures is not None else []:
         answer.data["collisions"] = clearance.too_near(postures)
         answer.document = answer.document.plus(*clearance.in_words(postures))

@@ -233,7 +233,7 @@ def demo_document(demo: Demo) -> Document:
         ),
     ]
     actions = [
-        ("Do the same with these files, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
+        ("Do the same with the files there, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
         ("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
     average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""

@@ -39,6 +39,13 @@ COLLISIONS = (
 )
 
 
+def bodies_looked_at(problem: Any) -> tuple[list[Clearance], list[str]]:
+    """The conditions of a `DesignProblem` that bodies keep their distance, and what to say of an arm in space that has
+    none; nothing is said of arms in a plane whose bodies nobody has described."""
+    looked = [each for each in problem.constraints if isinstance(each, Clearance)]
+    return looked, [COLLISIONS] if not looked and getattr(problem.model, "space", 0) == 3 else []
+
+
 class Seen(NamedTuple):
     """Frames (m, n + 2, 4, 4) of base, joints and measured point at postures, ends (2, 3, m, K) of the axes of all
     capsules in that of the base, distances (m, k) of the pairs, and numbers of the pairs of pieces that have them."""

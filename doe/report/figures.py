@@ -89,7 +89,8 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
         axes.plot(*line.T, color=color, lw=1.2, alpha=0.75)
         axes.plot(*line[-1:].T, "o", color=color, ms=3)
     axes.plot(*np.zeros((arm.dimension, 1)), "ks", ms=6)
-    axes.set(aspect="auto" if arm.chain.projection else "equal")
+    axes.set(aspect="equal")
+    axes.locator_params(nbins=5)
     axes.set(**{f"{axis}label": f"{axis} [mm]" for axis in arm.chain.axes})
 
 

@@ -27,14 +27,7 @@ from identification.errors import InputError, require
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
-from identification.levenberg_marquardt import (
-    ITERATIONS,
-    Index,
-    Linearize,
-    Solution,
-    compressed,
-    levenberg_marquardt,
-)
+from identification.levenberg_marquardt import ITERATIONS, Index, Linearize, Solution, compressed, levenberg_marquardt
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 
@@ -193,10 +186,9 @@ class Problem:
         Raises `InputError`."""
         m, data = len(measurements), measurements
         relative = np.ones(m) if positions is not None else np.where(data.originals == np.arange(m), 1.0, 0.0)
-        reliance = sigma if isinstance(sigma, str) else None if sigma is None else "given"
-        if isinstance(sigma, str) and sigma not in RELIANCE:
-            raise InputError(f"sigma: {sigma!r}, allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}")
-        numbers = None if isinstance(sigma, str) else sigma
+        reliance, numbers = (sigma, None) if isinstance(sigma, str) else (None if sigma is None else "given", sigma)
+        allowed = f"allowed: numbers [mm], {' or '.join(map(repr, RELIANCE))}"
+        require(reliance in (None, *RELIANCE), f"sigma: {sigma!r}, {allowed}")
         stated = next((s for s in (numbers, data.sigma, model.sigma) if s is not None), None)
         rows = data.postures, data.conditions, data.positions[None] if positions is None else positions
         if stated is None and reliance == "given":
@@ -205,8 +197,8 @@ class Problem:
         if stated is None or reliance == "estimated":
             return cls(model, *rows, relative, None, reliance, prior=prior)
         deviations = np.asarray(stated, dtype=float)
-        if deviations.shape not in ((), (m,)) or not np.all(np.isfinite(deviations) & (deviations > 0.0)):
-            raise InputError(f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
+        fits = deviations.shape in ((), (m,)) and bool(np.all(np.isfinite(deviations) & (deviations > 0.0)))
+        require(fits, f"sigma_mm: shape {deviations.shape}, allowed: one number or ({m},), each finite and > 0")
         mean = float(np.sqrt(np.mean(deviations**2)))
         return cls(model, *rows, relative / deviations**2, mean, reliance, prior=prior)
 
@@ -256,10 +248,6 @@ class Problem:
     def residuals(self, parameters: Array) -> Array:
         """(K, m, d) measured less computed [mm], for parameters (p,) or (K, p)."""
         return self.positions - self.model.position(self.postures, parameters, self.conditions)
-
-    def squares(self, parameters: Array) -> Array:
-        """(K,) weighted sums of squares."""
-        return np.einsum("kmd,m->k", self.residuals(parameters) ** 2, self.weights)
 
     def linearize(self, parameters: Array, index: Index) -> tuple[Array, Array]:
         """(k, m d + r) weighted residuals of the data sets numbered (k,) and the (k, m d + r, p) weighted Jacobian."""
@@ -401,11 +389,12 @@ class Contradiction(NamedTuple):
         by_each = f"{self.name} is {before}, {self.value:.4g} +- {self.std:.2g} by these measurements"
         instead = f" (or instead {', '.join(self.instead)}: these rows cannot tell which)" if self.instead else ""
         words = [self.name] + [p.kind if p.kind in (BASE, TOOL) else p.name for p in without_prior]
-        sentence = f"the measurements contradict the prior: {by_each}{instead} (others as there)"
         do = f"armcal identify with the earlier calibration as ARM and --only {','.join(dict.fromkeys(words))}"
-        lacks = "the model lacks what differs between both measurements: armcal diagnose"
-        either = f"Either it changed and is to be estimated again: {do}; or {lacks}"
-        return f"{sentence}. The fit is right for neither. {either}"
+        return (
+            f"the measurements contradict the prior: {by_each}{instead} (others as there). The fit is right for "
+            f"neither. Either it changed and is to be estimated again: {do}; or the model lacks what differs between "
+            "both measurements: armcal diagnose"
+        )
 
 
 def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | None:
@@ -464,16 +453,14 @@ def released_drops(problem: Problem, x: Array) -> dict[str, float]:
 
 # -- where a search starts ---------------------------------------------------------------------------------------------
 def starts(problem: Problem) -> Array:
-    """(K, p) the closed form of the model without its effects, or the best known values where those fit better.
-
-    The closed form makes any size of joint offset harmless: it is the global minimiser of the model without effects.
-    """
+    """(K, p) the closed form of the model without its effects, whose global minimiser it is, so that any size of joint
+    offset is harmless, or the best known values where those fit better."""
     best_known = np.tile(problem.start, (len(problem.positions), 1))
-    form = problem.model.closed_form
-    if form is None:
+    if (form := problem.model.closed_form) is None:
         return best_known
     solved = best_known.copy()
     solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
-    return np.where((problem.squares(best_known) < problem.squares(solved))[:, None], best_known, solved)
+    known, closed = (np.einsum("kmd,m->k", problem.residuals(x) ** 2, problem.weights) for x in (best_known, solved))
+    return np.where((known < closed)[:, None], best_known, solved)

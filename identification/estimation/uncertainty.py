@@ -117,8 +117,12 @@ class WhiteRows:
         the eigenvalues of Q_g Q_g^T for the rows g of each (repeats and reflectors). Where all N are equal, 1 - p / N
         (G. H. Golub, M. Heath, G. Wahba, "Generalized cross-validation", 1979).
         """
-        every = [leverages for _, leverages, *_ in decomposed_groups(self.columns, self.residual, self.postures)]
-        squares = sum(float(np.sum(np.square(leverages))) for leverages in every)
+        order, squares = np.argsort(self.postures, kind="stable"), 0.0
+        columns, groups = self.columns[order], self.postures[order]
+        for k in range(int(np.bincount(groups).max())):  # sum l^2 = |Q_g Q_g^T|^2, row by row with the k-th after it
+            alike = groups[k:] == groups[: len(groups) - k]
+            products = columns[k:][alike] @ np.swapaxes(columns[: len(columns) - k][alike], 1, 2)
+            squares += (1.0 + (k > 0)) * float(np.sum(np.square(products)))
         share = 1.0 - squares / float(np.sum(np.square(self.columns))) if self.columns.any() else 1.0
         return max(share, np.finfo(float).eps)  # of no equation more than unknowns it is rounding
 
@@ -326,13 +330,12 @@ def limits_95(parameters: ParameterSet, values: Array, deviations: Array, freedo
 def outlying(
     residual: Array, columns: Array, held: Array | None = None, left: Array | None = None
 ) -> NDArray[np.bool_]:
-    """(m,) rows whose residual the model does not explain.
+    """(m,) rows whose residual (m, d), whitened, the model does not explain.
 
     The worst row is taken out and the linear model fitted again, until none is farther off than a limit: studentised
     squared residuals of d coordinates, over their robust scale, are chi-square with d degrees of freedom.
 
-    residual : (m, d) whitened, of any fit;  columns : (m d, p) its whitened Jacobian
-    held, left : (r, p) rows and (r,) residuals of a prior
+    columns : (m d, p) whitened Jacobian;  held, left : (r, p) rows and (r,) residuals of a prior
     """
     (m, d), p = residual.shape, columns.shape[1]
     basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))[0]

@@ -177,7 +177,7 @@ def _table_of_kinds(title: str, place: str, /, **keys: Any) -> Any:
         allowed = {key.rstrip("?") for key in words[table.kind]}
         for key in (key for key in keys if key in present - allowed):
             owners = sorted(word for word, of in words.items() if {key, f"{key}?"} & {*of})
-            elsewhere = f"for {', '.join(owners)}" if owners else "left out"
+            elsewhere = f"for {', '.join(owners)}" if owners else f"left out for a {arm} arm"
             _refuse(key, f"found for kind {table.kind}, allowed: {elsewhere}")
         for key in (key for key in words[table.kind] if key[-1] != "?" and key not in present):
             _refuse(key, missing(key))

@@ -2,9 +2,8 @@
 
     position = sum_j (l_j + dl_j) exp(i (theta_j + dtheta_j)),   dtheta_j = dq_1 + ... + dq_j        (paper, eq. 1)
 
-Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects. The derivative with
-respect to the ORIENTATION offset dtheta_k touches link k only (eq. 8); that with respect to the joint offset dq_k sums
-over links k..n, which is what eq. 4 prints. For arms in space see identification/kinematics/chain.py.
+Parameters are the length errors dl_j [mm], the joint offsets dq_j [rad] and those of the effects; of arms in space see
+identification/kinematics/chain.py.
 
 A model has two stages. Symbols: chain, effects and instrument make one expression of posture q, conditions c and
 parameters p, and its derivatives. Numbers: a compiled function of these runs on arrays of postures. Both cost more than

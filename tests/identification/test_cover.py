@@ -89,7 +89,3 @@ def test_a_ball_is_one_capsule() -> None:
     ((*_, radius),) = found = capsules_around(faces)
     assert 80.0 <= radius < 84.0
     assert np.linalg.norm(found[0, :3] - found[0, 3:6]) < 8.0
-
-
-def test_the_same_faces_have_the_same_cover() -> None:
-    np.testing.assert_array_equal(capsules_around(BOX, most=2), capsules_around(BOX, most=2))
