@@ -47,6 +47,11 @@ class Scope:
     postures: Array | None = None  # (m, n) [rad], None without data
     conditions: Conditions = field(default_factory=Conditions)  # of these rows
 
+    def other_joints(self) -> list[float]:
+        """Those that turn, but for its own."""
+        joints = enumerate(self.arm.chain.joints, start=1)
+        return [float(j) for j, joint in joints if j != self.joint and joint.type != PRISMATIC]
+
     def step_times(self) -> list[float]:
         """Times to try for a step: between rows, evenly spaced, and between sessions."""
         time = self.conditions.time
