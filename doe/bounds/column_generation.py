@@ -338,7 +338,7 @@ def generate_columns(
         # dropping postures although the gap has not shrunk can go in circles, never dropping any takes for ever
         if len(postures) > 30 * problem.parameters or gap < 0.9 * smallest:
             # an interior point leaves every posture a little, as much as it is accurate: that is no weight
-            weights = sparsest(jacobians, np.where(weights > 10.0 * accuracy, weights, 0.0))
+            weights = sparsest(jacobians, np.where(weights > 10.0 * min(accuracy, 1e-6), weights, 0.0))
             postures, jacobians, weights = postures[weights > 0.0], jacobians[weights > 0.0], weights[weights > 0.0]
         smallest, offers = min(smallest, gap), offers[new]
         offers = offers[distinct(comparable(offers))]

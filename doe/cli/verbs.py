@@ -181,7 +181,7 @@ def design_files(
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import ExpectedTip, with_choices
-    from doe.plan.moves import drive, with_approach
+    from doe.plan.moves import APPROACH, drive
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
     from identification import load_arm
@@ -201,7 +201,8 @@ def design_files(
     signs = () if loaded.counting is None else loaded.counting.sign
     progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
-    problem = with_approach(problem, approach)
+    away = (approach != "any") * APPROACH * problem.joint_units  # room within the limits to come from there
+    problem = replace(problem, lower=problem.lower + away, upper=problem.upper - away)
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
@@ -303,6 +304,8 @@ def score_files(
     lines.append(f"all criteria (larger is better): {figures} ({of})")
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     lines.append(f"observability indices: {indices}")
+    if getattr(problem.model, "needs", ()) and any(column is not None for column in judged.conditions.values()):
+        lines.append("Payloads, temperatures and directions of the plan count in the following; above, all are alike.")
     document = design_document(design).plus(*lines, *tables)
     return with_collisions(Answer(data, document), problem, judged.postures)
 

@@ -78,6 +78,8 @@ def diagnosis_verdict(data: Data) -> list[str]:
         lines.append(partly if shrinks(data) else "Not confirmed on rows that no fit has seen.")
     if not is_offered(data):
         lines.append(hardly_better(data["offered"]))
+    if verdict == "none" and data["misfit"] and data["misfit"]["significant"]:
+        return [*lines, "The model is incomplete or sigma_mm too small; what is missing these data do not show."]
     if verdict == "none":
         return [*lines, "Nothing is missing from the model that these data can show."]
     if verdict == "named" and several:
@@ -106,7 +108,9 @@ def findings(data: Data) -> list[str]:
     """What belongs to the verdict, in sentences: a shape, scatter that is not explained, sessions."""
     lines = [f"Its shape: {data['shape']}."] if data["shape"] and not is_described(data) else []
     if (misfit := data["misfit"]) and misfit["significant"]:
-        lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm, which nothing here explains.")
+        noise = any(finding["finding"] != "repeats" for finding in data["scatter"])
+        unexplained = "" if noise else ", which nothing here explains"
+        lines.append(f"The residuals scatter by {misfit['ratio']:.3g} x sigma_mm{unexplained}.")
     for answer, says in ((True, "Replicates"), (False, "Does not replicate")):
         if effects := [one["effect"] for one in data["replication"] if one["replicates"] is answer]:
             lines.append(f"{says} across sessions: {' + '.join(effects)}.")

@@ -113,7 +113,7 @@ def test_whole_turns_are_no_violation_where_a_joint_may_take_every_angle_and_the
 
 def test_travels_to_workers_and_caches() -> None:
     """Also after use, when CasADi functions hang on the problem, and with effects, whose values are read-only."""
-    design = score_plan(problem(FOUR, ECCENTRICITY), some_plan())
+    design = score_plan(problem(FOUR, ECCENTRICITY), some_plan(), seconds=0.0)
     again = pickle.loads(pickle.dumps(design))
     assert again.problem.objective(some_plan()) == design.problem.objective(some_plan())
     assert again.to_json() == design.to_json()

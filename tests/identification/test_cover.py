@@ -91,10 +91,6 @@ def test_a_ball_is_one_capsule() -> None:
     assert np.linalg.norm(found[0, :3] - found[0, 3:6]) < 8.0
 
 
-def test_the_same_faces_have_the_same_cover() -> None:
-    np.testing.assert_array_equal(capsules_around(BOX, most=2), capsules_around(BOX, most=2))
-
-
 def test_slopes_of_the_fit() -> None:
     """Against central differences, of three capsules."""
     random = np.random.default_rng(0)

@@ -15,6 +15,7 @@ from doe.bounds import column_generation as module
 from doe.bounds import weights as programs
 from doe.bounds.column_generation import (
     LARGEST,
+    CandidateSet,
     ContinuousSet,
     best_design,
     column_generation,
@@ -186,13 +187,16 @@ def test_not_identifiable() -> None:
 @pytest.mark.parametrize("criterion", [D(), A()])
 @pytest.mark.parametrize("deviations", [{}, {"encoder_eccentricity:2.a": 5e-4, "encoder_eccentricity:2.b": 5e-4}])
 def test_a_rough_answer_is_within_its_gap_of_the_optimum(criterion: Criterion, deviations: dict[str, float]) -> None:
-    """Its value is below the optimum and its bound above, both within the gap that it stops at."""
+    """Its value is below the optimum and its bound above, both within the gap that it stops at; also from few."""
     case = problem(FOUR, ECCENTRICITY, deviations=deviations, criterion=criterion)
     candidates = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (3000, 4))
     found, exact = (column_generation(case, candidates, runs=20, tolerance=gap) for gap in (0.01, 1e-9))
     assert found.value <= exact.value + 1e-9
     assert exact.value <= exact.bound.value <= found.bound.value + 1e-9
     assert 0.97 < found.efficiency_lower_bound <= 1.0
+    every = CandidateSet(case, candidates, case.prior.per_new_run(20))
+    few, gap = generate_columns(case, every.prior, candidates[:40], [(every.price, 0.02)], 0.01)
+    assert (few.value <= exact.value + 1e-9, gap <= 0.02 * abs(few.level)) == (True, True)
 
 
 # -- the loop, with a pricing that is written out: all postures of a short list ----------------------------------------

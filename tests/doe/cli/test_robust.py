@@ -28,7 +28,7 @@ def two(folder: Folder) -> Folder:
 
 
 def test_design_score_and_relax_agree(two: Folder) -> None:
-    designed = two.said(f"design arm.toml --runs 6 {FEW} --out best.csv")
+    designed = two.said(f"design arm.toml --runs 6 {FEW} --starts 2 --out best.csv")
     assert (designed["criterion"], designed["runs"], designed["bound"]["scope"]) == ("I", 6, "all postures")
     assert (designed["bound"]["proof"], designed["bound"]["rigorous"]) == ("numerical", False)
     assert designed["value"] <= designed["bound"]["value"]
@@ -63,8 +63,8 @@ def test_every_plan_says_what_it_promises_beside_random_ones(two: Folder) -> Non
         tip = found["expected_tip"]
         assert (tip["fit"], tip["random_plans"]) == (fit, 50)
         if fit is None:
-            figures = f"{tip['plan_mm']:.3g} mm by this plan, {tip['random_median_mm']:.3g} mm by the median of 50"
-            assert figures in two.armcal(line).flat
+            text = f"{tip['plan_mm']:.3g} mm by this plan, {tip['random_median_mm']:.3g} mm by the median of 50 random"
+            assert f"{text} ones; better than {100.0 * tip['better_than']:.0f} % of them" in two.armcal(line).flat
         else:
             assert tip["plan_mm"] == pytest.approx(found["expected_error_mm"]["plan"], rel=1e-6)
     two.write("arm.toml", ARM.partition("[measurement]")[0])
@@ -74,7 +74,7 @@ def test_every_plan_says_what_it_promises_beside_random_ones(two: Folder) -> Non
 def test_a_plan_carries_how_it_is_to_be_fitted_and_identify_follows(two: Folder) -> None:
     """From `design --robust` by `simulate` to `identify`, which fits as if --library-prior had been given."""
     two.write("truth.toml", ARM + TRUTH)
-    shown = two.armcal(f"design arm.toml --runs 9 {FEW} --out best.csv --order random")
+    shown = two.armcal(f"design arm.toml --runs 9 {FEW} --starts 1 --out best.csv --order random")
     assert f"armcal identify arm.toml DATA --{ASKED} --out calibrated.toml" in shown.flat
     assert two.read("best.csv").startswith(f"# fit: {ASKED}\nrun,q1_deg")
     two.simulated(plan="best.csv")

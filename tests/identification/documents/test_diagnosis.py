@@ -32,7 +32,7 @@ def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int =
     """The JSON object of a diagnosis, as far as verdict and actions need it."""
     candidates = [{"effects": [name], "probability": 0.4} for name in effects[:sets]]
     found = {"verdict": verdict, "effects": list(effects), "candidates": candidates, "where": "joint:3", "gap": GAP}
-    found |= {"shape": None, "curves": [], "predicting": list(effects)}
+    found |= {"shape": None, "curves": [], "predicting": list(effects), "misfit": None}
     return found | {
         "confirmed": confirmed,
         "confirmation": None if confirmed is None else {**TEST, "confirmed": confirmed},
@@ -55,6 +55,7 @@ def test_effects_are_said_in_words_with_their_names(labels: list[str], words: st
 @pytest.mark.parametrize(
     ("data", "first", "command"),
     [
+        (said("none") | {"misfit": {"significant": True}}, "The model is incomplete or sigma_mm too small; ", ""),
         (said("none"), "Nothing is missing", "identify arm.toml data.csv --no-library-prior --out calibrated.toml"),
         (said("named", "backlash:2", confirmed=True), f"Missing from the model: {PLAY}", "--out extended.toml"),
         (said("named", "backlash:2"), f"Missing from the model: {PLAY}", "--holdout other.csv"),
