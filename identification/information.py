@@ -111,10 +111,8 @@ class Spectrum:
         """The same decomposition with the rank at another tolerance (share of the largest singular value)."""
         return replace(self, rank=int(np.count_nonzero(significant(self.values, tolerance))))
 
-    @property
-    def null_space(self) -> Array:
-        """(p, p - rank) orthonormal basis of the combinations that the data leave undetermined."""
-        return self.directions[:, self.rank :]
+    # (p, p - rank) orthonormal basis of the combinations that the data leave undetermined
+    null_space = property(lambda self: self.directions[:, self.rank :])
 
     @property
     def covariance(self) -> Array:

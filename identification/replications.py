@@ -153,10 +153,7 @@ class Replications:
         turned = range(1, len(self.transform) - len(own) + 1)
         return own + [(f"orientation_offset:{j}", "deg", 180.0 / np.pi) for j in turned]
 
-    @property
-    def points(self) -> int:
-        """Number of measured points, each a row at every posture."""
-        return len(self.model.arm.chain.tools)
+    points = property(lambda self: len(self.model.arm.chain.tools))  # number of them, each a row at every posture
 
     def fits(
         self, postures: Array, sigma: float, generator: np.random.Generator, count: int

@@ -21,7 +21,7 @@ from identification.documents.identification import (
     validation_sections,
     validation_verdict,
 )
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import lacking, left_out_residuals
 from identification.estimation.problem import Problem
@@ -88,15 +88,9 @@ class Validation(Documented):
         for name in ("residuals", "nominal_residuals"):
             object.__setattr__(self, name, readonly(getattr(self, name)))
 
-    @property
-    def model(self) -> Figures:
-        """Of the calibrated model, over all rows."""
-        return figures_of(self.residuals)
-
-    @property
-    def nominal(self) -> Figures:
-        """Of the drawing, refitted in the same way, over all rows."""
-        return figures_of(self.nominal_residuals)
+    # over all rows, of the calibrated model, and of the drawing, refitted in the same way
+    model = property(lambda self: figures_of(self.residuals))
+    nominal = property(lambda self: figures_of(self.nominal_residuals))
 
     @property
     def rms_angles(self) -> tuple[float, ...]:
@@ -235,10 +229,10 @@ def _refitted(
         ("joints", measurements.links, model.joints),
         ("coordinates", measurements.dimension, model.dimension),
     ):
-        if counted != needed and (what == "joints" or counted not in model.dimensions):
-            raise InputError(f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
-    if "gravity" in model.needs and arm.gravity is None:
-        raise InputError("gravity: an effect of the arm needs it, allowed: an arm file with a [gravity] table")
+        fits = counted == needed or (what == "coordinates" and counted in model.dimensions)
+        require(fits, f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
+    has_gravity, allowed = arm.gravity is not None, "allowed: an arm file with a [gravity] table"
+    require("gravity" not in model.needs or has_gravity, f"gravity: an effect of the arm needs it, {allowed}")
     conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
     own = share_fitted(identified(origin), measurements) >= MOST
     if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
@@ -315,10 +309,9 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
     if diagnosis.verdict == "none" or not diagnosis.predicting.specs:
         return diagnosis
     if holdout is None:
-        tests = [test for test in diagnosis.cross_validation if test.transfer == "other postures"]
-        if not tests:
+        test = next((test for test in diagnosis.cross_validation if test.transfer == "other postures"), None)
+        if test is None:
             return diagnosis
-        test, *_ = tests
         after, before = (test.after, test.largest_after), (test.before, test.largest_before)
         p_value = 1.0 if test.p_shrinks is None else test.p_shrinks
         return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))

@@ -27,14 +27,7 @@ from identification.errors import InputError, require
 from identification.information import PRODUCT_TOLERANCE, RANK_TOLERANCE, significant, spectrum
 from identification.kinematics.chain import BASE, TOOL, PlanarClosedForm
 from identification.kinematics.parameters import JOINT_OFFSET, Parameter, ParameterSet
-from identification.levenberg_marquardt import (
-    ITERATIONS,
-    Index,
-    Linearize,
-    Solution,
-    compressed,
-    levenberg_marquardt,
-)
+from identification.levenberg_marquardt import ITERATIONS, Index, Linearize, Solution, compressed, levenberg_marquardt
 from identification.measurements import Conditions, Measurements
 from identification.model import Model
 

@@ -145,15 +145,10 @@ class Identification(Documented):
         """Probability of a chi2 at least this large if model and sigma are right; None if sigma was not known."""
         return None if self.chi2 is None or self.dof == 0 else float(chdtrc(self.dof, self.chi2))
 
-    @cached_property
-    def expected_tip(self) -> float | None:
-        """How far the tip may be from where this fit computes it [mm], RMS over the joint limits; None: not known."""
-        return tip_of(self, measured=False)
-
-    @cached_property
-    def expected_tip_measured(self) -> float | None:
-        """The same over further postures like those measured."""
-        return tip_of(self, measured=True)
+    # how far the tip may be from where this fit computes it [mm], RMS over the joint limits, and over further postures
+    # like those measured; None: not known
+    expected_tip = cached_property(lambda self: tip_of(self, measured=False))
+    expected_tip_measured = cached_property(lambda self: tip_of(self, measured=True))
 
     @property
     def misfit(self) -> str | None:
@@ -356,16 +351,12 @@ class _Spread(NamedTuple):
 
 
 def corrected_values(
-    arm: Arm,
-    calibration: Calibration | None = None,
-    unknown: Collection[str] = (),
-    factor: Array | None = None,
+    arm: Arm, calibration: Calibration | None = None, unknown: Collection[str] = (), factor: Array | None = None
 ) -> tuple[CorrectedValue, ...]:
     """What was estimated or differs from the drawing: lengths and zeros of a planar arm; in space zeros, frames, base
     and measured points; values of the instrument, where they were estimated; parameters of effects that have a name.
 
-    calibration : None: the arm's own calibration
-    unknown : names of parameters that are not estimable
+    calibration : None: the arm's own;  unknown : names of parameters that are not estimable
     factor : (p, r) factor of the covariance of `calibration.parameter_names` before the measurements, 0 where
         there is none; None: that of the arm's machining, where all that it says something of was estimated
     """
@@ -394,12 +385,12 @@ def corrected_values(
     steps = {p.name: STEP[p.unit] for p in chain.every_parameter if p.name in estimated and p.kind != JOINT_OFFSET}
     slopes_of = _differences(lambda at: _tables(chain, at), values, steps)
     for (place, key), value in corrected_tables.items():
-        turned_about, nominal = ", turned about its own x, y and z axis", None
+        turned_about, (word, _, number), nominal = ", turned about its own x, y and z axis", place.partition(" "), None
         meaning = f"measured point in the frame of the tip{turned_about if key.endswith('_deg') else ''}"
-        if place == "base":
+        if word == "base":
             meaning = f"pose of the base for the instrument{turned_about}"
-        if place.startswith("joint "):
-            j = int(place.removeprefix("joint "))
+        if word == "joint":
+            j = int(number)
             frame = FRAME if (place, "roll_deg") in corrected_tables else TURNED_FRAME
             meaning = frame.format(j=j, before="the base" if j == 1 else f"joint {j - 1}")
             nominal = drawn[place, key] + 0.0  # no -0
@@ -468,11 +459,10 @@ def dh_table(
 ) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Array]]]:
     """Nominal and corrected numbers of the links between the axes of a calibrated arm, without those drawn by
     definition; and beside them the pose of the base (4, 4), and places (3,) of the measured points for the last frame
-    of the table, by name: with these the table says what the calibration does. Empty without a covariance.
+    of the table, by name: with these the table says what the calibration does. Empty without a covariance; raises
+    `InputError` as `drawn_links`.
 
     rows, convention : of the arm's drawing; a and alpha of the modified convention stand in the row of the next joint
-
-    Raises `InputError` as `drawn_links`.
     """
     calibration, model = arm.calibration, Model(arm)
     if calibration is None or calibration.covariance is None:

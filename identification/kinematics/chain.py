@@ -45,7 +45,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array, ByValue, readonly
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.instruments import TRACKER, Instrument
 from identification.kinematics.counting import Counting
 from identification.kinematics.frames import (
@@ -95,10 +95,9 @@ class Joint(ByValue):
     upper: float = np.pi
 
     def __post_init__(self) -> None:
-        if self.type not in (REVOLUTE, PRISMATIC):
-            raise InputError(f"joint {self.name}: type {self.type!r}, allowed: {REVOLUTE} or {PRISMATIC}")
-        if not (length := float(np.linalg.norm(self.axis))) > 0.0:
-            raise InputError(f"joint {self.name}: axis {np.asarray(self.axis).tolist()}, allowed: not zero")
+        kinds, length = (REVOLUTE, PRISMATIC), float(np.linalg.norm(self.axis))
+        require(self.type in kinds, f"joint {self.name}: type {self.type!r}, allowed: {' or '.join(kinds)}")
+        require(length > 0.0, f"joint {self.name}: axis {np.asarray(self.axis).tolist()}, allowed: not zero")
         object.__setattr__(self, "origin", readonly(self.origin))
         object.__setattr__(self, "axis", readonly(np.asarray(self.axis, dtype=float) / length))
 
@@ -223,10 +222,8 @@ class KinematicChain(ByValue):
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
         """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
         or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
-        which move all that lies beyond as the base does; nor what no reading of the instrument shows.
-
-        best : best known values, which matter in the plane
-        """
+        which move all that lies beyond as the base does; nor what no reading of the instrument shows;  best : best
+        known values, which matter in the plane"""
         stands = BASE in self.settled
         hidden = {
             error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]
@@ -459,8 +456,7 @@ def chain_of(rows: Sequence[DHRow], convention: str = STANDARD) -> KinematicChai
 
     Raises `InputError` for another convention, no rows, and prismatic joints without limits.
     """
-    if convention not in (STANDARD, MODIFIED):
-        raise InputError(f"dh: convention {convention!r}, allowed: {STANDARD} or {MODIFIED}")
+    require(convention in (STANDARD, MODIFIED), f"dh: convention {convention!r}, allowed: {STANDARD} or {MODIFIED}")
     joints, before = [], np.eye(4)
     for j, row in enumerate(rows, start=1):
         link = pose((row.a, 0.0, 0.0), rotation_about(X, row.alpha))  # Tx Rx = Rx Tx
@@ -471,8 +467,7 @@ def chain_of(rows: Sequence[DHRow], convention: str = STANDARD) -> KinematicChai
             raise InputError(f"dh[{j}]: a prismatic joint without limits, allowed: {allowed}")
         joints.append(Joint(f"joint_{j}", before, Z, row.type, *(row.limits or (-np.pi, np.pi))))
         before = after
-    if not joints:
-        raise InputError("dh: no rows, allowed: one for each joint")
+    require(bool(joints), "dh: no rows, allowed: one for each joint")
     return KinematicChain(tuple(joints), before)
 
 
@@ -554,10 +549,8 @@ def standing_in(chain: KinematicChain, values: Numbers, back: bool = False) -> K
 
 @dataclass(frozen=True)
 class CorrectedGeometry:
-    """A chain with the errors that were found.
-
-    chain : as nominal;  values : parameter name -> value [mm, rad];  counting : of the controller, None: as the chain's
-    """
+    """A chain, as nominal, with the errors that were found: parameter name -> value [mm, rad];  counting : of the
+    controller, None: as the chain's"""
 
     chain: KinematicChain
     values: Mapping[str, float]
@@ -616,19 +609,17 @@ class Link(NamedTuple):
 
 
 def drawn_links(rows: Sequence[DHRow], convention: str = STANDARD) -> tuple[Link, ...]:
-    """The links between the axes of a table.
-
-    Raises `InputError` for prismatic joints, whose axes have no place, and for successive axes that are one.
-    """
-    if any(row.type != REVOLUTE for row in rows):
-        raise InputError("dh: found prismatic joints, allowed: a table of revolute joints")
+    """The links between the axes of a table; raises `InputError` for prismatic joints, whose axes have no place, and
+    for successive axes that are one."""
+    turn = all(row.type == REVOLUTE for row in rows)
+    require(turn, "dh: found prismatic joints, allowed: a table of revolute joints")
     behind = rows[:-1] if convention == STANDARD else rows[1:]  # whose a and alpha lead to the next axis
     links = tuple(  # beta where the drawing has axes parallel
         Link(row.offset, row.d, after.a, after.alpha, 0.0 if abs(np.sin(after.alpha)) < 1e-6 else None)
         for row, after in zip(rows, behind, strict=False)
     )
-    if any(link.beta is not None and link.a == 0.0 for link in links):
-        raise InputError("dh: found successive joints with one axis, allowed: different axes")
+    apart = all(link.beta is None or link.a for link in links)
+    require(apart, "dh: found successive joints with one axis, allowed: different axes")
     return links
 
 
@@ -636,9 +627,8 @@ def corrected_links(chain: KinematicChain, drawn: Sequence[Link]) -> tuple[tuple
     """The n - 1 links of a chain of n revolute joints about their z axes (as `corrected`), nearest to those drawn; the
     pose (4, 4) of the first axis's frame in that of the base, and of the tip's in that of the last axis.
 
-    By the common normal of two axes; where they are drawn parallel by the point in which the second axis meets the
-    plane of d as drawn.
-    """
+    By the common normal of two axes; where they are drawn parallel by where the second axis meets the plane of d as
+    drawn."""
     *places, tip = np.array(list(accumulate([joint.origin for joint in chain.joints] + [chain.end], np.matmul)))
     first = frame = places[0]
     links = list[Link]()

@@ -88,10 +88,8 @@ class Counting:
         """(n, n) of q = inverse (c - zero)."""
         return np.round(np.linalg.inv(self.matrix))
 
-    @property
-    def coupled(self) -> tuple[int, ...]:
-        """Joints (from 0) in whose column the angle of another is."""
-        return tuple(j for j, other in enumerate(self.coupled_to) if other)
+    # joints (from 0) in whose column the angle of another is
+    coupled = property(lambda self: tuple(j for j, other in enumerate(self.coupled_to) if other))
 
     @property
     def toml(self) -> str:
