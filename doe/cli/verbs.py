@@ -303,6 +303,8 @@ def score_files(
     lines.append(f"all criteria (larger is better): {figures} ({of})")
     indices = ", ".join(f"{name.upper()} {value:.4g}" for name, value in data["observability"].items())
     lines.append(f"observability indices: {indices}")
+    if getattr(problem.model, "needs", ()) and any(column is not None for column in judged.conditions.values()):
+        lines.append("Payloads, temperatures and directions of the plan count in the following; above, all are alike.")
     document = design_document(design).plus(*lines, *tables)
     return with_collisions(Answer(data, document), problem, judged.postures)
 

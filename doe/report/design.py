@@ -124,6 +124,8 @@ def remarks(design: Design) -> list[str]:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
+        elif getattr(design.problem.model, "needs", ()):
+            why += ", under one payload, temperature, time and approach"
         lines.append(f"no log det: {why}")
     better = "armcal design --repeats lets them be equal, which can be better"
     if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`

@@ -117,8 +117,12 @@ class WhiteRows:
         the eigenvalues of Q_g Q_g^T for the rows g of each (repeats and reflectors). Where all N are equal, 1 - p / N
         (G. H. Golub, M. Heath, G. Wahba, "Generalized cross-validation", 1979).
         """
-        every = [leverages for _, leverages, *_ in decomposed_groups(self.columns, self.residual, self.postures)]
-        squares = sum(float(np.sum(np.square(leverages))) for leverages in every)
+        order, squares = np.argsort(self.postures, kind="stable"), 0.0
+        columns, groups = self.columns[order], self.postures[order]
+        for k in range(int(np.bincount(groups).max())):  # sum l^2 = |Q_g Q_g^T|^2, row by row with the k-th after it
+            alike = groups[k:] == groups[: len(groups) - k]
+            products = columns[k:][alike] @ np.swapaxes(columns[: len(columns) - k][alike], 1, 2)
+            squares += (1.0 + (k > 0)) * float(np.sum(np.square(products)))
         share = 1.0 - squares / float(np.sum(np.square(self.columns))) if self.columns.any() else 1.0
         return max(share, np.finfo(float).eps)  # of no equation more than unknowns it is rounding
 
