@@ -165,6 +165,13 @@ def _after(effect: Effect, chain: Chain) -> ca.SX:
     return clock(chain.time, chain.session) > effect.chosen["at"]
 
 
+def _beside(effect: Effect, chain: Chain) -> ca.SX:
+    """1 on one side of the step, of a later session in that alone, since each has a base of its own; 0 elsewhere."""
+    at, session = effect.chosen["at"], chain.session
+    there = ca.fmax(at <= 0.5, ca.fabs(at - clock(0.0, session)) <= 0.5)
+    return there * (effect.chosen["side"] * (clock(chain.time, session) - at) > 0)
+
+
 of_step = partial(of_time, prior=RARE, once=True, settings={"at": STEP})
 of_step(
     "joint_step",
@@ -187,9 +194,7 @@ of_step(
     lambda self: each(self.chain.axes, "mm", 0.1),  # typical: as of `link_step`
     # side 1: for t > at, -1: for t < at; where the model has no `base_offset` that is not the same
     settings={"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
-    base_translation=lambda self, chain, values: (
-        values * (self.chosen["side"] * (clock(chain.time, chain.session) - self.chosen["at"]) > 0)
-    ),
+    base_translation=lambda self, chain, values: values * _beside(self, chain),
 )
 of_load(
     "payload_error",
