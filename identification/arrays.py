@@ -1,9 +1,9 @@
-"""Read-only arrays of floats, dataclasses of them that compare by value, eigenvalues of pairs, frames."""
+"""Read-only arrays of floats, and dataclasses of them that compare by value."""
 
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from itertools import accumulate
 from numbers import Real
@@ -74,31 +74,8 @@ def slices(sizes: Mapping[str, int]) -> dict[str, slice]:
     return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
 
-def eigen_of_pairs(matrices: Array) -> tuple[Array, Array]:
-    """`numpy.linalg.eigh` of (h, 2, 2) symmetric matrices, in a tenth of its time: one Jacobi rotation each (G. Golub,
-    C. Van Loan, "Matrix Computations", 2013, section 8.5)."""
-    first, across, second = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    gap = second - first
-    root = np.hypot(gap, 2.0 * across)
-    tangent = 2.0 * across / np.where(root > 0.0, gap + np.where(gap < 0.0, -root, root), 1.0)
-    cosine = 1.0 / np.hypot(1.0, tangent)
-    sine = tangent * cosine
-    values = np.stack([first - tangent * across, second + tangent * across], axis=-1)
-    vectors = np.stack([np.stack([cosine, sine], axis=-1), np.stack([-sine, cosine], axis=-1)], axis=-2)
-    order = np.argsort(values, axis=-1)
-    return np.take_along_axis(values, order, -1), np.take_along_axis(vectors, order[:, None, :], -1)
-
-
 def rows_in_words(chosen: NDArray[np.bool_]) -> str:
     """The numbers from 1 of the rows chosen (m,), the first few of many."""
     numbers = (np.flatnonzero(chosen) + 1).tolist()
     rest = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
     return f"row{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers[:SHOWN]))}{rest}"
-
-
-def as_frame(table: Mapping[str, Any] | Sequence[Mapping[str, Any]]) -> Any:
-    """A polars frame of columns by name, or of rows with the same keys; what is None is null."""
-    import polars as pl  # takes longer to load than numpy: nothing else needs it to design or to fit
-
-    columns = dict(table) if isinstance(table, Mapping) else list(table)
-    return pl.DataFrame(columns, strict=False, infer_schema_length=None)

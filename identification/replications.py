@@ -18,7 +18,7 @@ from pydantic import Field
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
 from identification.effects import library
-from identification.errors import InputError
+from identification.errors import InputError, require
 from identification.estimation import estimate_batch
 from identification.files.arm import described, load_arm
 from identification.files.io import named_file, read_toml
@@ -50,8 +50,7 @@ class ModelTable(StrictTable):
         for spec in described.effects if isinstance(self, TruthTable) else ():
             if library()[spec.name].scatter and (self.effects is not None or spec.values):
                 raise InputError(f"{spec.key}, which changes the scatter, is not simulated, allowed: other effects")
-        if "temperature" in model.needs:
-            raise InputError("needs temperatures, allowed: effects without them")
+        require("temperature" not in model.needs, "needs temperatures, allowed: effects without them")
         return model
 
 

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache
 from importlib import metadata
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from identification.errors import InputError
-
-if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
 
 Tell = Callable[[str], None]  # is told what a part of the work is at
 
@@ -64,16 +59,10 @@ class Progress:
 def single_thread() -> Iterator[None]:
     """`with single_thread():`, or `@single_thread()` of a function: BLAS uses one thread inside, and as many as before
     afterwards. Matrices here are 8 x 8 or so: more threads only wait for each other (5 x slower)."""
-    with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
         yield
-
-
-@lru_cache(maxsize=1)
-def _libraries(modules: int) -> ThreadpoolController:
-    """Those that are loaded; to look for them takes 2 ms, so again only after an import (`modules`: their number)."""
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
 
 
 def additions(group: str) -> Iterator[tuple[str, str, Any]]:

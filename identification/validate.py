@@ -157,7 +157,7 @@ class Validation(Documented):
             yield FITTED
         elif own > 0.0:
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
-        if far := extrapolation(arm, measurements.postures):
+        if far := extrapolated(outside(arm, measurements.postures), "rows"):
             yield far
         model = Model(arm)
         if once := [effect.key for effect in model.effects if effect.once and refit != "none" and own < MOST]:
@@ -358,16 +358,3 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
             free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
     model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
     return model, start_at_base(model, measurements, conditions)
-
-
-def extrapolation(arm: Arm, postures: Array) -> str | None:
-    """How many postures (m, n) of rows are outside the angles of the identification, in a clause; None: none, or not
-    known."""
-    out = outside(arm, postures)
-    clause = extrapolated(out, "rows")
-    beyond = [s.curve for s in arm.effects if s.curve and out is not None and out[:, (s.joint or 1) - 1].any()]
-    if clause is None or not beyond:
-        return clause
-    if any(curve.geometry for curve in beyond):
-        return f"{clause}; without its error curves, by the geometry that was fitted alone"
-    return f"{clause}; its error curves are zero there, and the geometry of armcal identify alone may be better"

@@ -580,15 +580,14 @@ def compensate_files(
     """
     from identification.compensate import compensate
     from identification.files.arm import load_arm
-    from identification.files.measurement import Targets
+    from identification.files.measurement import load_targets
     from identification.model import Model
     from identification.sessions import check_calibrated
 
     arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
-    wanted = Targets.load(targets, arm)
     allowed = constraints(Model(arm)) if arm.constraints or arm.cell else ()
-    commands = compensate(arm, wanted.positions, wanted.postures, orientations=wanted.orientations, constraints=allowed)
+    commands = compensate(arm, **load_targets(targets, arm), constraints=allowed)
     files: Files = {out: ("commands", commands.text())}
     return Answer(commands.to_json(), commands.document(), commands, warnings=commands.warnings, files=files)
 

@@ -47,6 +47,11 @@ class Scope:
     postures: Array | None = None  # (m, n) [rad], None without data
     conditions: Conditions = field(default_factory=Conditions)  # of these rows
 
+    def other_joints(self) -> list[float]:
+        """Those that turn, but for its own."""
+        joints = enumerate(self.arm.chain.joints, start=1)
+        return [float(j) for j, joint in joints if j != self.joint and joint.type != PRISMATIC]
+
     def step_times(self) -> list[float]:
         """Times to try for a step: between rows, evenly spaced, and between sessions."""
         time = self.conditions.time
@@ -189,10 +194,11 @@ class Effect:
 
     def define(self) -> tuple[Parameter, ...]:
         """The parameters, in the order in which the formulas receive their values."""
-        numbers = self.numbers() if callable(self.numbers) else self.numbers
-        scales = (float(one.scale(self) if callable(one.scale) else one.scale) for one in numbers)
-        each = (one._replace(scale=scale)._asdict() for one, scale in zip(numbers, scales, strict=True))
-        return tuple(self.parameter(**one) for one in each)
+        parameters = list[Parameter]()
+        for number in self.numbers() if callable(self.numbers) else self.numbers:
+            scale = float(number.scale(self) if callable(number.scale) else number.scale)
+            parameters.append(self.parameter(**number._replace(scale=scale)._asdict()))
+        return tuple(parameters)
 
     def parameter(self, short: str, unit: str, *, scale: float, typical: float | None = None, **more: Any) -> Parameter:
         """A parameter of this effect under its full name;  scale, typical, more : as of `Parameter`"""

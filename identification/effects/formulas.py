@@ -50,16 +50,20 @@ def _turned_back(values: ca.SX, angle: ca.SX) -> ca.SX:
 
 
 # -- between the commanded and the real joint angle --------------------------------------------------------------------
+def _compliances(self: Effect) -> list[Number]:
+    """Of its joint, or of all."""
+    numbers = list[Number]()
+    for j in [self.joint] if self.joint else range(1, len(self.chain) + 1):
+        unit, many = at_joint(self.chain, j, "rad/(N m)")
+        scale = float(self.chain.levers[j - 1]) * TORQUE / many
+        numbers.append(Number(f"c{'' if self.joint else j}", unit, 1e-5 * many, scale, 0.0))
+    return numbers
+
+
 of_gravity(
     "joint_compliance",
     "joint winds up under gravity torque: q_j + c_j tau_j, c_j >= 0",
-    # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
-    lambda self: [
-        Number(f"c{'' if self.joint else j}", unit, 1e-5 * many, lever * TORQUE / many, 0.0)
-        for j, lever in enumerate(self.chain.levers, start=1)
-        if self.joint in (None, j)
-        for unit, many in [at_joint(self.chain, j, "rad/(N m)")]
-    ],
+    _compliances,  # typical: 1e5 N m/rad; strain-wave gears have 5e3 to 2.5e5, cycloidal ones 1e5 to 1e6
     per_joint="optional",
     joint_angles=lambda self, chain, values: (
         values * (chain.torques[self.joint_index] if self.joint else chain.torques)
@@ -102,13 +106,21 @@ of_joint(
     [Number("e", "1", 1e-4, LEVER)],  # typical: diameter of a pulley of 50 to 100 mm within 5 to 10 um
     joint_angles=lambda self, chain, values: values * chain.q[self.joint_index],
 )
+
+
+def _coupling(self: Effect) -> list[Number]:
+    """Typical: as of `gear_ratio`: what a controller leaves of a coupling."""
+    here, before = (
+        at_joint(self.chain, self.joint_index + 1, "rad")[1],
+        at_joint(self.chain, self.joint_index, "rad")[1],
+    )
+    return [Number("c", "1", 1e-4 * here / before, LEVER)]
+
+
 of_joint(
     "joint_coupling",
     "the joint before turns this one a little: c q_(j-1), of a belt or a wrist",
-    lambda self: [  # typical: as of `gear_ratio`: what a controller leaves of a coupling
-        Number("c", "1", 1e-4 * many / before, LEVER)
-        for before, many in [[at_joint(self.chain, j, "rad")[1] for j in (self.joint - 1, self.joint)]]
-    ],
+    _coupling,  # typical: as of `gear_ratio`: what a controller leaves of a coupling
     first_joint=2,
     joint_angles=lambda self, chain, values: values * chain.q[self.joint_index - 1],
 )

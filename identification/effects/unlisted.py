@@ -18,7 +18,6 @@ import numpy as np
 from identification.effects.base import LEVER, Chain, Effect, Number, Scope, Setting, add_effect, widths
 from identification.effects.formulas import SPACE
 from identification.kinematics.frames import rotation_to_z
-from identification.kinematics.parameters import PRISMATIC
 
 SLOW = 3  # convention: order of the fastest function of several variables, or with several values
 FAST = 12  # convention: half periods of the fastest function of time, or of one coordinate over twice the reach
@@ -37,8 +36,8 @@ def turning_waves(angle: ca.SX, orders: Iterable[int]) -> ca.SX:
 
 
 def half_waves(x: ca.SX, count: int) -> ca.SX:
-    """(count,) waves of 1, 2 .. half periods between 0 and 1, where they are even."""
-    return ca.cos(np.pi * ca.DM(range(1, count + 1)) * x)
+    """Of each coordinate in turn the (count,) waves of 1, 2 .. half periods between 0 and 1, where they are even."""
+    return ca.vec(ca.cos(np.pi * ca.mtimes(ca.DM(range(1, count + 1)), x.T)))
 
 
 def slow_waves(place: ca.SX, with_last: bool = False) -> ca.SX:
@@ -55,18 +54,6 @@ def held(chain: Chain) -> ca.SX | float:
 
 
 # -- of a joint --------------------------------------------------------------------------------------------------------
-def _other_joints(scope: Scope) -> list[float]:
-    """Joints that turn, but for its own."""
-    joints = enumerate(scope.arm.chain.joints, start=1)
-    return [float(j) for j, joint in joints if j != scope.joint and joint.type != PRISMATIC]
-
-
-def _with_other(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
-    """Of the other joint's angle, and of both angles: not periodic, as a cable that is wound up."""
-    angles = (chain.q[j] / np.pi for j in (self.joint_index, int(self.chosen["other"]) - 1))
-    return held(chain) * ca.dot(slow_waves(ca.vertcat(*angles), with_last=True), values)
-
-
 def _by_approach(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
     """Of the angle and the last move, with another sign by its direction."""
     j = self.joint_index
@@ -99,8 +86,12 @@ of_joint(
     "two_joint_error",
     "depends on other joints too: slow waves of the other's angle, and products of those of both",
     numbers(6, "rad", LEVER),
-    settings={"other": Setting(1, 99, _other_joints, whole=True, symbolic=False)},
-    joint_angles=_with_other,
+    settings={"other": Setting(1, 99, Scope.other_joints, whole=True, symbolic=False)},
+    # of the other joint's angle, and of both angles: not periodic, as a cable that is wound up
+    joint_angles=lambda self, chain, values: (
+        held(chain)
+        * ca.dot(slow_waves(chain.q[[self.joint_index, int(self.chosen["other"]) - 1]] / np.pi, with_last=True), values)
+    ),
 )
 of_joint(
     "approach_error",
@@ -222,15 +213,15 @@ def _over_workspace(name: str, about: str, functions: Callable[[ca.SX], ca.SX], 
 
 
 def _fast(x: ca.SX) -> ca.SX:
-    """Waves between 0 and 1, the slow ones larger."""
-    return half_waves(x, FAST) / ca.sqrt(ca.DM(range(1, FAST + 1)))
+    """Waves of each coordinate between 0 and 1, the slow ones larger."""
+    return half_waves(x, FAST) / ca.repmat(ca.sqrt(ca.DM(range(1, FAST + 1))), x.numel())
 
 
 _over_workspace("workspace_smooth", "smooth over the workspace: slow waves along the axes of the base", slow_waves)
 _over_workspace(
     "workspace_axes",
     "smooth over the workspace: waves along each axis of the base",
-    lambda place: ca.vertcat(*(_fast(0.5 * (x + 1.0)) for x in ca.vertsplit(place))),
+    lambda place: _fast(0.5 * (place + 1.0)),
 )
 _over_workspace(
     "workspace_squares",

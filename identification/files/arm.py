@@ -248,7 +248,15 @@ def _cell(
             raise InputError(f"cell.bodies[{k}].joint: found {joint}, allowed: 1 to {len(chain)}, or left out")
         if other := [at for body, at, _ in shapes if body == name and at != joint]:
             raise InputError(f"cell.bodies[{k}].joint: found {joint} for another part of {name!r}, allowed: {other[0]}")
-        shapes.append((name, joint, _shape(table, f"cell.bodies[{k}].file", folder)))
+        if table.kind in ("capsule", "cylinder", "sphere"):
+            ends = (table.center_mm,) * 2 if table.kind == "sphere" else (table.start_mm, table.end_mm)
+            shape = Shape.between(table.kind, *ends, table.radius_mm)
+        elif table.kind == "box":  # as thick as long in the plane, in which its middle is
+            shape = Shape("box", _pose(table), np.array([*table.size_mm, max(table.size_mm)][:3]))
+        else:
+            mesh = str(named_file(folder, table.file, f"cell.bodies[{k}].file", "the arm file"))
+            shape = Shape("mesh", _pose(table), np.full(3, METER if table.unit == "m" else 1.0), mesh)
+        shapes.append((name, joint, shape))
     drawn, path = urdf, Path("" if urdf is None else urdf.path)
     if urdf is None or urdf.robot.find("link/collision") is None or (cell is not None and cell.bodies_of_urdf is False):
         drawn = None
@@ -263,17 +271,6 @@ def _cell(
     if cell.srdf is not None:
         apart |= pairs_apart(named_file(folder, cell.srdf, "cell.srdf", "the arm file"))
     return Cell(bodies, cell.floor_z_mm, cell.clearance_mm, frozenset(apart | {*map(frozenset, cell.apart)}))
-
-
-def _shape(table: Any, key: str, folder: PathLike) -> Shape:
-    """What an entry of `[[cell.bodies]]` says;  key : of the name of a mesh's file"""
-    if table.kind in ("capsule", "cylinder", "sphere"):
-        ends = (table.center_mm,) * 2 if table.kind == "sphere" else (table.start_mm, table.end_mm)
-        return Shape.between(table.kind, *ends, table.radius_mm)
-    if table.kind == "box":  # as thick as long in the plane, in which its middle is
-        return Shape("box", _pose(table), np.array([*table.size_mm, max(table.size_mm)][:3]))
-    file = str(named_file(folder, table.file, key, "the arm file"))
-    return Shape("mesh", _pose(table), np.full(3, METER if table.unit == "m" else 1.0), file)
 
 
 # -- effects and calibration -------------------------------------------------------------------------------------------

@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE, Arm
-from identification.arrays import Array, ByValue, as_frame, readonly
+from identification.arrays import Array, ByValue, readonly
+from identification.document import Sheet, html
 from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
@@ -130,16 +131,7 @@ def measurement_text(
         columns |= posture_columns(measurements.commanded, joint_types, "commanded")
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if (order := measurements.order) is not None:
-        # `order` or `time_s`; both where the order, read again, would not have the same gaps
-        gaps = np.zeros(len(order)) if measurements.gaps is None else measurements.gaps
-        again, counts = np.zeros(len(order), dtype=bool), np.empty(len(order))
-        for rows in measurements.session_rows:
-            again[rows] = gaps_of(order[rows])
-            sequence = rows[np.argsort(order[rows], kind="stable")]
-            counts[sequence] = np.arange(len(rows)) + np.cumsum(gaps[sequence])
-        counted = np.all(order == np.round(order)) and np.array_equal(again, gaps > 0.0)
-        columns["order" if counted else "time_s"] = order
-        columns |= {"order": counts} if gaps.any() and not counted else {}
+        columns["order" if np.all(order == np.round(order)) else "time_s"] = order
     optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
     if (directions := measurements.directions) is not None:
         counting = counting_in(joint_types)
@@ -375,20 +367,15 @@ class Plan(ByValue):
         scaled = displayed * [next(iter(each.values())) for each in units]
         return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
 
-    def to_frame(self) -> Any:
-        """A row for each posture, as in a plan file."""
-        columns: dict[str, Any] = {"run": range(1, len(self) + 1), **self.columns}
-        return as_frame(columns if self.weights is None else columns | {"weight": self.weights})
-
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""
         return f"<pre>{escape(str(caption))}</pre>\n{self._repr_html_()}"
 
     def _repr_html_(self) -> str:
-        from polars import Config
-
-        with Config(tbl_rows=-1, tbl_cols=-1, tbl_hide_column_data_types=True):
-            return str(self.to_frame()._repr_html_())
+        columns = self.columns if self.weights is None else self.columns | {"weight": self.weights}
+        rows = np.column_stack([*columns.values()]).tolist()
+        cells = [[str(run), *(f"{x:.6g}" for x in row)] for run, row in enumerate(rows, start=1)]
+        return html(Sheet(["run", *columns], cells))
 
     def text(self, joint_types: JointTypes = None, further: Mapping[str, ArrayLike] | None = None) -> str:
         """The text of a plan file; `load` reads the same from it, to rounding (1e-14 rad).
@@ -414,32 +401,22 @@ class Plan(ByValue):
 
 
 # -- targets -----------------------------------------------------------------------------------------------------------
-class Targets(NamedTuple):
-    """What the tip is to reach: positions (k, d) [mm], or the nominal tips of postures (k, n) [rad]; one is None.
+def load_targets(path: PathLike, arm: Arm) -> dict[str, Any]:
+    """What the tip is to reach, as arguments of `compensate`: `targets` (k, d) [mm], nominal `postures` (k, n) [rad]
+    and `orientations` (k, 3, 3) of the tool, by a CSV file with `x_mm, y_mm` (or `x_m, y_m`), of a spatial arm with
+    `z_mm` too, and angles where these matter, or with `q1_deg..qn_deg`; None: the file does not say.
 
-    orientations : (k, 3, 3) of the tool beside positions, None: any will do
+    With both, positions are the targets and postures say which of the many solutions to stay near.
+    Raises `InputError` with file, row and column.
     """
-
-    positions: Array | None
-    postures: Array | None
-    orientations: Array | None = None
-
-    @classmethod
-    def load(cls, path: PathLike, arm: Arm) -> Self:
-        """The targets of a CSV file with `x_mm, y_mm` (or `x_m, y_m`), or with `q1_deg..qn_deg` of nominal postures; of
-        a spatial arm with `z_mm` too, and with orientations where these matter.
-
-        With both, positions are the targets and postures say which of the many solutions to stay near.
-        Raises `InputError` with file, row and column.
-        """
-        table, axes = read_table(path), arm.chain.axes
-        has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
-        has_postures = bool(_joint_columns(table, arm.joint_types))
-        if not has_positions and not has_postures:
-            allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
-            raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
-        positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
-        postures = read_postures(table, arm.joint_types) if has_postures else None
-        orientations = read_orientations(table) if has_positions and arm.chain.point_column else None
-        table.warn_unused(["run"])
-        return cls(positions, postures, orientations)
+    table, axes = read_table(path), arm.chain.axes
+    has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
+    has_postures = bool(_joint_columns(table, arm.joint_types))
+    if not has_positions and not has_postures:
+        allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
+        raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
+    positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
+    postures = read_postures(table, arm.joint_types) if has_postures else None
+    orientations = read_orientations(table) if has_positions and arm.chain.point_column else None
+    table.warn_unused(["run"])
+    return {"targets": positions, "postures": postures, "orientations": orientations}

@@ -290,10 +290,12 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
             scans = [setting.scan(scope) for setting in cls.settings.values()]
             specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-            blocks = (Block.of(arm, one, cls.prior / max(len(specs), 1), kinds) for one in specs)
-            further = [block for block in blocks if block.label not in own]
-            (unlisted if cls.unlisted else members).extend(further)
-            if not further:
+            added = unlisted if cls.unlisted else members
+            before = len(added)
+            for one in specs:
+                block = Block.of(arm, one, cls.prior / max(len(specs), 1), kinds)
+                added += [block] if block.label not in own else []
+            if len(added) == before:
                 reasons[spec.key] = "already in the arm's model"
     aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
     return Library(arm, tuple(members), tuple(unlisted), skipped, aliases)

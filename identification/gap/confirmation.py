@@ -29,12 +29,12 @@ from identification.gap.fit import Fitted
 from identification.gap.likelihood import mixed
 from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
-from identification.information import ALONE, RANK_TOLERANCE, column_space
+from identification.information import ALONE, column_space
 from identification.instruments.base import registered
+from identification.levenberg_marquardt import Index, levenberg_marquardt
 from identification.measurements import POINT, Conditions, Measurements, distances
 
 SESSION, OTHER_ROWS = "another session", "other rows"
-GAUSS_NEWTON = 10  # numerical: steps of a turn of the base, each of which doubles the digits
 
 
 # -- the test ----------------------------------------------------------------------------------------------------------
@@ -171,20 +171,21 @@ def placed_again(points: Array, axes: Array | None, measured: Array, names: NDAr
     m, d = measured.shape
     full = np.pad(points, ((0, 0), (0, 3 - d)))
     frame, count = registered(full, measured), 3 * (d - 1)
-    turn, left = frame[:3, :3], (measured - full @ frame[:d, :3].T - frame[:d, 3])
+    left = measured - full @ frame[:d, :3].T - frame[:d, 3]
     if axes is not None:
         tips = np.concatenate([axes * (names == name)[:, None, None] for name in np.unique(names)], axis=2)
-        count, shift = count + tips.shape[2], np.zeros(tips.shape[2])
-        for _ in range(GAUSS_NEWTON):
-            turned = (full + tips @ shift) @ turn.T
+
+        def linearize(values: Array, _: Index) -> tuple[Array, Array]:  # of a small turn, a shift, and points
+            turn = Rotation.from_rotvec(values[0, :3]).as_matrix() @ frame[:3, :3]
+            turned = (full + tips @ values[0, 6:]) @ turn.T
             by_turn = np.cross(np.eye(3)[None], turned[:, None, :]).transpose(0, 2, 1)
-            columns = np.concatenate([by_turn, np.broadcast_to(np.eye(3), (m, 3, 3)), turn @ tips], axis=2).reshape(
-                3 * m, -1
-            )
-            target = (measured - full @ turn.T).ravel()
-            values = np.linalg.lstsq(columns, target, rcond=RANK_TOLERANCE)[0]
-            left, shift = (target - columns @ values).reshape(m, 3), values[6:]
-            turn = Rotation.from_rotvec(values[:3]).as_matrix() @ turn
+            columns = np.concatenate([by_turn, np.broadcast_to(np.eye(3), (m, 3, 3)), turn @ tips], axis=2)
+            return (measured - turned - values[:, 3:6]).reshape(1, -1), columns.reshape(1, 3 * m, -1)
+
+        begin = np.concatenate([np.zeros(3), frame[:3, 3], np.zeros(tips.shape[2])])
+        count, rounding = len(begin), np.array([1e-14 * np.linalg.norm(measured)])
+        end = levenberg_marquardt(linearize, begin[None], scales=np.ones(count), rounding=rounding)
+        left = linearize(end.parameters, np.arange(1))[0].reshape(m, 3)
     return count, left * np.sqrt(left.size / max(left.size - count, 1.0))
 
 

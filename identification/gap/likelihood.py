@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack, solve_triangular
 from scipy.special import log_ndtr
 
-from identification.arrays import Array, eigen_of_pairs
+from identification.arrays import Array
 from identification.information import VISIBLE, significant
 
 # of a block's contribution, in standard deviations of the noise. Prior: from what can just not be seen by itself to a
@@ -106,7 +106,7 @@ class Products:
             if own.shape[1] == 1:
                 values[index], parts[index] = own[:, 0], scores[index]
             else:
-                values[index], vectors = eigen_of_pairs(own) if own.shape[1] == 2 else np.linalg.eigh(own)
+                values[index], vectors = np.linalg.eigh(own)
                 parts[index] = (scores[index][:, None, :] @ vectors)[:, 0]
         squared, starts = np.square(SIZES)[:, None], self.starts[:-1]
         spread = 1.0 + squared * np.maximum(values, 0.0)  # (S, P)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import Array, rows_in_words
+from identification.arrays import Array
 from identification.document import Document, Documented, Sheet, count_of, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
@@ -23,7 +23,7 @@ from identification.estimation import Identification, doubts, estimate
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import DRAWN, Reading, Readings, data_warnings, gap_notes, read_differently
 from identification.kinematics.chain import BASE
-from identification.kinematics.counting import TURN, in_columns
+from identification.kinematics.counting import in_columns
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, rms_distance
@@ -143,22 +143,22 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
         "problems": tuple(problems),
         "notes": tuple(notes),
     }
-    facts = [
-        ("rows", f"{count_of(data['rows'], 'row')}, {count_of(data['postures'], 'posture')}"),
-        ("columns besides", ", ".join(given) or "none"),
-        ("sessions" if touched == "marker" else f"{column}s", ", ".join(measurements.sessions)),
-        (f"{column}s" if touched == "marker" else "measured points", ", ".join(measurements.marker_names)),
-        ("repeats scatter by", None if floor.value is None else f"{floor.value:.4g} mm"),
-    ]
+    facts = {
+        "rows": f"{count_of(data['rows'], 'row')}, {count_of(data['postures'], 'posture')}",
+        "columns besides": ", ".join(given) or "none",
+        "sessions" if touched == "marker" else f"{column}s": ", ".join(measurements.sessions),
+        f"{column}s" if touched == "marker" else "measured points": ", ".join(measurements.marker_names),
+        "repeats scatter by": None if floor.value is None else f"{floor.value:.4g} mm",
+    }
     if not units:
-        facts.append(("drawing", f"{number(drawing)} mm RMS, {DRAWING_IN_WORDS['base']}"))
-        facts.append(("a fit leaves", f"{number(fitted)} mm RMS"))
-        facts += words[:1] if problems else words  # data that are to be put right are not judged
+        facts |= {"drawing": f"{number(drawing)} mm RMS, {DRAWING_IN_WORDS['base']}"}
+        facts |= {"a fit leaves": f"{number(fitted)} mm RMS"}
+        facts |= dict(words[:1] if problems else words)  # data that are to be put right are not judged
     parts = list[Any]()
     if readings.counting is not None and set(readings.sentences) & set(problems):
         parts.append("If the controller counts that way, the arm file may say so, and data and commands stay its:")
         parts += [f"    {line}" for line in readings.counting.toml.splitlines()]
-    parts.append(Sheet.facts(dict(facts)))
+    parts.append(Sheet.facts(facts))
     if not units:
         headings = ("joint", "from", "to", "lower limit", "upper limit", "unit", "rows outside")
         parts += [Sheet(headings, ranges, "Joints"), *(f"note: {note}" for note in notes)]
@@ -202,8 +202,8 @@ def _problems(
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[str]]:
     """Of each joint the entry of `joints` (as the controller counts), and its row of the table; and notes of joints
-    that hardly move, and of few readings within the limits that are whole turns away from all others."""
-    beyond, entries, rows, still, notes = doubts.beyond_limits(arm, postures), [], [], list[int](), list[str]()
+    that hardly move."""
+    beyond, entries, rows, still = doubts.beyond_limits(arm, postures), [], [], list[int]()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     columns, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
     for j, (kind, column, outside) in enumerate(zip(arm.joint_types, columns.T, beyond.T, strict=True), start=1):
@@ -219,20 +219,8 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
         # of a joint that turns by less than 5 deg its own errors are hardly seen, whatever others in its column do
         if np.ptp(postures[:, j - 1]) < (np.radians(5.0) if kind == REVOLUTE else 0.0):
             still.append(j)
-        # readings of a joint that really turns several times do not all fall within half a turn, whole turns aside: of
-        # eight spread over four half turns once in a hundred times, of twelve once in a thousand
-        turns = np.round((column - np.median(column)) / TURN) * (kind == REVOLUTE)
-        away = (turns != 0.0) & ~outside
-        if 0 < away.sum() <= len(away) / 8 and np.ptp(column - TURN * turns) < np.pi:
-            degrees, others = np.degrees(column[away]), np.degrees(column[turns == 0.0])
-            place = f"joint {j} reads {degrees[0]:.4g} deg in {rows_in_words(away)}"
-            where = f"whole turns away from the other rows ({others.min():.4g} to {others.max():.4g} deg)"
-            matters = "play, gear_ratio and the range of the calibration follow the angle as it is written"
-            notes.append(f"{place}, {where}: correct that if the joint was not there, since {matters}")
-    if still:
-        hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
-        notes.insert(0, f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen")
-    return entries, rows, notes
+    hardly = "joint {} hardly moves: its" if len(still) == 1 else "joints {} hardly move: their"
+    return entries, rows, [f"{hardly.format(', '.join(map(str, still)))} own errors cannot be seen"] * bool(still)
 
 
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------
@@ -284,13 +272,11 @@ def sufficiency(
     tip, measured = (judged.expected_tip, judged.expected_tip_measured) if source else (None, None)
     # parameters without a prior, as where base and reflector are, that stay more uncertain than the frames of the arm
     # by `UNUSUAL` times, though the machining holds these; where nothing is held, such ones are not estimated at all
-    weak: list[tuple[str, float, str]] = []
-    if judged.model.arm.chain.redundant:
-        machining = judged.model.arm.machining
-        far = {"mm": doubts.UNUSUAL * machining.translation, "rad": doubts.UNUSUAL * machining.rotation}
-        stds = zip(judged.model.parameters, judged.std.tolist(), strict=True)
-        free = [(p, std) for p, std in stds if p.name not in judged.prior.names]
-        weak = [(p.name, std * p.to_file, p.file_unit) for p, std in free if std > far.get(p.unit, np.inf)]
+    machining, weak = judged.model.arm.machining, list[tuple[str, float, str]]()
+    far = {"mm": doubts.UNUSUAL * machining.translation, "rad": doubts.UNUSUAL * machining.rotation}
+    for p, std in zip(judged.model.parameters, judged.std.tolist(), strict=True):
+        if judged.model.arm.chain.redundant and p.name not in judged.prior.names and std > far.get(p.unit, np.inf):
+            weak.append((p.name, std * p.to_file, p.file_unit))
     determined = _in_words(fit, held, {name for name, *_ in weak})
     keys = {
         "numbers": fit.residuals_after.size,

@@ -193,7 +193,7 @@ class KinematicChain(ByValue):
     @cached_property
     def reach(self) -> float:
         """Largest distance [mm] between base and tip that the parts of the chain could add up to."""
-        slides = (max(abs(joint.lower), abs(joint.upper)) for joint in self.joints if joint.type == PRISMATIC)
+        slides = [max(abs(joint.lower), abs(joint.upper)) for joint in self.joints if joint.type == PRISMATIC]
         return float(np.linalg.norm(self.link_poses[0][:3, 3])) + sum(self.lengths.tolist()) + float(sum(slides))
 
     @cached_property

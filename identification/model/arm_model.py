@@ -13,7 +13,7 @@ most uses, and searches ask for hundreds of models, so models that have the same
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import attrgetter
@@ -36,12 +36,8 @@ from identification.vectorized import Evaluate, vectorize
 
 Given = ArrayLike | None
 When = Conditions | None
-
-
-@lru_cache(maxsize=128)  # effort: models set up
-def _first(key: Hashable) -> list[Model]:
-    """The first model with these symbols, once it is in the list."""
-    return []
+# symbols -> the first model with these, once it is in the list; effort: models set up
+_first = lru_cache(maxsize=128)(lambda symbols: list["Model"]())
 
 
 @dataclass(frozen=True)

@@ -309,22 +309,17 @@ def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) ->
     if not instrument.contact:
         return minimal(placed, least).arm
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
-    # next to nothing: the longest step stays as drawn, and what is kept takes its place
-    longest, sessions = longest_step(placed), [measurements.rows(index) for index in measurements.session_rows]
+    # next to nothing: the longest step from joint to joint stays as drawn, and what is kept takes its place
+    steps, sessions = dict[str, float](), [measurements.rows(index) for index in measurements.session_rows]
+    for j, joint in enumerate(arm.chain.joints if placed.arm.chain.instrument.size_is_open[0] else (), start=1):
+        along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3]).tolist()
+        steps |= {name: size for name, size in zip(error_names(j), along, strict=False) if name in placed.names}
+    longest = [max(steps, key=steps.__getitem__)] if steps else []
     parts = [
         (_fixing(placed_model(model, rows), longest), rows.postures, [rows.conditions])
         for rows in ([measurements] if instrument.own_targets else sessions)
     ]
     return minimal(_fixing(placed, longest), least, parts).arm
-
-
-def longest_step(model: Model) -> list[str]:
-    """The parameter along the longest step from joint to joint, where readings do not show the size of the arm."""
-    steps: dict[str, float] = {}
-    for j, joint in enumerate(model.arm.chain.joints if model.arm.chain.instrument.size_is_open[0] else (), start=1):
-        along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3])
-        steps |= {n: size for n, size in zip(error_names(j), along.tolist(), strict=False) if n in model.names}
-    return [max(steps, key=steps.__getitem__)] if steps else []
 
 
 def _fixing(model: Model, names: Iterable[str]) -> Model:

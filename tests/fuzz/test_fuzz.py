@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from doe.studies.monte_carlo import Study
 from identification import Arm, InputError, Plan, load_arm, load_measurements
 from identification.files.csv import read_table
-from identification.files.measurement import Targets
+from identification.files.measurement import load_targets
 from tests.fuzz.commands import Case, cases
 from tests.fuzz.inputs import ARMS, arms, campaigns, mostly_valid, spoilt, studies, tables
 from tests.fuzz.judge import Outcome, broken, prepare, run_here
@@ -46,7 +46,7 @@ READERS = {
     "arm.toml": lambda path, types: load_arm(path),
     "plan.csv": Plan.load,
     "data.csv": load_measurements,
-    "targets.csv": lambda path, links: Targets.load(path, Arm(np.ones(links))),
+    "targets.csv": lambda path, links: load_targets(path, Arm(np.ones(links))),
     "study.toml": lambda path, _: Study.load(path),
     "table.csv": lambda path, _: read_table(path),
 }

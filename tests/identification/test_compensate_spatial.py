@@ -10,7 +10,7 @@ import pytest
 
 from identification import Arm, Array, Calibration, EffectSpec, Model, estimate
 from identification.compensate import TOLERANCE, compensate
-from identification.files.measurement import Targets
+from identification.files.measurement import load_targets
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements
@@ -86,9 +86,9 @@ def test_poses() -> None:
 def test_target_files(tmp_path: Path) -> None:
     given = arm(slide=False)
     (tmp_path / "targets.csv").write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n1500,-200,900,10,20,30\n")
-    wanted = Targets.load(tmp_path / "targets.csv", given)
-    np.testing.assert_allclose(wanted.orientations[0], from_angles(np.radians([10.0, 20.0, 30.0])), atol=1e-14)
-    found = compensate(given, wanted.positions, orientations=wanted.orientations)
+    wanted = load_targets(tmp_path / "targets.csv", given)
+    np.testing.assert_allclose(wanted["orientations"][0], from_angles(np.radians([10.0, 20.0, 30.0])), atol=1e-14)
+    found = compensate(given, **wanted)
     text = found.text()
     assert text.splitlines()[0].endswith("q6_deg,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,error_mm,error_deg,reachable")
     assert "orientations are those wanted to < 1e-6 deg, by the same model" in found.document().verdict[0]

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from doe.criteria import information_matrix
 from identification import Arm, Calibration, Conditions, EffectSpec, Gravity, Measurements, Model, Plan, estimate
-from identification.arrays import eigen_of_pairs
 from identification.information import Spectrum, column_space, describe, sparse_basis, spectrum
 from identification.simulate import simulate
 from identification.workspace import WorkspaceBox
@@ -198,24 +197,10 @@ def test_limits_that_look_like_degrees_warn() -> None:
     Arm([200.0], lower=[-10.0 * np.pi], upper=[10.0 * np.pi])  # five turns either way: no warning
 
 
-def test_eigenvalues_of_pairs_are_those_of_lapack() -> None:
-    generator = np.random.default_rng(5)
-    halves = generator.standard_normal((300, 2, 2)) * 10.0 ** generator.uniform(-5.0, 0.0, (300, 1, 1))
-    special = [np.zeros((2, 2)), np.eye(2), np.diag([1.0, 2.0]), np.diag([2.0, 1.0]), np.ones((2, 2))]
-    matrices = np.concatenate([halves @ halves.transpose(0, 2, 1), special, [[[1.0, -1.0], [-1.0, 1.0]]]])
-    values, vectors = eigen_of_pairs(matrices)
-    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrices), rtol=0, atol=1e-14 * np.abs(matrices).max())
-    np.testing.assert_allclose(vectors * values[:, None, :] @ vectors.transpose(0, 2, 1), matrices, atol=1e-14)
-    np.testing.assert_allclose(vectors.transpose(0, 2, 1) @ vectors - np.eye(2), 0.0, atol=1e-14)
-
-
 def test_a_plan_and_an_arm_in_a_notebook() -> None:
     found = Plan(np.radians([[10.0, 20.0], [30.0, 40.0]]), np.array([0.5, 0.5]))
-    assert found.to_frame().rows() == [
-        (1, *map(pytest.approx, (10.0, 20.0, 0.5))),
-        (2, *map(pytest.approx, (30.0, 40.0, 0.5))),
-    ]
     assert "q2_deg" in found._repr_html_()
+    assert "<tr><td>2</td><td>30</td><td>40</td><td>0.5</td></tr>" in found._repr_html_()
     shown = Arm([260.0, 180.0], name="a<b", sigma=0.1, effects=(EffectSpec("backlash", 2),))._repr_html_()
     assert "a&lt;b" in shown
     assert "backlash:2" in shown

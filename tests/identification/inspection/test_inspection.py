@@ -86,29 +86,6 @@ def test_each_fault_has_its_sentence() -> None:
         assert sentence.endswith(end)
 
 
-def test_few_readings_whole_turns_away_are_noted() -> None:
-    """Where the limits allow both; not of a joint that turns several times, nor where the limits say it already."""
-    free, good = Arm(LENGTHS, lower=np.full(3, -7.0), upper=np.full(3, 7.0)), data()
-    near = np.column_stack([good.postures[:, :2], 0.04 + 0.3 * good.postures[:, 2]])
-    turns = np.zeros((40, 3))
-    turns[6, 2] = -1.0
-    notes = {}
-    for name, arm, q in (
-        ("once", free, near + 2.0 * np.pi * turns),
-        ("limited", ARM, near + 2.0 * np.pi * turns),
-        ("several", free, 2.6 * good.postures),
-        ("half", free, near + 2.0 * np.pi * (np.arange(40) % 2)[:, None]),
-    ):
-        theta = np.cumsum(q, axis=1)
-        tips = np.stack([np.cos(theta) @ LENGTHS, np.sin(theta) @ LENGTHS], axis=1)
-        found = inspect(arm, Measurements(q, tips + 0.05 * np.random.default_rng(1).standard_normal(tips.shape)))
-        notes[name] = [note for note in found.notes if "whole turns" in note]
-    degrees = np.degrees(near[6, 2]) - 360.0
-    (note,) = notes.pop("once")
-    assert note.startswith(f"joint 3 reads {degrees:.4g} deg in row 7, whole turns away from the other rows (")
-    assert not any(notes.values())
-
-
 def test_what_the_data_cannot_say() -> None:
     found, rows = inspect(ARM, data(still=True)), data()
     both = inspect(ARM, replace(rows, postures=rows.postures * [1.0, 0.01, 0.01]))

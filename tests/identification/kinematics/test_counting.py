@@ -27,7 +27,7 @@ from identification import (
     turned_into,
 )
 from identification.estimation.doubts import outside_limits
-from identification.files.measurement import Targets, measurement_text
+from identification.files.measurement import load_targets, measurement_text
 from identification.kinematics.counting import (
     Counting,
     JointKinds,
@@ -224,7 +224,7 @@ def test_a_plan_comes_back(tmp_path_factory: pytest.TempPathFactory, counting: C
     kinds = JointKinds(["revolute"] * n, counting)
     q = np.random.default_rng(random.randint(0, 99)).uniform(-3.0, 3.0, (4, n))  # type: ignore[attr-defined]
     path = tmp_path_factory.mktemp("plans") / "plan.csv"
-    for text in (Plan(q).text(kinds), Plan(q, joint_types=kinds).to_frame().write_csv()):
+    for text in (Plan(q).text(kinds), Plan(q, joint_types=kinds).text()):
         path.write_text(text)
         np.testing.assert_allclose(Plan.load(path, kinds).postures, q, atol=1e-12)
         np.testing.assert_allclose(
@@ -249,7 +249,7 @@ def test_measurements_and_targets(tmp_path: Path, arm: Arm) -> None:
     assert not known[:, 2].all()  # joint 2 falls, column 3 too: the joint may do either
     np.testing.assert_array_equal(again.directions[known], data.directions[known])
     (tmp_path / "targets.csv").write_text(Plan(q).text(arm.joint_types))
-    wanted = Targets.load(tmp_path / "targets.csv", arm).postures
+    wanted = load_targets(tmp_path / "targets.csv", arm)["postures"]
     np.testing.assert_allclose(wanted, q, atol=1e-12)
     (tmp_path / "plan.csv").write_text("run,q1_deg,q2_deg,q3_deg,direction1,direction2,direction3\n1,1,2,3,1,-1,-1\n")
     found = Plan.load(tmp_path / "plan.csv", arm.joint_types).conditions["directions"]

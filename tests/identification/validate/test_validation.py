@@ -35,7 +35,7 @@ from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_angles, pose
 from identification.measurements import Measurements, distances
 from identification.sessions import outside, pooled_sessions, with_sessions
-from identification.validate import Figures, beside_geometry, extrapolation, judged, prior_judged, validate
+from identification.validate import Figures, beside_geometry, judged, prior_judged, validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 from tests.small_arm import drawn_arm, measured, random_postures, small_arm
@@ -165,11 +165,6 @@ def test_rows_outside_the_identified_range_are_said() -> None:
     # the rows of the identification, whatever file they are in, and some of them among others
     for rows, said in ((tip(q), "says nothing about others"), (tip(q, 0.1 * (np.arange(30) > 8)), "about 30 %")):
         assert said in str(validate(arm, Measurements(q, rows)).notes)
-    curve = EffectSpec("joint_error_curve", 3, curve=ErrorCurve(-0.5, 0.5, np.zeros(5)))
-    assert "curves are zero there" in (extrapolation(replace(arm, effects=(curve,)), other) or "")
-    assert "curves are zero there" not in (extrapolation(replace(arm, effects=(replace(curve, joint=2),)), other) or "")
-    tied = replace(curve, curve=replace(curve.curve, geometry={"joint_offset:1": 1e-3}))
-    assert "by the geometry that was fitted alone" in (extrapolation(replace(arm, effects=(tied,)), other) or "")
 
 
 def test_missing_columns_and_the_same_file_are_said() -> None:
