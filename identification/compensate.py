@@ -315,10 +315,7 @@ class Compensation(Documented):
 # -- inverse kinematics ------------------------------------------------------------------------------------------------
 class Task(NamedTuple):
     """Goals (k, d) of a model [mm], of poses three coordinates more, and postures (k, n) that theirs are to be near,
-    within the limits (n,).
-
-    enough : [mm] what is nearly reached, where nothing gets there exactly
-    """
+    within the limits (n,);  enough : [mm] what is nearly reached, where nothing gets there exactly"""
 
     model: Model
     goals: Array

@@ -181,7 +181,7 @@ def design_files(
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import ExpectedTip, with_choices
-    from doe.plan.moves import drive, with_approach
+    from doe.plan.moves import APPROACH, drive
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
     from identification import load_arm
@@ -201,7 +201,8 @@ def design_files(
     signs = () if loaded.counting is None else loaded.counting.sign
     progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
-    problem = with_approach(problem, approach)
+    away = (approach != "any") * APPROACH * problem.joint_units  # room within the limits to come from there
+    problem = replace(problem, lower=problem.lower + away, upper=problem.upper - away)
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}

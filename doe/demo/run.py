@@ -62,8 +62,9 @@ def planar() -> Scenario:
     return Scenario("the paper's 4-link arm", files, model.position, hidden, runs=20)
 
 
-def hidden_arm() -> TrueArm:
-    """The real arm, its lines in space a little off and its encoder off centre: errors that the fits do not know."""
+def spatial() -> Scenario:
+    """The scenario of the six-axis demo, whose lines in space are a little off and whose encoder is off centre: no arm
+    file can say so, since the fitted model has other parameters."""
     generator = np.random.default_rng(SEED)
     points = POINTS + 0.4 * generator.standard_normal(POINTS.shape)  # [mm], as machined
     axes = AXES + 1.5e-3 * generator.standard_normal(AXES.shape)  # [rad]
@@ -74,15 +75,13 @@ def hidden_arm() -> TrueArm:
     zero, wave = np.zeros((6, 3)), {name: float(np.radians(value)) for name, value in HIDDEN_WAVE.items()}
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     weightless = TrueArm(zero, axes, points, offsets, base, REFLECTOR[None], zero[:, 0], 0.0, -LIMITS, LIMITS, 0.05)
-    return replace(weightless, effects=[("encoder_eccentricity", HIDDEN_JOINT, wave)])
-
-
-def spatial() -> Scenario:
-    """The scenario of the six-axis demo. No arm file can say what is hidden: the fitted model has other parameters."""
-    real, generator = hidden_arm(), np.random.default_rng(SEED)
+    real, dice = (
+        replace(weightless, effects=[("encoder_eccentricity", HIDDEN_JOINT, wave)]),
+        np.random.default_rng(SEED),
+    )
     hidden = {f"encoder_eccentricity:{HIDDEN_JOINT}.{key}": value for key, value in HIDDEN_WAVE.items()}
     files, title = {"robot.urdf": URDF, "arm.toml": SIX_AXES}, "a six-axis arm before a laser tracker"
-    return Scenario(title, files, lambda q: position(real, session(real, q, generator)), hidden, 36, {"starts": 1})
+    return Scenario(title, files, lambda q: position(real, session(real, q, dice)), hidden, 36, {"starts": 1})
 
 
 # -- the loop ----------------------------------------------------------------------------------------------------------

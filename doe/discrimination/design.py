@@ -324,71 +324,42 @@ class Swaps:
     ) -> Iterator[Array]:
         """(m, n) the plan, and it after every swap, better and better;  least : of the base problem's criterion
 
-        Each is the best of the most promising swaps, of a few runs, else of more; there is none where it gains little.
+        Each is the best of the swaps of a few runs and postures whose derivatives promise most; little of log det is
+        left to lose in the end, so its derivative is mixed in.
         """
         yield postures
         problem, p, total = self.problem, self.bound.base, len(postures) + self.problem.prior.runs
-        plan, jacobians, slack = (
-            postures,
-            self.extended.scaled_jacobians(postures),
-            allowed_value(problem, postures) - least,
-        )
-        information = self.extended.information(plan)
-        value = float(-np.log(self.bound.wrong(information)))
-
-        def gains(pairs: NDArray[np.intp]) -> Array:
-            """(c,) what swaps of a run for a posture of the pool add to the criterion; -inf below the least value."""
-            change = information_of_each(columns[pairs[:, 1]]) - information_of_each(jacobians[pairs[:, 0]])
-            informations = information + change / total
-            before = np.linalg.slogdet(information[:p, :p])[1]
-            fits = np.linalg.slogdet(informations[:, :p, :p])[1] - before + slack >= 0.0
-            added = np.full(len(pairs), -np.inf)
-            if fits.any():
-                added[fits] = -np.log(self.bound.wrong(informations[fits])) - value
-            return added
-
-        def best_swap() -> tuple[int, int, float] | None:
-            """Run, place in the pool and value of the base problem."""
-            gradients, ins = [self.bound.gradient(information)], min(8, int(free.sum()))  # effort
-            # effort: little of log det is left to lose, so its derivative counts too
-            for multiplier in (2.0, 10.0) if slack < 0.1 else ():
-                mixed = np.array(gradients[0])
-                mixed[:p, :p] += multiplier * np.linalg.inv(information[:p, :p])
-                gradients.append(mixed)
-            for outs in (4, 50):  # effort: runs that are tried per derivative
-                each = []
-                for gradient in gradients:
-                    losses = np.sum((jacobians @ gradient) * jacobians, axis=(1, 2))
-                    slopes = np.where(free, np.sum((columns @ gradient) * columns, axis=(1, 2)), -np.inf)
-                    runs, places = np.argsort(losses, kind="stable")[:outs], np.argsort(-slopes, kind="stable")[:ins]
-                    each.append(np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2))
-                pairs = np.unique(np.concatenate(each), axis=0)
-                added = np.concatenate([gains(part) for part in np.array_split(pairs, len(pairs) // CLOUD + 1)])
-                for k in np.argsort(-added, kind="stable"):
-                    if not added[k] > gain:
-                        break
-                    run, place = pairs[k]
-                    free[place] = False
-                    trial = np.array(plan)
-                    trial[run] = pool[place]
-                    # the plan keeps its least value and its distances; else the posture is not tried again
-                    if (kept := allowed_value(problem, trial)) >= least:
-                        return run, place, kept
-            return None
-
-        rounds, gain = 5, 1e-3  # effort: of pools; of the criterion, below which the swaps end, ten of it for the pools
+        plan, jacobians = np.array(postures), self.extended.scaled_jacobians(postures)
+        value, kept = float(-np.log(self.wrong(plan))), allowed_value(problem, plan)
+        rounds, gain, outs, ins = 5, 1e-3, 30, 8  # effort: of pools; of the criterion, below which swaps end; of a swap
         for number in range(rounds):
-            before, pool = value, self.pool(plan, generator)
+            before, pool, swapped = value, self.pool(plan, generator), True
             columns, free = self.extended.scaled_jacobians(pool), np.ones(len(pool), dtype=bool)
             if problem.choices is not None and problem.minimum_distance > 0.0:  # no place for what is in the plan
                 free = ~np.any(np.all(pool[:, None] == plan, axis=-1), axis=1)
-            while not budget.ended() and (swap := best_swap()) is not None:
-                run, place, kept = swap
-                plan, slack = np.array(plan), kept - least
-                plan[run], jacobians[run] = pool[place], columns[place]
-                information = self.extended.information(plan)
-                value = float(-np.log(self.bound.wrong(information)))
-                yield plan
-                progress(number, rounds, f"wrong names at most {float(np.exp(-value)):.3f}")
+            while swapped and not budget.ended():
+                information, pairs, swapped = self.extended.information(plan), list[NDArray[np.intp]](), False
+                for multiplier in (0.0, 2.0, 10.0):
+                    gradient = self.bound.gradient(information)
+                    gradient[:p, :p] += multiplier * np.linalg.inv(information[:p, :p])
+                    losses = np.sum((jacobians @ gradient) * jacobians, axis=(1, 2))
+                    slopes = np.where(free, np.sum((columns @ gradient) * columns, axis=(1, 2)), -np.inf)
+                    runs, places = np.argsort(losses)[:outs], np.argsort(-slopes)[: min(ins, int(free.sum()))]
+                    pairs.append(np.stack(np.meshgrid(runs, places, indexing="ij"), axis=-1).reshape(-1, 2))
+                runs, places = np.unique(np.concatenate(pairs), axis=0).T
+                change = information_of_each(columns[places]) - information_of_each(jacobians[runs])
+                after = information + change / total
+                lost = np.linalg.slogdet(information[:p, :p])[1] - np.linalg.slogdet(after[:, :p, :p])[1]
+                added = np.where(lost <= kept - least, -np.log(self.bound.wrong(after)) - value, -np.inf)
+                for k in np.argsort(-added)[: int(np.sum(added > gain))].tolist():
+                    run, place, trial = runs[k], places[k], np.array(plan)
+                    trial[run], free[place] = pool[place], False
+                    # the plan keeps its least value and its distances; else the posture is not tried again
+                    if (reached := allowed_value(problem, trial)) >= least:
+                        plan, kept, value, swapped = trial, reached, value + float(added[k]), True
+                        jacobians[run] = columns[place]
+                        yield plan
+                        progress(number, rounds, f"wrong names at most {float(np.exp(-value)):.3f}")
+                        break
             if budget.ended() or value < before + 10.0 * gain:
                 break

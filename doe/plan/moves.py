@@ -215,22 +215,19 @@ def route(
         length, proven = np.pad(length, wider, constant_values=np.inf), np.pad(proven, wider)
         connect(old, neighbors)
         order, ways, missing = shortest()
-    steps = [nodes[aims[order[:1]]], *(tightened(nodes[way], room)[1:] for way in ways)]
+    steps = [nodes[aims[order[:1]]]]
+    for way in (nodes[each] for each in ways):  # bends go nearer to straight lines, or go, as far as moves stay free
+        for share in (1.0, 0.7, 0.5):  # of the way from a bend to the straight line
+            for bend in range(len(way) - 2, 0, -1):
+                first, here, last = way[bend - 1 : bend + 2]
+                nearer = here + share * (0.5 * (first + last) - here)
+                if room.free(np.array([first, nearer]), np.array([nearer, last])).all():
+                    way[bend] = nearer
+                    way = np.delete(way, bend, axis=0) if share == 1.0 else way
+        steps.append(way[1:])
     alike = np.all(nodes[aims] == postures, axis=1)
     steps = [step if alike[row] else np.vstack([step, postures[row]]) for step, row in zip(steps, order, strict=True)]
     return order, steps, missing.tolist()
-
-
-def tightened(way: Array, room: Room) -> Array:
-    """A way (v, n) with its bends nearer to straight lines, or without them, as far as the moves stay free."""
-    for share in (1.0, 0.7, 0.5):  # of the way from a bend to the straight line
-        for bend in range(len(way) - 2, 0, -1):
-            first, here, last = way[bend - 1 : bend + 2]
-            nearer = here + share * (0.5 * (first + last) - here)
-            if room.free(np.array([first, nearer]), np.array([nearer, last])).all():
-                way[bend] = nearer
-                way = np.delete(way, bend, axis=0) if share == 1.0 else way
-    return way
 
 
 def approaches(postures: Array, senses: Array, room: Room, generator: np.random.Generator, tries: int = 40) -> Array:
@@ -426,9 +423,3 @@ def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -
     longest = np.where(turns(model), model.reach, 1.0)
     count = margin(np.zeros((1, len(longest)))).shape[1] - sum(solid)
     return Room(margin, np.concatenate([clearance.levers()[solid], np.tile(longest, (count, 1))]), *place)
-
-
-def with_approach(problem: DesignProblem, approach: str) -> DesignProblem:
-    """The problem with postures that leave room within the limits to come from where they are approached."""
-    away = (approach != "any") * APPROACH * problem.joint_units
-    return replace(problem, lower=problem.lower + away, upper=problem.upper - away)

@@ -33,7 +33,10 @@ def half_at_limits(problem: DesignProblem, anywhere: Array, others: Array, gener
 
 
 def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], generator: Generator) -> Array:
-    """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare."""
+    """(count, n) feasible postures of those that `draw(size)` makes, or near them where they are too rare.
+
+    Raises `InputError` with the constraints that exclude everything where there are none.
+    """
     if not problem.constraints:
         return draw(count)
     feasible, seen = np.empty((0, problem.joints)), []
@@ -44,8 +47,22 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
             feasible = np.concatenate([feasible, part[problem.feasible(part)]])
             if len(feasible) >= count:
                 return feasible[:count]
+    if not len(feasible):  # those near the least infeasible of many
+        every = np.concatenate(seen)
+        lacking = np.maximum(0.0, -problem.walls.values(every) / problem.steepness).sum(axis=1)
+        best = put_inside(problem, every[np.argsort(lacking)[:64]])
+        feasible, every = best[problem.feasible(best)], np.concatenate([every, best])
     if not len(feasible):
-        feasible = _led_inside(problem, np.concatenate(seen))
+        fits = np.array([np.all(c.margin(every) >= 0.0, axis=1) for c in problem.constraints])
+        names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(problem.constraints)]
+        alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
+        pairs = [(a, b) for b in range(len(names)) for a in range(b) if not np.any(fits[a] & fits[b])]
+        conflict = f"no posture satisfies all of {', '.join(names)} together"
+        if alone:
+            conflict = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
+        elif pairs:
+            conflict = f"no posture satisfies {names[pairs[0][0]]} and {names[pairs[0][1]]} together"
+        raise InputError(f"constraints: {conflict}, allowed: constraints that leave some")
     near = feasible[generator.integers(len(feasible), size=count)]
     steps = generator.standard_normal(near.shape) * 0.2 * (problem.upper - problem.lower)
     moved = put_inside(problem, problem.clip(near + steps))
@@ -81,29 +98,6 @@ def put_inside(problem: DesignProblem, postures: Array) -> Array:
         steps *= np.minimum(1.0, 0.3 / np.maximum(np.abs(steps).max(axis=1, keepdims=True), 1e-300))
         inside[outside] = problem.clip(inside[outside] + steps)
     return inside
-
-
-def _led_inside(problem: DesignProblem, postures: Array) -> Array:
-    """Feasible postures near the least infeasible of many.
-
-    Raises `InputError` with the constraints that exclude everything where there are none.
-    """
-    lacking = np.maximum(0.0, -problem.walls.values(postures) / problem.steepness).sum(axis=1)
-    best = put_inside(problem, postures[np.argsort(lacking)[:64]])
-    if (feasible := problem.feasible(best)).any():
-        return best[feasible]
-    every = np.concatenate([postures, best])
-    fits = np.array([np.all(c.margin(every) >= 0.0, axis=1) for c in problem.constraints])
-    names = [f"constraint {k + 1} ({c.kind})" for k, c in enumerate(problem.constraints)]
-    alone = [name for name, fit in zip(names, fits, strict=True) if not fit.any()]
-    pairs = [(a, b) for b in range(len(names)) for a in range(b) if not np.any(fits[a] & fits[b])]
-    if alone:
-        conflict = f"no posture within the joint limits satisfies {' nor '.join(alone)}"
-    elif pairs:
-        conflict = f"no posture satisfies {names[pairs[0][0]]} and {names[pairs[0][1]]} together"
-    else:
-        conflict = f"no posture satisfies all of {', '.join(names)} together"
-    raise InputError(f"constraints: {conflict}, allowed: constraints that leave some")
 
 
 # -- grids and lists ---------------------------------------------------------------------------------------------------

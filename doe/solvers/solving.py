@@ -204,7 +204,9 @@ def _offers(
         dice, joints = np.random.default_rng([seed, runs]), list(chain_joints(problem)) if applies(problem) else []
         if len(joints) < runs and joints and np.all((problem.upper - problem.lower)[joints] >= turn - 1e-9):
             # without limits theta_j = 2 pi i f_j / m, f_j distinct (doe/README.md, "Information matrix"), shuffled
-            cycles = np.diff(dice.choice(runs, len(joints) + 1, replace=False)) / runs
+            drawn = (np.diff(dice.choice(runs, len(joints) + 1, replace=False)) for _ in range(30))
+            # each joint at as many angles as can be: few angles hide effects
+            cycles = max(drawn, key=lambda each: int(np.min(runs // np.gcd(each, runs)))) / runs
             begin = np.tile(problem.lower, (runs, 1))
             begin[:, joints] += turn * ((np.outer(dice.permutation(runs), cycles) + dice.random(len(joints))) % 1.0)
         elif runs > LONG_PLAN:  # where good postures are few, time may end before those of better plans are moved apart

@@ -132,10 +132,8 @@ def _moving(
     functions: Callable[[Chain, int], ca.SX],
     **more: Any,
 ) -> None:
-    """Add an effect that shifts and turns something, each by functions of what holds in a row.
-
-    unit : of the values, shifts and turns at the reach;  places : of the shift and of the turn;  count : of functions
-    """
+    """Add an effect that shifts and turns something, at its places, each by so many functions of what holds in a row;
+    unit : of the values, shifts and turns at the reach"""
 
     def moved(self: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift, turn = (widths(self.chain)[place] for place in places)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem
-from doe.plan.moves import APPROACH, MOVING, drive, one_turn, room_of, with_approach
+from doe.plan.moves import APPROACH, MOVING, drive, one_turn, room_of
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
@@ -53,6 +53,12 @@ def test_a_wall_may_be_left_and_reached_again() -> None:
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
+def with_approach(problem: DesignProblem, approach: str) -> DesignProblem:
+    """The problem with room within the limits, as `armcal design --approach` has it."""
+    away = (approach != "any") * APPROACH * problem.joint_units
+    return replace(problem, lower=problem.lower + away, upper=problem.upper - away)
+
+
 def ball(name: str, joint: int, x: float, y: float, radius: float) -> Body:
     return Body(name, joint, np.array([x, y, 0.0, x, y, 0.0, radius]))
 
