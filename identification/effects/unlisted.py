@@ -140,15 +140,11 @@ def _moving(
         both = ca.mtimes(ca.reshape(values, shift + turn, count), functions(chain, count))
         return both[:shift], both[shift:] / self.reach
 
-    formulas = {
-        places[0]: lambda self, chain, values: moved(self, chain, values)[0],
-        places[1]: lambda self, chain, values: moved(self, chain, values)[1],
-    }
-
     def counted(self: Effect) -> list[Number]:
         return numbers(count * sum(widths(self.chain)[place] for place in places), unit)
 
-    of_any_form(name, about, counted, **formulas, **more)
+    each = {place: lambda self, chain, values, k=k: moved(self, chain, values)[k] for k, place in enumerate(places)}
+    of_any_form(name, about, counted, **each, **more)
 
 
 BASE, GEOMETRY = ("base_translation", "base_rotation"), ("joint_shifts", "joint_turns")

@@ -453,5 +453,5 @@ def starts(problem: Problem) -> Array:
     solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
-    known, closed = (np.einsum("kmd,m->k", problem.residuals(x) ** 2, problem.weights) for x in (best_known, solved))
-    return np.where((known < closed)[:, None], best_known, solved)
+    before, after = (np.einsum("kmd,m->k", problem.residuals(x) ** 2, problem.weights) for x in (best_known, solved))
+    return np.where((before < after)[:, None], best_known, solved)

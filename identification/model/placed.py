@@ -275,12 +275,12 @@ def minimal(
         markers = np.arange(len(model.arm.chain.tools), dtype=float)[:, None] * np.ones(len(postures))
         parts = [(model, postures, [Conditions(marker=marker) for marker in markers])]
     bases, others = list[Array](), list[Array]()
-    for there, postures, conditions in parts:
-        parameters = there.parameters
+    for shown, postures, conditions in parts:
+        parameters = shown.parameters
         first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
         order, count = [k for kind in first for k in parameters.indices(kind)], len(parameters.indices(BASE))
-        sizes = [there.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order]  # they can be off by
-        columns = np.concatenate([there.jacobian(postures, None, at) for at in conditions])
+        sizes = [shown.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order]  # they can be off by
+        columns = np.concatenate([shown.jacobian(postures, None, at) for at in conditions])
         columns = columns.reshape(-1, len(parameters))[:, order] * sizes
         bases.append(columns[:, :count])
         others.append(columns[:, count:])
