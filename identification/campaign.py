@@ -65,7 +65,7 @@ def campaign_document(
             read = (c for kind in (TRACKER, instrument) for c in kind.coordinates[:1])
             columns = {f"{c.name}_{unit}" for c in read for unit in UNITS[c.quantity]}
             # of a plan of contacts, too, there is no reading
-            if (instrument.contact and "run" not in table) or not columns.isdisjoint(table.columns):
+            if (instrument.contact and "run" not in table) or not columns.isdisjoint(table.frame.columns):
                 measurements[name], kinds[name] = load_measurements(path, arms[first]), "measurements"
             else:
                 plans[name], kinds[name] = Plan.load(path, arms[first].joint_types, vias=True), "plan"
