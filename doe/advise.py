@@ -90,7 +90,7 @@ def with_scatter(arm: Arm) -> tuple[Arm, str]:
     is missing without one."""
     if arm.sigma is not None:
         return arm, ""
-    if arm.calibration is None or (scatter := arm.calibration.provenance.get("scatter_mm")) is None:
+    if arm.calibration is None or (scatter := arm.calibration.scatter) is None:
         return arm, f"No standard deviations, no tip error: that {NEEDS_SIGMA}."
     scatter_in_words = f"sigma_mm = {scatter:.3g}, the scatter that its identification left"
     return replace(arm, sigma=scatter), f"The arm file has no sigma_mm: {scatter_in_words}, is taken for it."

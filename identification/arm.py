@@ -233,6 +233,12 @@ class Calibration(ByValue):
         """(n,) [rad]."""
         return by_joint(self.values, JOINT_OFFSET)
 
+    @property
+    def scatter(self) -> float | None:
+        """Standard deviation of one coordinate that its identification left [mm], None: it does not say."""
+        scatter = self.provenance.get("scatter_mm")
+        return scatter if isinstance(scatter, float) and SIGMA_RANGE[0] <= scatter <= SIGMA_RANGE[1] else None
+
     def about(self, names: Iterable[str]) -> Calibration:
         """All values, with the covariance of these parameters only."""
         chosen = set(names)

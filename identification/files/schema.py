@@ -283,7 +283,6 @@ class ProvenanceTable(BaseModel):
     rows: Annotated[int, Field(ge=1)] = 1
     rms_after_mm: NotNegative = 0.0
     expected_tip_mm: NotNegative = 0.0
-    scatter_mm: Sigma | None = None
     joint_range_deg: list[Range] = []
     joint_range_mm: list[Range] = []
 
