@@ -103,7 +103,7 @@ def compensate(
     where, (tip, *others) = replace(conditions or Conditions(), orientation=turned), arm.chain.tools
     assumed = [f"targets are where measured point {tip} goes, not {', '.join(others)}"] if others else []
     if where.time is None and (once := [effect.key for effect in model.effects if effect.once]):
-        where = replace(where, time=np.full(len(goals), 0.5))
+        where = where.afterwards(len(goals))
         assumed.append(f"{', '.join(once)}: the value at the end of the session of the identification is used")
     if where.temperature is None and (warm := [e.key for e in model.effects if "temperature" in e.needs]):
         mean = identified(arm).get("mean_temperature_C")
