@@ -168,9 +168,7 @@ def curves_figure(diagnosis: Diagnosis) -> Figure:
     return panels(sorted(diagnosis.curves, key=lambda curve: curve.joint), 2, 2.2, draw)
 
 
-def panels(
-    items: Sequence[Any], columns: int, height: float, draw: Callable[[Axes, Any], None], **style: Any
-) -> Figure:
+def panels(items: Sequence[Any], columns: int, height: float, draw: Callable[[Axes, Any], Any], **style: Any) -> Figure:
     """One picture of a panel for each item, the first with a legend."""
     rows = -(-len(items) // columns)
     figure = Figure(figsize=(10.0, height * rows), layout="constrained")

@@ -149,9 +149,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     )
 
 
-def described(
-    arm: Arm, effects: Sequence[Mapping[str, Any]] | None, calibration: Mapping[str, Any] | None = None
-) -> Arm:
+def described(arm: Arm, effects: Sequence[Plain] | None, calibration: Plain | None = None) -> Arm:
     """An arm with entries of `[[effects]]`, None: its own, and with a `[calibration]`, None: without any."""
     chain, kind, found = arm.chain, arm.chain.kind, None
     built = _built(arm.effects, chain)
