@@ -39,8 +39,7 @@ Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
 
 class Points(NamedTuple):
-    """Where k searches are: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares (k,) and damping
-    (k,)."""
+    """Of k searches: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares and damping (k,)."""
 
     x: Array
     residuals: Array

@@ -37,8 +37,7 @@ class Declared(dict[str, tuple[Callable[..., Answer], str]]):
     """Name of a verb -> what it does, and an example of it."""
 
     def declare(self, example: str) -> Callable[[Callable[P, Answer]], Callable[P, Answer]]:
-        """The function below is the verb of its example, `armcal NAME ...`. The files of its answer are written last,
-        all or none."""
+        """The function below is the verb of its example, `armcal NAME ...`; its files are written last, all or none."""
 
         def declared(function: Callable[P, Answer]) -> Callable[P, Answer]:
             @wraps(function)

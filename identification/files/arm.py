@@ -348,8 +348,7 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
 def _calibration(
     table: Any, chain: KinematicChain, effects: Effects, provenance: Mapping[str, Any]
 ) -> tuple[Calibration, KinematicChain]:
-    """In API units, and the chain whose errors it has. Raises `InputError` for parameters that arm and effects do not
-    have."""
+    """In API units, and the chain whose errors it has. Raises `InputError` for parameters that are not of the arm."""
     given = (table.values or {}) | table.effects
     for kind, key in chain.lists.items():
         if (values := getattr(table, key)) is not None:
