@@ -41,8 +41,7 @@ def placing(parameters: ParameterSet) -> list[int]:
 def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     """Sessions by name as one table; a table that names sessions of its own keeps them, its name before theirs.
 
-    Columns that not every table has are left out, with a warning (`UserWarning`). Raises `InputError` for tables of
-    different arms.
+    Columns that not every table has are left out, with a warning. Raises `InputError` for tables of different arms.
     """
     parts = []
     for name, table in tables.items():

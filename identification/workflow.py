@@ -70,8 +70,7 @@ Names = Annotated[list[str], words, "NAMES"]
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
-    """The measurements of an arm from one file or several, each of which is a session of its file's name; warns where
-    the units look wrong.
+    """The measurements of an arm from files, each a session of its file's name; warns of units that look wrong.
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """

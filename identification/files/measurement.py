@@ -245,8 +245,7 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
 
 # -- writing columns ---------------------------------------------------------------------------------------------------
 def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") -> Columns:
-    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic
-    joint.
+    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides.
 
     name : `q`, or `commanded`
     """
