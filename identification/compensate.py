@@ -103,7 +103,7 @@ def compensate(
     where, (tip, *others) = replace(conditions or Conditions(), orientation=turned), arm.chain.tools
     assumed = [f"targets are where measured point {tip} goes, not {', '.join(others)}"] if others else []
     if where.time is None and (once := [effect.key for effect in model.effects if effect.once]):
-        where = replace(where, time=np.full(len(goals), 0.5))
+        where = where.afterwards(len(goals))
         assumed.append(f"{', '.join(once)}: the value at the end of the session of the identification is used")
     if where.temperature is None and (warm := [e.key for e in model.effects if "temperature" in e.needs]):
         mean = identified(arm).get("mean_temperature_C")
@@ -315,10 +315,7 @@ class Compensation(Documented):
 # -- inverse kinematics ------------------------------------------------------------------------------------------------
 class Task(NamedTuple):
     """Goals (k, d) of a model [mm], of poses three coordinates more, and postures (k, n) that theirs are to be near,
-    within the limits (n,).
-
-    enough : [mm] what is nearly reached, where nothing gets there exactly
-    """
+    within the limits (n,);  enough : [mm] what is nearly reached, where nothing gets there exactly"""
 
     model: Model
     goals: Array

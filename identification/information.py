@@ -33,10 +33,8 @@ TOUCHED = 1e-3  # a parameter with less than this in every null direction is est
 
 
 def column_lengths(sizes: Array, scales: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """(..., p) what to divide the columns of a Jacobian by, and which of them are zero (those by their scale).
-
-    sizes : (..., p) Euclidean lengths of the columns;  scales : (p,) `Model.scales` [mm/unit]
-    """
+    """(..., p) what to divide the columns of a Jacobian by, and which of them are zero (those by their scale);  sizes :
+    (..., p) Euclidean lengths of the columns;  scales : (p,) `Model.scales` [mm/unit]"""
     relative = sizes / scales
     longest = np.minimum(relative, sizes)  # a joint behind a short link moves the tip by far more than its scale
     zero = relative <= RANK_TOLERANCE * np.max(longest, axis=-1, keepdims=True, initial=np.finfo(float).tiny)
@@ -136,10 +134,8 @@ class Spectrum:
         return tuple(describe(direction, names) for direction in basis.T)
 
     def determined(self, jacobian: Array) -> float:
-        """How many of p parameters the data determine, a prior the rest: tr J (J^T J + R^T R)^-1 J^T.
-
-        jacobian : (N, p) rows J of the data alone; the prior's R are in this decomposition, too
-        """
+        """How many of p parameters the data determine, a prior the rest: tr J (J^T J + R^T R)^-1 J^T, with rows J
+        (N, p) of the data alone; the prior's R are in this decomposition, too."""
         return float(np.sum(np.square(jacobian @ self.root)))
 
 

@@ -102,6 +102,10 @@ class Conditions(ByValue):
         """Whether what joints did before is known of more than the first row."""
         return self.directions is None or int(np.any(self.directions != 0.0, axis=-1).sum()) > 1
 
+    def afterwards(self, rows: int) -> Conditions:
+        """The conditions of so many rows once all sessions of an identification are over: later than any step."""
+        return replace(self, time=np.full(rows, 0.5), session=np.full(rows, 1000.0))
+
     def rows(self, index: Any) -> Conditions:
         """The conditions of some rows (any numpy index)."""
         pick = {name: value[index] for name, value in vars(self).items() if value is not None}

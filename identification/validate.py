@@ -236,7 +236,7 @@ def _refitted(
     conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
     own = share_fitted(identified(origin), measurements) >= MOST
     if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
-        conditions = replace(conditions, time=np.full(len(measurements), 0.5))  # from -0.5
+        conditions = conditions.afterwards(len(measurements))
     if measurements.temperature is not None and mean is not None:
         conditions = replace(conditions, temperature=measurements.temperature - float(mean))
     refitted, residuals, left_open = list[dict[str, Any]](), np.empty_like(measurements.positions), 0

@@ -319,6 +319,7 @@ def identify_files(
     )
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
+    from identification.estimation.result import corrected_geometry
     from identification.files.arm import corrected_urdf, load_arm
     from identification.gap.library_prior import library_prior
     from identification.gap.noise import with_repeats_doubted
@@ -337,6 +338,8 @@ def identify_files(
 
     # the arm and its rows
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
+    if urdf is not None:  # before the fit, as it would be written of the drawing
+        corrected_urdf(arm, corrected_geometry(loaded.chain, {}, None))
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)

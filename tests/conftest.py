@@ -44,3 +44,4 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest first: none must be the last that one core works on while the others wait."""
     items.sort(key=lambda item: min(FIRST.index(part) if part in FIRST else len(FIRST) for part in item.path.parts))
     gc.freeze()  # modules and tests stay to the end: to look through them for garbage takes seconds of the suite
+    gc.set_threshold(50_000)  # and so does to look after every 700 of the many numbers of CasADi

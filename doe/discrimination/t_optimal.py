@@ -7,6 +7,7 @@ the right one is the only one left is multiplied by their probability together.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
@@ -29,7 +30,7 @@ class NextPostures:
     plan : (K) postures in the order of measurement, and of their conditions `payload` (K,) [kg] where there was a
         choice and `directions` (K, n) of approach where they matter
     chance : upper bound on the predicted probability that only the right candidate is left
-    pairs : (candidate, rival) -> expected lambda between them;  status : `local_optimum` or `time_limit`
+    pairs : (candidate, rival) -> expected lambda between them;  status : `local_optimum`, or what ended it
     """
 
     plan: Plan
@@ -38,7 +39,7 @@ class NextPostures:
     status: Status = Status.local_optimum
 
     def __str__(self) -> str:
-        cut = ", their search was cut" if self.status is Status.time_limit else ""
+        cut = ", their search was cut" if self.status is not Status.local_optimum else ""
         chance = f"at most {100.0 * self.chance:.0f} %"
         return f"{len(self.plan)} postures{cut}; probability that the right candidate alone is left: {chance}"
 
@@ -143,20 +144,20 @@ def discriminate(
     if runs < 1:
         raise InputError(f"runs: {runs}, allowed: at least 1")
     if len(diagnosis.candidates) < 2:
-        raise InputError(
-            f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with candidates to distinguish"
-        )
+        raise InputError(f"diagnosis: the verdict is {diagnosis.verdict}, allowed: ambiguous, with several candidates")
     problem, generator = DesignProblem.of(model), np.random.default_rng(seed)
     pool = random_postures(problem, 1500, generator)  # effort
     # a payload and directions of approach for each posture, at random
     payload = generator.choice(np.array(payloads), len(pool)) if payloads else None
     directions = generator.choice(np.array([-1.0, 1.0]), pool.shape)
     rivals = RivalPredictions.of(diagnosis, pool, payload, directions)
-    chosen = [rivals.best_beside([])]
-    for k in [*range(1, runs), *range(runs), *range(runs)]:  # effort: two rounds of exchanges after the greedy choice
-        if stop():
-            break
-        chosen[k : k + 1] = [rivals.best_beside(chosen[:k] + chosen[k + 1 :])]
+    chosen, status = [rivals.best_beside([])], Status.interrupted
+    with suppress(KeyboardInterrupt):
+        for k in [*range(1, runs), *range(runs), *range(runs)]:  # effort: after the greedy choice two of exchanges
+            if stop():
+                break
+            chosen[k : k + 1] = [rivals.best_beside(chosen[:k] + chosen[k + 1 :])]
+        status = Status.time_limit if stop() else Status.local_optimum
     chosen = [chosen[k % len(chosen)] for k in range(runs)]  # cut: those that are there are taken again, in turn
     squares, _ = rivals.noncentrality(chosen)
     chance = rivals.pair_chance(squares[:, :, None])[:, :, 0]
@@ -168,5 +169,5 @@ def discriminate(
         Plan(pool[chosen], joint_types=problem.model.joint_types, conditions=conditions),
         rivals.right * float(rivals.weights @ chance.min(axis=1)),
         {(names[i], names[j]): float(np.sqrt(squares[i, j])) for i, j in permutations(range(len(names)), 2)},
-        Status.time_limit if stop() else Status.local_optimum,
+        status,
     )

@@ -89,7 +89,7 @@ def put_inside(problem: DesignProblem, postures: Array) -> Array:
     for _ in range(20):  # effort: steps
         values, slopes = problem.walls.first(inside)
         lacking = 2.0 * INSIDE - values / problem.steepness
-        most = lacking.max(axis=1)
+        most = lacking.max(axis=1, initial=-np.inf)
         if not len(outside := np.flatnonzero(most > INSIDE)):
             break
         slope = (slopes / problem.steepness)[outside, :, lacking[outside].argmax(axis=1)]

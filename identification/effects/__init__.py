@@ -69,10 +69,8 @@ def of_dimension(dimension: int) -> Mapping[str, type[Effect]]:
 
 
 def build_all(specs: Sequence[EffectSpec], chain: KinematicChain) -> tuple[Effect, ...]:
-    """Build the effects of an arm; where two have the same name and joint, their keys include the settings.
-
-    Raises `InputError` as `build` does, and for two effects with the same name, joint and settings.
-    """
+    """Build the effects of an arm; where two have the same name and joint, their keys include the settings. Raises
+    `InputError` as `build` does, and for two effects with the same name, joint and settings."""
     alike = Counter(spec.key for spec in specs)
     effects = tuple(map(build, specs, repeat(chain), [alike[spec.key] > 1 for spec in specs]))
     for key, times in Counter(effect.key for effect in effects).items():

@@ -102,10 +102,8 @@ def clock(time: Any, session: Any) -> Any:
 
 
 class Number(NamedTuple):
-    """A parameter in the declaration of an effect, see `Parameter`.
-
-    scale : [mm] that one unit moves the tip by, in order of magnitude, or the function of the effect that says it
-    """
+    """A parameter in the declaration of an effect, see `Parameter`;  scale : [mm] that one unit moves the tip by, in
+    order of magnitude, or the function of the effect that says it"""
 
     short: str
     unit: str
@@ -226,10 +224,8 @@ OWN = "identification.effects"
 
 
 def register(cls: type[Effect]) -> type[Effect]:
-    """Class decorator that adds an effect to the library under its name.
-
-    A user's own class may be defined again, as in notebooks. Raises `InputError` for a name that the library uses.
-    """
+    """Class decorator that adds an effect to the library under its name; a user's own class may be defined again, as in
+    notebooks. Raises `InputError` for a name that the library uses."""
     taken = _LIBRARY.get(cls.name)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
         raise InputError(f"effect: the name {cls.name!r} is taken by the library, allowed: another name")
@@ -357,11 +353,8 @@ def position_and_state(
     chain: Chain, effects: Sequence[Effect], values: ca.SX, added: ca.SX | None = None
 ) -> tuple[ca.SX, ca.SX]:
     """(d,) measured position [mm] (identification/README.md, "Effects"), with three further elements where orientations
-    are measured, see `Model.symbols`; and the state (`state_slices`).
-
-    values : those of the geometry, then the parameters of the effects in order
-    added : further contributions at all places, in the order of `widths`
-    """
+    are measured, see `Model.symbols`; and the state (`state_slices`);  values : those of the geometry, then the
+    parameters of the effects in order;  added : further contributions at all places, in the order of `widths`"""
     drawn, sizes = chain.geometry, widths(chain.geometry)
     counts = [len(effect.parameters) for effect in effects]
     geometry, *parts = ca.vertsplit(values, [*accumulate([0, values.numel() - sum(counts), *counts])])

@@ -144,7 +144,7 @@ of_joint(
     each("bh", "rad", 5e-5, LEVER),  # typical: a count of an encoder of 17 bits, 4.8e-5 rad
     of_commands=True,
 )
-of_joint(
+of_turning_joint(
     "joint_error_curve",
     "smooth error over the angles measured, as a table: a function of the joint's own angle, found by `diagnose`; "
     "zero beyond these",
@@ -177,10 +177,18 @@ def _after(effect: Effect, chain: Chain) -> ca.SX:
     return clock(chain.time, chain.session) > effect.chosen["at"]
 
 
+def _beside(effect: Effect, chain: Chain) -> ca.SX:
+    """1 on one side of the step, of a later session in that alone, since each has a base of its own; 0 elsewhere."""
+    at, session = effect.chosen["at"], chain.session
+    there = ca.fmax(at <= 0.5, ca.fabs(at - clock(0.0, session)) <= 0.5)
+    return there * (effect.chosen["side"] * (clock(chain.time, session) - at) > 0)
+
+
 of_step = partial(of_time, prior=RARE, once=True, settings={"at": STEP})
 of_step(
     "joint_step",
-    "zero of a joint jumps during the session: b for t > at, as after a collision or a lost count",
+    "zero of a joint jumps at a time: b for t > at, as after a collision or a lost count; t = -0.5..0.5, in each "
+    "further session 1.1 later",
     [Number("b", "rad", 2e-4, LEVER)],  # typical: a few encoder counts lost, or a light collision
     per_joint="required",
     joint_angles=lambda self, chain, values: values * _after(self, chain),
@@ -194,13 +202,11 @@ of_step(
 )
 of_step(
     "base_step",
-    "base or tracker jumps during the session: + (x, y), in space + (x, y, z), on one side of a time",
+    "base or tracker jumps at a time: + (x, y), in space + (x, y, z), on one side of a time",
     lambda self: each(self.chain.axes, "mm", 0.1),  # typical: as of `link_step`
     # side 1: for t > at, -1: for t < at; where the model has no `base_offset` that is not the same
     settings={"at": STEP, "side": Setting(-1, 1, (-1.0, 1.0), whole=True)},
-    base_translation=lambda self, chain, values: (
-        values * (self.chosen["side"] * (clock(chain.time, chain.session) - self.chosen["at"]) > 0)
-    ),
+    base_translation=lambda self, chain, values: values * _beside(self, chain),
 )
 of_load(
     "payload_error",

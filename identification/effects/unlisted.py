@@ -132,25 +132,19 @@ def _moving(
     functions: Callable[[Chain, int], ca.SX],
     **more: Any,
 ) -> None:
-    """Add an effect that shifts and turns something, each by functions of what holds in a row.
-
-    unit : of the values, shifts and turns at the reach;  places : of the shift and of the turn;  count : of functions
-    """
+    """Add an effect that shifts and turns something, at its places, each by so many functions of what holds in a row;
+    unit : of the values, shifts and turns at the reach"""
 
     def moved(self: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift, turn = (widths(self.chain)[place] for place in places)
         both = ca.mtimes(ca.reshape(values, shift + turn, count), functions(chain, count))
         return both[:shift], both[shift:] / self.reach
 
-    formulas = {
-        places[0]: lambda self, chain, values: moved(self, chain, values)[0],
-        places[1]: lambda self, chain, values: moved(self, chain, values)[1],
-    }
-
     def counted(self: Effect) -> list[Number]:
         return numbers(count * sum(widths(self.chain)[place] for place in places), unit)
 
-    of_any_form(name, about, counted, **formulas, **more)
+    each = {place: lambda self, chain, values, k=k: moved(self, chain, values)[k] for k, place in enumerate(places)}
+    of_any_form(name, about, counted, **each, **more)
 
 
 BASE, GEOMETRY = ("base_translation", "base_rotation"), ("joint_shifts", "joint_turns")

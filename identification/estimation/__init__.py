@@ -7,9 +7,4 @@
 from identification.estimation.estimate import estimate, estimate_batch, without_outliers
 from identification.estimation.result import Identification
 
-__all__ = [
-    "Identification",
-    "estimate",
-    "estimate_batch",
-    "without_outliers",
-]
+__all__ = ["Identification", "estimate", "estimate_batch", "without_outliers"]

@@ -173,15 +173,15 @@ def another_frame(model: Model, measurements: Measurements) -> list[str]:
 
 def lacking(model: Model, measurements: Measurements) -> list[str]:
     """What a model needs of rows that it is to predict, and what is taken where they do not have it."""
-    return [
-        f"{effect.key} needs the column {column}, which the measurements lack: {instead} is taken"
-        for effect in model.effects
-        for need, column, missing, instead in (
-            ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
-            ("time", "order or time_s", measurements.order is None, "the order of the rows"),
-        )
-        if need in effect.needs and missing
-    ]
+    said = list[str]()
+    for need, column, missing, instead in (
+        ("temperature", "temperature_C", measurements.temperature is None, "the mean temperature"),
+        ("time", "order or time_s", measurements.order is None, "the order of the rows"),
+    ):
+        if missing and (keys := [effect.key for effect in model.effects if need in effect.needs]):
+            needs = f"{', '.join(keys)} need{'s' * (len(keys) == 1)}"
+            said.append(f"{needs} the column {column}, which the measurements lack: {instead} is taken")
+    return said
 
 
 def worth_freeing(held: float, free: float, freed: int, spare: float, factor: float) -> bool:

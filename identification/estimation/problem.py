@@ -72,8 +72,7 @@ class Prior(ByValue):
     def released(self, names: Collection[str], machining: Mapping[str, float]) -> Prior:
         """Without what the earlier calibration says of these; that of the machining (name -> deviation) stays."""
         kept = self.earlier.about(set(self.earlier.parameter_names) - set(names))
-        machined = {name: size for name, size in machining.items() if name in names}
-        return Prior({**machined, **self.deviations}, kept)
+        return Prior({n: size for n, size in machining.items() if n in names} | dict(self.deviations), kept)
 
     def center(self, parameters: ParameterSet) -> Array:
         """(p,) means, zero where there is no prior."""
@@ -83,8 +82,6 @@ class Prior(ByValue):
         """(p, r) F, with the covariance F F^T; zero in the rows of parameters without a prior."""
         deviations = parameters.vector(self.deviations, default=0.0)
         independent = np.diag(deviations)[:, deviations > 0.0]
-        if not self.earlier.parameter_names:
-            return independent
         earlier = self.earlier.about(parameters.names)
         covariance = np.asarray(earlier.covariance)
         sizes = np.sqrt(np.diag(covariance))  # combinations known better than rounding are held as well as that
@@ -118,29 +115,23 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
     if lacking := [name for name in FITTED.split() if not hasattr(model, name)]:
         allowed = f"allowed: a Model, as in Model(arm), or one with {lacking[0]}"
         raise InputError(f"model: found {type(model).__name__}, {allowed}")
-    if not hasattr(measurements, "positions"):
-        allowed = "allowed: Measurements, as load_measurements(path) gives"
-        raise InputError(f"measurements: found {type(measurements).__name__}, {allowed}")
+    allowed = "allowed: Measurements, as load_measurements(path) gives"
+    require(hasattr(measurements, "positions"), f"measurements: found {type(measurements).__name__}, {allowed}")
     n, m, p, d = model.joints, len(measurements), len(model.parameters), measurements.dimension
     counted = f"{measurements.links} joints for an arm of {n} links"
     require(measurements.links == n, f"measurements: {counted}, allowed: {n}")
-    if d not in getattr(model, "dimensions", (model.dimension,)):
-        allowed = f"allowed: {model.dimension} as the model has"
-        raise InputError(f"measurements: positions of {d} coordinates, {allowed}")
+    fits, counted = d in getattr(model, "dimensions", (model.dimension,)), f"positions of {d} coordinates"
+    require(fits, f"measurements: {counted}, allowed: {model.dimension} as the model has")
     require(p > 0, "model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
-        arm = model.arm
-        for need, lacks, what in (
-            ("temperature", measurements.temperature is None, "the column temperature_C, allowed: rows with it"),
-            ("gravity", arm.gravity is None, "gravity torques, allowed: an arm file with a [gravity] table"),
-            (
-                "distance",
-                "distance" not in arm.chain.instrument.offers,
-                "measured distances, allowed: an arm file with an [instrument] of kind distance",
-            ),
+        arm, in_file = model.arm, "allowed: an arm file with"
+        reads = "distance" in arm.chain.instrument.offers
+        for need, has, what in (
+            ("temperature", measurements.temperature is not None, "the column temperature_C, allowed: rows with it"),
+            ("gravity", arm.gravity is not None, f"gravity torques, {in_file} a [gravity] table"),
+            ("distance", reads, f"measured distances, {in_file} an [instrument] of kind distance"),
         ):
-            if lacks and need in effect.needs:
-                raise InputError(f"effects: {effect.key} needs {what}")
+            require(has or need not in effect.needs, f"effects: {effect.key} needs {what}")
     p -= len({*model.prior, *prior.names} & set(model.names))
     if d * m < p:
         counted = f"{d} m = {d * m} < p = {p}"
@@ -462,5 +453,5 @@ def starts(problem: Problem) -> Array:
     solved[:, form.indices] = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)[0]
     if not np.any(problem.start):
         return solved  # nothing is known that the closed form does not know
-    known, closed = (np.einsum("kmd,m->k", problem.residuals(x) ** 2, problem.weights) for x in (best_known, solved))
-    return np.where((known < closed)[:, None], best_known, solved)
+    before, after = (np.einsum("kmd,m->k", problem.residuals(x) ** 2, problem.weights) for x in (best_known, solved))
+    return np.where((before < after)[:, None], best_known, solved)

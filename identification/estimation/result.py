@@ -161,8 +161,8 @@ class Identification(Documented):
         cause, do = "the model is incomplete or sigma_mm too small", "armcal diagnose looks for what is missing"
         if self.contradiction:
             cause, do = f"the prior does not hold (above), {cause}", "settle the prior first"
-        given = self.uncertainty.kind == "given"
-        follows = "rely on sigma_mm and are too narrow" if given else "do not rely on sigma_mm"
+        rely = self.uncertainty.kind == "given"
+        follows = "rely on sigma_mm and are too narrow" if rely else "do not rely on sigma_mm"
         return f"{scatter} ({figures}): {cause}. The intervals {follows}; {do}"
 
     @property
@@ -398,9 +398,9 @@ def corrected_values(
         axis, _, unit = key.rpartition("_")
         rows.append(of.row(f"{place} {axis}", None, nominal, value, slopes_of[place, key], unit, meaning))
     # what the arm file says of the instrument is where fits start
-    known = all(p.name in values for p in chain.instrument.parameters)
-    for own in chain.instrument.own_values(values) if known else ():
-        rows.append(of.row(own.name, own.parameter, None, own.value, own.slopes, own.unit, own.convention))
+    was_fitted = all(p.name in values for p in chain.instrument.parameters)
+    for row in chain.instrument.own_values(values) if was_fitted else ():
+        rows.append(of.row(row.name, row.parameter, None, row.value, row.slopes, row.unit, row.convention))
     for effect in (e for e in model.effects if not e.unlisted):  # their names with the settings
         meaning = "no value of a controller: armcal compensate takes it off the commands"
         meaning = STANDS if effect.name == "base_offset" else meaning

@@ -377,9 +377,8 @@ def together(outlier: NDArray[np.bool_], postures: Array, numbers: Groups) -> ND
     If as many outliers fall on rows independently of each other, their number in a group of rows is hypergeometric, and
     the number of groups with x or more of them about Poisson (a little wider than it is, since groups compete for the
     outliers). Groups are the rows of one posture (reflectors, repeats), and the postures in a stretch of a joint's
-    angles, with an outlier or without; x is 2, 3, 5, 9 .. Of data sets whose outliers are
-    independent 1 in 1,000 may be called structure; postures and stretches have half of that each, and their p-values
-    Bonferroni's correction.
+    angles, with an outlier or without; x is 2, 3, 5, 9 .. Of data sets whose outliers are independent 1 in 1,000 may be
+    called structure; postures and stretches have half of that each, and their p-values Bonferroni's correction.
 
     outlier : (m,) rows that a fit does not explain;  postures : (m, n);  numbers : (m,) posture of each row
     """
@@ -457,10 +456,7 @@ def groups_of(measurements: Measurements, kept: NDArray[np.bool_] | None = None)
 
 def groupings(postures: Array, repeats: Groups, time: Array | Groups) -> tuple[Groups, Groups]:
     """(m,) group of each row by interval of time, and by region of posture (repeated bisection at the median of the
-    joint with the widest range): up to `GROUPS` groups of equal size.
-
-    postures : (m, n) [rad];  repeats : (m,) equal numbers mark repeats of one posture;  time : (m,)
-    """
+    joint with the widest range): up to `GROUPS` groups of equal size;  repeats : (m,) equal numbers mark repeats"""
     sequence = np.argsort(time, kind="stable")
     stays = np.cumsum(np.diff(repeats[sequence], prepend=repeats[sequence[0]]) != 0)  # at one posture, from 0
     ends = np.unique(np.searchsorted(np.cumsum(np.bincount(stays)), np.arange(1, GROUPS) * len(time) / GROUPS))

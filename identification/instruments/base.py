@@ -116,10 +116,8 @@ class Instrument:
 
     # -- what a row reads ------------------------------------------------------------------------------------------
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        """(d,) what it reads of a point (3,) [mm] in its frame.
-
-        values : of its own `parameters`;  target : number of what the row touches, from 0, of those with `own_targets`
-        """
+        """(d,) what it reads of a point (3,) [mm] in its frame;  values : of its own `parameters`;  target : number of
+        what the row touches, from 0, of those with `own_targets`"""
         raise NotImplementedError
 
     def readings(self, points: Array, values: Array) -> Array:
@@ -175,10 +173,8 @@ class Instrument:
         return self.searched(rows, bases)
 
     def searched(self, rows: Unplaced, bases: Array) -> Placement:
-        """Base and measured point that explain readings best, of the base what they depend on.
-
-        bases : (s, 4, 4) to start from, with the tools of the rows in turns; of a base that is known none is needed
-        """
+        """Base and measured point that explain readings best, of the base what they depend on, from bases (s, 4, 4)
+        with the tools of the rows in turns; of a base that is known none is needed."""
         if rows.base is not None:
             bases = np.broadcast_to(rows.base, (len(rows.tools), 4, 4))
         tools = np.resize(rows.tools, (len(bases), 3))
@@ -224,11 +220,8 @@ class Instrument:
     def with_targets(
         self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
     ) -> Instrument:
-        """With `own_targets` where rows find them.
-
-        points, readings : (m, 3 or 2) measured points in its frame, as best known, and (m, d) what was read
-        numbers : (m,) of the targets, by their `names`
-        """
+        """With `own_targets` where rows find them;  points, readings : (m, 3 or 2) measured points in its frame, as
+        best known, and (m, d) what was read;  numbers : (m,) of the targets, by their `names`"""
         return self
 
     @property
@@ -333,10 +326,8 @@ KINDS: dict[str, dict[str, type[Instrument]]] = {"xyz": {}, "xy": {}}  # axes of
 
 
 def register_instrument(cls: type[Instrument]) -> type[Instrument]:
-    """Class decorator that makes an instrument known to files of arms with its `axes` under its `kind`.
-
-    A user's own class may be defined again, as in notebooks. Raises `InputError` for a word that is taken.
-    """
+    """Class decorator that makes an instrument known to files of arms with its `axes` under its `kind`; a user's own
+    class may be defined again, as in notebooks. Raises `InputError` for a word that is taken."""
     of_axes = KINDS[cls.axes]
     taken = of_axes.get(cls.kind)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):

@@ -36,10 +36,9 @@ def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = 
 def turned(vectors: ArrayLike) -> Array:
     """(..., 3, 3) rotations by rotation vectors (..., 3) [rad] (Rodrigues)."""
     vectors = np.asarray(vectors, dtype=float)
-    angles = np.linalg.norm(vectors, axis=-1)
-    x, y, z = np.moveaxis(vectors / np.maximum(angles, np.finfo(float).tiny)[..., None], -1, 0)
-    zero, (sine, cosine) = np.zeros_like(x), (f(angles)[..., None, None] for f in (np.sin, np.cos))
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    angles, half = np.linalg.norm(vectors, axis=-1)[..., None], np.zeros((*vectors.shape, 3))
+    half[..., [2, 0, 1], [1, 2, 0]] = vectors / np.maximum(angles, np.finfo(float).tiny)
+    cross, (sine, cosine) = half - np.swapaxes(half, -1, -2), (f(angles)[..., None] for f in (np.sin, np.cos))
     return np.asarray(np.eye(3) + sine * cross + (1.0 - cosine) * cross @ cross)
 
 
@@ -91,7 +90,7 @@ def roll_pitch_yaw(rotation: Array, near: ArrayLike | None = None) -> Array:
 def from_angles(angles: ArrayLike) -> Array:
     """(..., 3, 3) Rx(x) Ry(y) Rz(z) of angles (..., 3) [rad]: turned about its own x, then its own y, then its own z
     axis (intrinsic X-Y-Z)."""
-    x, y, z = (turned(np.asarray(angles, dtype=float) * axis) for axis in np.eye(3))
+    x, y, z = np.moveaxis(turned(np.asarray(angles, dtype=float)[..., None] * np.eye(3)), -3, 0)
     return np.asarray(x @ y @ z)
 
 

@@ -46,10 +46,8 @@ FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 def placed_model(model: Model, measurements: Measurements) -> Model:
     """The model with base and measured points from a closed form on the geometry as best known, the points named as in
     the data, and with targets that stand in the frame of the base; planar arms of which positions are measured stay as
-    they are. Of several sessions the first says where the arm stands.
-
-    Raises `InputError` for measured points that the arm does not have.
-    """
+    they are. Of several sessions the first says where the arm stands. Raises `InputError` for measured points that the
+    arm does not have."""
     arm = getattr(model, "arm", None)
     if not isinstance(arm, Arm):
         return model
@@ -147,10 +145,8 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
 
 def with_markers(chain: KinematicChain, measurements: Measurements) -> KinematicChain:
     """The chain with the measured points that the data name, in the order of the data; `InputError` for others. Without
-    orientations where the data have none.
-
-    One point that the arm knows is the one that is measured, whatever the data call it.
-    """
+    orientations where the data have none. One point that the arm knows is the one that is measured, whatever the data
+    call it."""
     if chain.angle_scale is not None and measurements.dimension == DIMENSION:
         chain = replace(chain, angle_scale=None)
     names, tools = () if chain.instrument.own_targets else measurements.marker_names, chain.tools
@@ -201,10 +197,7 @@ def of_positions(model: Model) -> Model:
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
     """(m, d, p) derivative of the measured point's position with respect to the parameters, in the frame of the
     instrument; where readings do not say where the arm stands in it, of what no rigid motion of all m positions makes
-    up for: the first use of its positions is to find that.
-
-    Raises `InputError` for fewer than `FEWEST` postures then.
-    """
+    up for: the first use of its positions is to find that. Raises `InputError` for less than `FEWEST` postures."""
     whole = of_positions(model)
     if whole is model:
         return model.linearize(postures, parameters)[1]
@@ -282,12 +275,12 @@ def minimal(
         markers = np.arange(len(model.arm.chain.tools), dtype=float)[:, None] * np.ones(len(postures))
         parts = [(model, postures, [Conditions(marker=marker) for marker in markers])]
     bases, others = list[Array](), list[Array]()
-    for there, postures, conditions in parts:
-        parameters = there.parameters
+    for shown, postures, conditions in parts:
+        parameters = shown.parameters
         first = (BASE, TOOL, JOINT_OFFSET, TRANSLATION_ERROR, ROTATION_ERROR)  # what is kept before what
         order, count = [k for kind in first for k in parameters.indices(kind)], len(parameters.indices(BASE))
-        sizes = [there.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order]  # they can be off by
-        columns = np.concatenate([there.jacobian(postures, None, at) for at in conditions])
+        sizes = [shown.prior.get(parameters[k].name, 1.0 / parameters[k].scale) for k in order]  # they can be off by
+        columns = np.concatenate([shown.jacobian(postures, None, at) for at in conditions])
         columns = columns.reshape(-1, len(parameters))[:, order] * sizes
         bases.append(columns[:, :count])
         others.append(columns[:, count:])

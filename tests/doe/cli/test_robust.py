@@ -63,8 +63,8 @@ def test_every_plan_says_what_it_promises_beside_random_ones(two: Folder) -> Non
         tip = found["expected_tip"]
         assert (tip["fit"], tip["random_plans"]) == (fit, 50)
         if fit is None:
-            figures = f"{tip['plan_mm']:.3g} mm by this plan, {tip['random_median_mm']:.3g} mm by the median of 50"
-            assert figures in two.armcal(line).flat
+            text = f"{tip['plan_mm']:.3g} mm by this plan, {tip['random_median_mm']:.3g} mm by the median of 50 random"
+            assert f"{text} ones; better than {100.0 * tip['better_than']:.0f} % of them" in two.armcal(line).flat
         else:
             assert tip["plan_mm"] == pytest.approx(found["expected_error_mm"]["plan"], rel=1e-6)
     two.write("arm.toml", ARM.partition("[measurement]")[0])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from itertools import count
 
 import numpy as np
 import pytest
@@ -89,12 +91,15 @@ def test_chosen_postures_beat_random_ones() -> None:
     assert str(best).endswith(f"alone is left: at most {100.0 * best.chance:.0f} %")  # named from half on
 
 
-def test_a_choice_that_is_cut_takes_its_postures_again() -> None:
-    found = ambiguous()
-    asked = iter([False] + 100 * [True])
-    cut = discriminate(ARM, found, 5, seed=1, stop=lambda: next(asked))
-    assert cut.status is Status.time_limit
-    assert "cut" in str(cut)
+def ctrl_c() -> bool:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(("late", "status"), [(lambda: True, Status.time_limit), (ctrl_c, Status.interrupted)])
+def test_a_choice_that_is_cut_takes_its_postures_again(late: Callable[[], bool], status: Status) -> None:
+    found, calls = ambiguous(), count()
+    cut = discriminate(ARM, found, 5, seed=1, stop=lambda: next(calls) > 0 and late())
+    assert (cut.status, "cut" in str(cut)) == (status, True)
     first, second, *again = cut.plan.postures
     np.testing.assert_array_equal(again, [first, second, first])
     whole = discriminate(ARM, found, 1, seed=1)

@@ -14,7 +14,7 @@ from doe import DesignProblem, solve
 from doe.plan.ascent import PlanAscent
 from doe.problem.clearance import FLOOR, SIGHT, Clearance, from_box, nearest_to_box, shortest
 from doe.problem.constraints import Walls, constraints_of
-from doe.problem.postures import random_postures
+from doe.problem.postures import put_inside, random_postures
 from identification import Arm, Array, Model, design_model
 from identification.workspace import Body, Cell, LineOfSight
 from tests.doe.six_axis import SIX_AXIS
@@ -206,6 +206,13 @@ def test_a_plan_climbs_and_keeps_its_distances(arm: Arm) -> None:
     assert judge.too_near(climbed) == []
     assert np.all(problem.feasible(climbed))
     assert judge.too_near(PlanAscent(replace(problem, constraints=()))(start, tolerance=1e-2))
+
+
+def test_a_cell_whose_meshes_are_not_found_bars_nothing() -> None:
+    problem = DesignProblem.of(Model(Arm(np.array([400.0, 300.0]), cell=Cell((Body("lost"),)))))
+    postures = random_postures(problem, 5, np.random.default_rng(0))
+    assert [len(clearance.pairs) for clearance in problem.constraints] == [0]
+    np.testing.assert_array_equal(put_inside(problem, postures), postures)
 
 
 def test_what_is_said_of_postures(clearance: Clearance, postures: Array) -> None:

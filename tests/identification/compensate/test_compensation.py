@@ -286,6 +286,11 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     before = compensate(jumped, postures=nominal, conditions=given)
     assert before.warnings == []
     np.testing.assert_allclose(tip(before.commands, lengths, offsets), before.targets, rtol=0, atol=TOLERANCE)
+    # in the second session, which has a base of its own: the file has that of the first
+    moved = arm(
+        EffectSpec("base_step", None, {"at": 1.2, "side": 1.0}), values={"base_step.x": 1.0, "base_step.y": 0.0}
+    )
+    np.testing.assert_allclose(compensate(moved, found.targets).commands, compensate(arm(), found.targets).commands)
 
 
 NOISE = 0.05  # [mm] of each coordinate

@@ -202,7 +202,7 @@ def test_what_a_sliding_joint_is_off_by_is_a_length() -> None:
     assert sizes == pytest.approx(turning | {key: size * slider.levers[1] for key, size in as_far.items()})
     every = build(EffectSpec("joint_compliance"), slider).parameters
     assert [p.file_unit for p in every] == ["rad/(N m)", "mm/N"]
-    for name in ("encoder_eccentricity", "transmission_ripple", "joint_hysteresis", "axis_runout"):
+    for name in ("encoder_eccentricity", "transmission_ripple", "joint_error_curve", "axis_runout"):
         with pytest.raises(InputError, match=f"{name} at joint 2, which slides, allowed: at joints that turn"):
             build(EffectSpec(name, 2), slider)
     assert "gear_ratio:2" in {b.label for b in hypotheses(Arm(slider, sigma=0.05), frozenset()).members}

@@ -27,6 +27,7 @@ from identification import (
     estimate,
 )
 from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve
+from identification.compensate import compensate
 from identification.gap.library_prior import library_prior
 from identification.inspection.readings import read_differently
 from identification.kinematics.chain import KinematicChain
@@ -201,14 +202,18 @@ def test_what_cannot_be_validated(arm: Arm, m: int, refit: str, sentence: str) -
         validate(arm, Measurements(q, tip(q)), refit)
 
 
-def test_what_happened_in_one_session_is_over_in_the_next() -> None:
-    """A zero that jumped in the middle of a session stays where it is: another one sees the arm after the jump."""
-    step = EffectSpec("joint_step", 2, {"at": 0.0, "b": 2e-3})
+@pytest.mark.parametrize("at", [0.0, 1.65])
+def test_what_happened_in_one_session_is_over_in_the_next(at: float) -> None:
+    """A zero that jumped in the middle of the session, or between the second and the third, stays where it is: another
+    session sees the arm after the jump, as targets do."""
+    step = EffectSpec("joint_step", 2, {"at": at, "b": 2e-3})
     arm = Arm([400.0, 300.0], effects=(EffectSpec("base_offset"), step), calibration=Calibration.of([0, 0], [0, 0]))
     after = Arm([400.0, 300.0], calibration=Calibration.of([0.0, 0.0], [0.0, 2e-3]))
     postures = np.random.default_rng(5).uniform(-2.0, 2.0, (40, 2))
     data = Measurements(postures, Model(after).position(postures))
     assert validate(arm, data, refit="base").model.rms < 1e-6
+    reached = Model(after).position(compensate(arm, data.positions, data.postures).commands)
+    np.testing.assert_allclose(reached, data.positions, atol=1e-6)
     assert validate(arm, data, refit="none").model.rms > 0.1  # the same session: half of its rows are before the jump
 
 
