@@ -119,7 +119,7 @@ def advise(
     if target is not None and sigma is None:
         raise InputError(f"--target-mm {NEEDS_SIGMA}")
     if target is not None and not (np.isfinite(target) and target > 0.0):
-        raise InputError(f"target_mm: {target}, allowed: > 0")
+        raise InputError(f"--target-mm: found {target:g}, allowed: > 0")
     began, budget = perf_counter(), np.inf if seconds is None else seconds
     errors = TipErrors.of(problem)
     # of the time, at most

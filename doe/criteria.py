@@ -44,7 +44,7 @@ def criterion(
     if name == "Ds":
         if not subset or not set(subset) <= set(range(len(units) or max(subset) + 1)):
             chosen = list(subset) if subset else "none"
-            raise InputError(f"criterion: Ds needs a subset of the parameters, found {chosen}, allowed: at least one")
+            raise InputError(f"criterion: Ds needs a subset (--subset), found {chosen}, allowed: one parameter or more")
         return Ds(tuple(subset))
     plain: dict[str, Criterion] = {"D": D(), "A": A(), "E": E()}
     return DStar.by_unit(units) if name == "Dstar" else plain[name]

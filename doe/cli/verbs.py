@@ -396,13 +396,13 @@ def relax_files(
     if seconds is not None and solver in LARGEST:
         reason, allowed = f"found with --solver {solver}", "column_generation"
         raise InputError(f"--seconds: {reason}, which cannot be stopped, allowed: with {allowed}")
+    if grid is not None and (candidates is not None or problem.choices is not None):
+        raise InputError("--grid: found with a list of postures, allowed: without --candidates, and not for contacts")
     if candidates is not None:
         places: Any = Plan.load(candidates, problem.model.joint_types).postures
         tell_of_candidates(candidates, problem, places)
     elif problem.choices is not None:
         places = problem.choices
-        if grid is not None:
-            raise InputError("--grid: found for contacts, whose postures are those that touch, allowed: without")
     else:  # by default levels that give about ten thousand candidates
         places = grid or max(2, min(181, round(10_000 ** (1.0 / max(len(problem.active_joints), 1)))))
     progress(0, 2, "weights")

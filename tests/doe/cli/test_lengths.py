@@ -91,7 +91,7 @@ def test_a_plan_of_contacts(cell: Folder) -> None:
     assert scored["efficiency"] is None or 0.5 < scored["efficiency"] <= 1.0
     cell.refused("compare ball.toml --runs 30", "instrument: found kind sphere")
     cell.refused("simulate ball.toml best.csv --truth ball.toml --out m.csv", "instrument: found kind sphere")
-    cell.refused("relax ball.toml --runs 30 --grid 5", "--grid: found for contacts")
+    cell.refused("relax ball.toml --runs 30 --grid 5", "--grid: found with a list of postures")
 
 
 # -- sockets -----------------------------------------------------------------------------------------------------------

@@ -57,6 +57,8 @@ CASES: list[Case] = [
     # arm files and measurements: what each reader says of them is tested beside it
     case(DESIGN, "bad.toml; joint 2; 120; lower < upper", toml=changed("-120.0, -100.0", "120.0, -100.0")),
     case("discriminate arm.toml data.csv --runs 2 --payloads 0,5", "--payloads; [gravity]"),
+    case("relax arm.toml --grid 3 --candidates plan.csv", "--grid; without --candidates"),
+    case("advise arm.toml --target-mm -1", "--target-mm; found -1; allowed: > 0"),
     case("diagnose arm.toml Cal.TOML", "Cal.TOML; arm file", Cal_TOML=ARM + CALIBRATION),
     case("discriminate arm.toml bad.csv --runs 1", "60 rows of 1 posture; at least 4", csv=data("".join(ONE_POSTURE))),
     # arms and measurements in space
@@ -85,7 +87,7 @@ CASES: list[Case] = [
             ("8 --discriminating --criterion A", "criterion; A; discriminating; D"),
             ("8 --test-poses plan.csv", "--test-poses; criterion D; criterion I"),
             ("8 --subset length_error:1", "--subset; criterion D; criterion Ds"),
-            ("8 --criterion Ds", "subset; none; at least one"),
+            ("8 --criterion Ds", "--subset; none; one parameter or more"),
             ("8 --candidates far.csv", "far.csv; 0 of 1"),
             ("5 --missing backlash", "--missing; --robust"),
             ("5 --robust --discriminating", "--discriminating; --robust"),
