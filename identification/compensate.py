@@ -133,9 +133,8 @@ def compensate(
     barred = tuple("; ".join(clauses) for clauses in missed)
     if where.directions is not None:
         commands = commands - servo_shift(arm, where.directions)
-    return Compensation(
-        arm, points, commands, distances(left), turned, angles, barred, sided, tolerance, tuple(assumed)
-    )
+    errors, notes = distances(left), tuple(assumed)
+    return Compensation(arm, points, commands, errors, turned, angles, barred, sided, tolerance, notes)
 
 
 def _checked(name: str, values: ArrayLike, columns: int) -> Array:

@@ -208,9 +208,8 @@ def levenberg_marquardt(
         allowance = 2.0 * np.sqrt(squares) * rounding[numbers] + 1e-14 * squares
         better = moved.squares <= squares + allowance
         with np.errstate(over="ignore", invalid="ignore"):  # a step may lead to where nothing is finite
-            change, change_after = (
-                (each @ (moved.x - x)[:, :, None])[:, :, 0] for each in (jacobians, moved.jacobians)
-            )
+            step = (moved.x - x)[:, :, None]
+            change, change_after = ((slopes @ step)[:, :, 0] for slopes in (jacobians, moved.jacobians))
             slope = np.einsum("kn,kn->k", change, residuals)
             predicted = 2.0 * slope - np.einsum("kn,kn->k", change, change)
             # a small fall drowns in rounding; the slopes at both ends of the step do not (trapezoidal rule)

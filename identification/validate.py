@@ -49,8 +49,6 @@ from identification.sessions import (
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
 
-REFITS = (*DRAWN,)
-
 
 class Figures(NamedTuple):
     """Of the distances between model and measurement [mm], over rows; `p95` is their 95th percentile."""
@@ -185,13 +183,11 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     Raises `InputError` for an arm without calibration, another `refit`, or `none` where nothing is measured from where
     the arm stands, data of another arm, too few rows.
     """
-    if refit not in REFITS:
-        raise InputError.unknown("refit: unknown name", refit, REFITS)
+    if refit not in DRAWN:
+        raise InputError.unknown("refit: unknown name", refit, DRAWN)
     check_calibrated(arm)
-    instrument = arm.chain.instrument
-    if refit == "none" and (
-        instrument.own_targets or (not instrument.reads_positions and len(measurements.sessions) > 1)
-    ):
+    instrument, several = arm.chain.instrument, len(measurements.sessions) > 1
+    if refit == "none" and (instrument.own_targets or (several and not instrument.reads_positions)):
         what = instrument.target or "center"
         raise InputError(f"refit none: no calibrated file says where each {what} is, allowed: base, which finds it")
     refitted, residuals, left_open = _refitted(arm, measurements, refit)

@@ -214,7 +214,8 @@ def check_files(
     loaded = load_arm(arm, package_dir)
     allowed = constraints(Model(loaded)) if loaded.cell or loaded.constraints else ()
     bodies = [each for each in allowed if each.kind == "clearance"]
-    if all(re.fullmatch(r"run|kind|weight|direction\d+|q\d+_(deg|mm)", column) for column in read_table(data).columns):
+    of_plans = re.compile(r"run|kind|weight|direction\d+|q\d+_(deg|mm)")
+    if all(map(of_plans.fullmatch, read_table(data).frame.columns)):
         plan, driven = (Plan.load(data, loaded.joint_types, vias=vias) for vias in (False, True))
         q = plan.postures
         beyond = [np.minimum(q - loaded.lower, loaded.upper - q) + 1e-6]

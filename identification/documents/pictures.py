@@ -141,9 +141,8 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
         for (distance, _), color in zip(apart, (BEFORE, AFTER), strict=True):
             root = [np.sqrt(np.mean(distance[g] ** 2)) for g in groups]
             axis.plot([np.mean(x[g]) for g in groups], root, color=color, lw=1.8)
-        axis.set(
-            xlabel=name.replace("[rad]", "[deg]"), ylabel=f"residual [{reading_unit(diagnosis.arm)}]", ylim=(0, None)
-        )
+        residual = f"residual [{reading_unit(diagnosis.arm)}]"
+        axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel=residual, ylim=(0, None))
 
     return panels([*diagnosis.residuals.against], 3, 2.3, draw, sharey=True)
 

@@ -67,9 +67,8 @@ class Reading:
     @property
     def changes(self) -> int:
         """How many things are read differently."""
-        swapped, zeros = (
-            int(np.count_nonzero(each)) for each in (self.order - np.arange(len(self.order)), self.quarters)
-        )
+        swapped = int(np.count_nonzero(self.order - np.arange(len(self.order))))
+        zeros = int(np.count_nonzero(self.quarters))
         others = (self.mirrored, bool(self.sums), self.turned != 1, self.scaled != 1)
         return swapped // 2 + zeros + self.signs.count(-1) + sum(others)
 
