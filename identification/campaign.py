@@ -65,7 +65,7 @@ def campaign_document(
             read = (c for kind in (TRACKER, instrument) for c in kind.coordinates[:1])
             columns = {f"{c.name}_{unit}" for c in read for unit in UNITS[c.quantity]}
             # of a plan of contacts, too, there is no reading
-            if (instrument.contact and "run" not in table) or not columns.isdisjoint(table.columns):
+            if (instrument.contact and "run" not in table) or not columns.isdisjoint(table.frame.columns):
                 measurements[name], kinds[name] = load_measurements(path, arms[first]), "measurements"
             else:
                 plans[name], kinds[name] = Plan.load(path, arms[first].joint_types, vias=True), "plan"
@@ -86,9 +86,8 @@ def campaign_document(
     # the model in use has the least error on rows that none was fitted to, of equal ones and without such rows it is
     # the last given
     fresh = [rows for rows in tests if not seen[rows]]
-    squares = {
-        name: sum(tests[rows][name].model.rms ** 2 * len(measurements[rows]) for rows in fresh) for name in calibrated
-    }
+    counts = {rows: len(measurements[rows]) for rows in fresh}
+    squares = {name: sum(tests[rows][name].model.rms ** 2 * m for rows, m in counts.items()) for name in calibrated}
     model = min(reversed(squares), key=squares.__getitem__, default="")
     elsewhere = [rows for rows in tests if model not in seen[rows]]
     ordered = sorted(tests, key=lambda rows: rows not in elsewhere)
@@ -117,10 +116,8 @@ def campaign_document(
     fit = next(iter([each.fit for each in measurements.values()] + [plan.fit for plan in plans.values()]), "")
     if worse := [rows for rows, test in left.items() if test.model.rms >= test.nominal.rms]:
         pooled = " ".join(["armcal diagnose", arm_file, *data])
-        no_better = (
-            f"Do not use {model} as it is: on {' and '.join(worse)} it is no better than the drawing (see there)."
-        )
-        actions = [Action(no_better), Action("See what all measurements together say, each file as a session:", pooled)]
+        doubt = f"Do not use {model} as it is: on {' and '.join(worse)} it is no better than the drawing (see there)."
+        actions = [Action(doubt), Action("See what all measurements together say, each file as a session:", pooled)]
     elif model:
         actions = [*([] if diagnosed(calibrated[model]) else [look]), *([] if elsewhere else [hold]), use]
     elif measurements:

@@ -221,9 +221,8 @@ class ArmModel(Model):
             basis[columns, range(len(columns))] = model.scales[base:][columns]
             bases.append(basis.sum(axis=1, keepdims=True) if block.family else basis)
         weights = np.array([block.weight for block, _, _ in shown])
-        ordered = Model(
-            arm.with_effects(*arm.effects, *(spec for _, effect, spec in common if effect.needs & BY_ORDER))
-        )
+        by_rows = (spec for _, effect, spec in common if effect.needs & BY_ORDER)
+        ordered = Model(arm.with_effects(*arm.effects, *by_rows))
 
         def by_order(postures: Array) -> Array:
             """(m, d, p) scaled sensitivities to postures (m, n) that are measured in their order."""
@@ -284,9 +283,8 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
     if (instrument.contact or instrument.own_targets) and not stands:
         keys = sorted(instrument.keys & {"center_mm", "normal", "cups"})
         reason = f"kind {instrument.kind} without {keys[0]}: where it is touched is not known"
-        raise InputError(
-            f"instrument: found {reason}, allowed for plans: with {' and '.join(keys)}, or a calibrated arm"
-        )
+        allowed = f"allowed for plans: with {' and '.join(keys)}, or a calibrated arm"
+        raise InputError(f"instrument: found {reason}, {allowed}")
     if not instrument.reads_positions and not stands:
         away = 0.5 * chain.reach
         assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"

@@ -39,8 +39,7 @@ Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
 
 class Points(NamedTuple):
-    """Where k searches are: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares (k,) and damping
-    (k,)."""
+    """Of k searches: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares and damping (k,)."""
 
     x: Array
     residuals: Array
@@ -208,9 +207,8 @@ def levenberg_marquardt(
         allowance = 2.0 * np.sqrt(squares) * rounding[numbers] + 1e-14 * squares
         better = moved.squares <= squares + allowance
         with np.errstate(over="ignore", invalid="ignore"):  # a step may lead to where nothing is finite
-            change, change_after = (
-                (each @ (moved.x - x)[:, :, None])[:, :, 0] for each in (jacobians, moved.jacobians)
-            )
+            step = (moved.x - x)[:, :, None]
+            change, change_after = ((slopes @ step)[:, :, 0] for slopes in (jacobians, moved.jacobians))
             slope = np.einsum("kn,kn->k", change, residuals)
             predicted = 2.0 * slope - np.einsum("kn,kn->k", change, change)
             # a small fall drowns in rounding; the slopes at both ends of the step do not (trapezoidal rule)
@@ -273,8 +271,7 @@ def newton_ascent(
     """(m, n) postures reached from starts (m, n), none lower than its start.
 
     Directions are those of the absolute eigenvalues of the Hessian, which lead away from saddles; joints at a limit
-    that would leave the box stay there. Each start has a reach of its own, which grows with success and shrinks with
-    failure.
+    that would leave the box stay there. Each start has a reach of its own, which grows with success, else shrinks.
 
     height : postures (k, n) of the starts numbered (k,) -> (k,) values, -inf where none may be
     slopes : the same -> (k, n) gradients and (k, n, n) Hessians

@@ -36,11 +36,6 @@ class Status(Enum):
     implausible = "Converged to an arm that cannot be the real one; check arm, frame and units before using it."
     infeasible = "No feasible point was found."
 
-    @property
-    def succeeded(self) -> bool:
-        """True if a usable result exists (it may still be improvable)."""
-        return self not in (Status.solver_failed, Status.infeasible)
-
 
 @dataclass(frozen=True)
 class Progress:

@@ -49,8 +49,6 @@ from identification.sessions import (
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
 
-REFITS = (*DRAWN,)
-
 
 class Figures(NamedTuple):
     """Of the distances between model and measurement [mm], over rows; `p95` is their 95th percentile."""
@@ -94,15 +92,13 @@ class Validation(Documented):
 
     @property
     def rms_angles(self) -> tuple[float, ...]:
-        """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
-        where none are measured."""
+        """RMS angles between orientations measured and computed [deg], by model and drawing; empty: none measured."""
         scale = self.arm.chain.angle_scale
         angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
     def to_json(self) -> dict[str, Any]:
-        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks` are the rows by session, and by
-        range of the identification."""
+        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks`: rows by session, and by range."""
 
         def millimetres(figures: Figures, of: str = "") -> dict[str, float]:
             return {f"{name}{of}_mm": value for name, value in figures._asdict().items()}
@@ -185,13 +181,11 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     Raises `InputError` for an arm without calibration, another `refit`, or `none` where nothing is measured from where
     the arm stands, data of another arm, too few rows.
     """
-    if refit not in REFITS:
-        raise InputError.unknown("refit: unknown name", refit, REFITS)
+    if refit not in DRAWN:
+        raise InputError.unknown("refit: unknown name", refit, DRAWN)
     check_calibrated(arm)
-    instrument = arm.chain.instrument
-    if refit == "none" and (
-        instrument.own_targets or (not instrument.reads_positions and len(measurements.sessions) > 1)
-    ):
+    instrument, several = arm.chain.instrument, len(measurements.sessions) > 1
+    if refit == "none" and (instrument.own_targets or (several and not instrument.reads_positions)):
         what = instrument.target or "center"
         raise InputError(f"refit none: no calibrated file says where each {what} is, allowed: base, which finds it")
     refitted, residuals, left_open = _refitted(arm, measurements, refit)

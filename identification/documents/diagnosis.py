@@ -164,9 +164,8 @@ def is_described(data: Data) -> bool:
 def place_in_words(data: Data) -> str:
     """`at joint 3`, `in time`."""
     where = str(data["where"] or "an unknown place").replace(":", " ")
-    return {"time": "in time", "temperature": "with the temperature", "workspace": "in the workspace"}.get(
-        where, f"at {where}"
-    )
+    words = {"time": "in time", "temperature": "with the temperature", "workspace": "in the workspace"}
+    return words.get(where, f"at {where}")
 
 
 def tests_of(data: Data) -> list[Data]:

@@ -160,10 +160,8 @@ def identification_verdict(data: Data, before: str = "") -> str:
     # many parameters, held by a prior or not, come as near to the rows they are fitted to as one likes
     left = data.get("cross_validated_mm")
     others = f"; for postures left out of the fit it is {in_a_sentence(left)} {unit} (noise included)"
-    sentence = (
-        f"On its own data the calibration takes the RMS error from {was} to {in_a_sentence(data['rms_after_mm'])}"
-    )
-    return f"{sentence} {unit}{'' if left is None else others}."
+    now = f"{in_a_sentence(data['rms_after_mm'])} {unit}{'' if left is None else others}"
+    return f"On its own data the calibration takes the RMS error from {was} to {now}."
 
 
 def hardly_better(offered: Data) -> str:
@@ -226,12 +224,11 @@ def corrected_table(rows: Sequence[CorrectedValue]) -> Sheet:
 
 def dh_sections(rows: Sequence[CorrectedValue], lines: Sequence[str], name: str = "") -> list[Section]:
     """The corrected Denavit-Hartenberg table, what belongs to it and how it is to be used; none without rows."""
-    together = (
-        "Other numbers of the table stay as drawn. All values belong together, base and tool included: enter all."
-    )
-    beta = [BETA] if any(row.name.endswith(" beta") for row in rows) else []
+    together = "All values belong together, base and tool included: enter all."
+    notes = [f"Other numbers of the table stay as drawn. {together}"]
+    notes += [BETA] if any(row.name.endswith(" beta") for row in rows) else []
     title = f"Corrected Denavit-Hartenberg table{name and f': {name}'}"
-    return [Section(title, [corrected_table(rows), *lines, together, *beta])] if rows else []
+    return [Section(title, [corrected_table(rows), *lines, *notes])] if rows else []
 
 
 # -- what to do next ---------------------------------------------------------------------------------------------------

@@ -78,7 +78,7 @@ def estimate(
         else:
             x, squares = form.solver(problem.postures, problem.weights, problem.tolerance)(problem.positions)
             solution = Solution(x, squares, outcomes(np.isfinite(squares), Status.converged, Status.solver_failed))
-        if not (status := solution.status[0]).succeeded:
+        if (status := solution.status[0]) is Status.solver_failed:
             raise JobError(f"{problem.method}: {status.value}")
         rows = WhiteRows.of(problem, measurements, solution.parameters[0])
         if useful > RANK_TOLERANCE:

@@ -339,13 +339,13 @@ def outlying(
     """
     (m, d), p = residual.shape, columns.shape[1]
     basis = column_space(columns if held is None else np.concatenate([columns, held]), np.ones(p))[0]
-    blocks, held_basis = basis[: m * d].reshape(m, d, -1), basis[m * d :]
-    moment = held_basis.T @ (np.zeros(len(held_basis)) if left is None else left)
+    blocks = basis[: m * d].reshape(m, d, -1)
+    moment = np.zeros(blocks.shape[2]) if left is None else basis[m * d :].T @ left
     # as unlikely as 6 standard deviations in a plane: at most 3 in 10,000 clean data sets of 8 to 200 rows lose a row;
     # at 4 it would be 3 to 70 in 1,000, at 3 from 4 % to 89 %
     kept, limit = np.ones(m, dtype=bool), float(chdtri(d, chdtrc(2, 6.0**2)))
     while np.mean(kept) >= 0.75:  # derived: the robust scale is then 1.26 times too large; more is structure
-        squares = studentised(residual, blocks, kept, held_basis, moment)
+        squares = studentised(residual, blocks, kept, moment)
         worst = np.argsort(squares)[-(1 + m // 1000) :]  # several at once only to save effort
         if squares[worst[-1]] <= limit:
             return ~kept
@@ -353,17 +353,17 @@ def outlying(
     return np.zeros(m, dtype=bool)
 
 
-def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], held_rows: Array, moment: Array) -> Array:
-    """(m,) squared residual of each row in units of its own covariance and of the robust scale of the kept rows, after
-    a fit to these; 0 of the others.
+def studentised(residual: Array, blocks: Array, kept: NDArray[np.bool_], moment: Array) -> Array:
+    """(m,) squared residual of each row of residual (m, d) in units of its own covariance and of the robust scale of
+    the kept rows, after a fit to these; 0 of the others.
 
-    residual : (m, d);  blocks : (m, d, k) columns that are orthonormal together with `held_rows`
-    held_rows : (r, k) of a prior, r = 0 without;  moment : (k,) held_rows.T times the prior's residuals
+    blocks : (m, d, k) columns that are orthonormal together with rows of a prior;  moment : (k,) of these rows
     """
     d, k = blocks.shape[1:]
-    kept_blocks, inside, squares = blocks[kept], residual[kept], np.zeros(len(kept))
+    kept_blocks, inside, squares, left_out = blocks[kept], residual[kept], np.zeros(len(kept)), blocks[~kept]
     flat = kept_blocks.reshape(inside.size, k)
-    inverse = np.eye(k) if kept.all() else product_inverse(flat.T @ flat + held_rows.T @ held_rows)
+    # all rows together are orthonormal: those that are kept make up for what the others leave of that
+    inverse = product_inverse(np.eye(k) - np.einsum("mdk,mdl->kl", left_out, left_out)) if len(left_out) else np.eye(k)
     off = inside - kept_blocks @ (inverse @ (flat.T @ inside.reshape(-1) + moment))
     rest = (1.0 + 1e-6) * np.eye(d) - (flat @ inverse).reshape(kept_blocks.shape) @ kept_blocks.transpose(0, 2, 1)
     each = np.einsum("mi,mi->m", off, np.linalg.solve(rest, off[..., None])[..., 0])
@@ -448,19 +448,15 @@ def mean_of(values: Array, groupings: Sequence[Groups], least: float = 0.0) -> M
 
 
 def groups_of(measurements: Measurements, kept: NDArray[np.bool_] | None = None) -> tuple[Groups, Groups]:
-    """Groups of rows that count as independent, among the kept rows (None: all): see `groupings`."""
-    turn = np.argsort(measurements.sequence)
-    rows = np.ones(len(turn), dtype=bool) if kept is None else kept
-    return groupings(measurements.postures[rows], measurements.posture_numbers[rows], turn[rows])
-
-
-def groupings(postures: Array, repeats: Groups, time: Array | Groups) -> tuple[Groups, Groups]:
-    """(m,) group of each row by interval of time, and by region of posture (repeated bisection at the median of the
-    joint with the widest range): up to `GROUPS` groups of equal size;  repeats : (m,) equal numbers mark repeats"""
-    sequence = np.argsort(time, kind="stable")
+    """Of the kept rows (None: all) those that count as independent: (m,) group of each by interval of time, and by
+    region of posture (repeated bisection at the median of the joint with the widest range): up to `GROUPS` groups of
+    equal size."""
+    rows = np.ones(len(measurements), dtype=bool) if kept is None else kept
+    postures, repeats = measurements.postures[rows], measurements.posture_numbers[rows]
+    sequence = np.cumsum(rows)[measurements.sequence[rows[measurements.sequence]]] - 1
     stays = np.cumsum(np.diff(repeats[sequence], prepend=repeats[sequence[0]]) != 0)  # at one posture, from 0
-    ends = np.unique(np.searchsorted(np.cumsum(np.bincount(stays)), np.arange(1, GROUPS) * len(time) / GROUPS))
-    intervals = np.empty(len(time), dtype=np.int64)
+    ends = np.unique(np.searchsorted(np.cumsum(np.bincount(stays)), np.arange(1, GROUPS) * len(stays) / GROUPS))
+    intervals = np.empty(len(stays), dtype=np.int64)
     intervals[sequence] = np.searchsorted(ends, stays, side="left")
     _, first, number = np.unique(repeats, return_index=True, return_inverse=True)
     q, regions = postures[first], np.zeros(len(first), dtype=np.int64)

@@ -52,18 +52,13 @@ class Table:
     def __contains__(self, column: str) -> bool:
         return column in self.frame.columns
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns, in the order of the file."""
-        return tuple(self.frame.columns)
-
     def require(self, columns: Iterable[str]) -> None:
         """Raises `InputError` naming the first of `columns` that is missing, and a column that may be meant."""
         for column in columns:
             if column not in self:
-                close = close_names(column, (name for name in self.columns if not MEANINGFUL.fullmatch(name)))[:1]
+                close = close_names(column, (name for name in self.frame.columns if not MEANINGFUL.fullmatch(name)))[:1]
                 hint = suggestion(close).replace("did you mean", "did you mean to rename")
-                state = f"column {column!r} is missing, found: {', '.join(self.columns)}"
+                state = f"column {column!r} is missing, found: {', '.join(self.frame.columns)}"
                 raise InputError(f"{self.path}: {state}; {hint}allowed: a column of that name")
             self.used.add(column)
 
@@ -114,7 +109,7 @@ class Table:
         hint : what else to say
         """
         unused, free = [], [column for column in expected if column not in self]
-        for column in (column for column in self.columns if column not in {*self.used, *expected}):
+        for column in (column for column in self.frame.columns if column not in {*self.used, *expected}):
             near = "" if MEANINGFUL.fullmatch(column) else suggestion(close_names(column, free)).strip()
             unused.append(f"{column!r} ({near})" if near else f"{column!r}")
         if unused:
@@ -128,8 +123,7 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
     vias : with the way-points that a plan has between its postures, where nobody measures: its column `kind` says so
 
     Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
-    Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
-    points or commas.
+    Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, with either decimal.
 
     Raises `InputError` for a missing or empty file, no data rows, a header that is missing, repeats a name or does not
     fit the rows (ragged rows), and bytes that are not UTF-8.

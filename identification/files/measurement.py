@@ -93,12 +93,11 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     hint = ""
     if not instrument.reads_positions and "x_mm" in table:
         hint = f"[instrument] {instrument.kind} of the arm file reads no positions; for a tracker leave it out"
-    elif marked and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.columns)):
+    elif marked and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.frame.columns)):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     directions = (f"direction{j + 1}" for j in range(postures.shape[1]))
-    table.warn_unused(
-        ["run", "sigma_mm", *NUMBERS, *directions, *filter(None, ("session", instrument.target, marked))], hint
-    )
+    labels = filter(None, ("session", instrument.target, marked))
+    table.warn_unused(["run", "sigma_mm", *NUMBERS, *directions, *labels], hint)
     if instrument.contact and "run" in table and "order" not in table:
         planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
@@ -174,7 +173,7 @@ def read_column(table: Table, name: str, quantity: str, bounds: tuple[float, flo
 
 def _joint_columns(table: Table, types: JointTypes, name: str = "q") -> dict[int, str]:
     """Joint, from 1 -> a column of its positions that a table has."""
-    every = ((re.fullmatch(rf"{name}([1-9]\d*)_(\w+)", column), column) for column in table.columns)
+    every = ((re.fullmatch(rf"{name}([1-9]\d*)_(\w+)", column), column) for column in table.frame.columns)
     joints = ((int(words[1]), words[2], column) for words, column in every if words)
     return {joint: column for joint, unit, column in joints if unit in UNITS[_quantity(types, joint)]}
 
@@ -205,7 +204,7 @@ def read_postures(table: Table, types: JointTypes = None, name: str = "q") -> Ar
 def read_orientations(table: Table) -> Array | None:
     """(m, 3, 3) axes of the measured frame, from `rx_deg, ry_deg, rz_deg` (about own axes, x, then y, then z; or in
     `_rad`) or from a quaternion `qw, qx, qy, qz`; None if the table has none of these columns."""
-    columns = [*filter(ORIENTATION.fullmatch, table.columns)]
+    columns = [*filter(ORIENTATION.fullmatch, table.frame.columns)]
     kinds = {column[2:] for column in columns}  # `_deg`, or nothing of a quaternion
     if len(kinds) > 1:
         state = f"found {', '.join(columns)}"
@@ -234,7 +233,7 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
         fields[name] = table.floats(column, *VALUES[NUMBERS[column]][1:]) if column in table else None
     n, counting = types if isinstance(types, int) else len(types), counting_in(types)
     wanted = [f"direction{j}" for j in range(1, n + 1)]
-    if present := [column for column in table.columns if re.fullmatch(r"direction[1-9]\d*", column)]:
+    if present := [column for column in table.frame.columns if re.fullmatch(r"direction[1-9]\d*", column)]:
         table.require(wanted)
         for column in set(present).difference(wanted):
             state = f"found column {column}, but there are {n} joints"
@@ -246,8 +245,7 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
 
 # -- writing columns ---------------------------------------------------------------------------------------------------
 def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") -> Columns:
-    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic
-    joint.
+    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides.
 
     name : `q`, or `commanded`
     """
@@ -357,7 +355,7 @@ class Plan(ByValue):
             conditions = _conditions(table, n if joints is None else joints, ("payload_kg", "temperature_C"))
             further = ("run", "weight", "payload_kg", "temperature_C", "cup", *(f"direction{j + 1}" for j in range(n)))
             table.warn_unused(further)
-        cells = {name: table.frame[name].fill_null("").to_list() for name in table.columns if name != "run"}
+        cells = {name: table.frame[name].fill_null("").to_list() for name in table.frame.columns if name != "run"}
         return cls(postures, weights, fit=table.fit, via=via, cells=cells, conditions=conditions)
 
     @classmethod
@@ -414,7 +412,7 @@ def load_targets(path: PathLike, arm: Arm) -> dict[str, Any]:
     has_postures = bool(_joint_columns(table, arm.joint_types))
     if not has_positions and not has_postures:
         allowed = f"{', '.join(f'{axis}_mm' for axis in axes)}, or q1_deg..q{arm.links}_deg"
-        raise InputError(f"{path}: found columns {', '.join(table.columns)}, allowed: {allowed}")
+        raise InputError(f"{path}: found columns {', '.join(table.frame.columns)}, allowed: {allowed}")
     positions = np.column_stack([read_column(table, axis, LENGTH) for axis in axes]) if has_positions else None
     postures = read_postures(table, arm.joint_types) if has_postures else None
     orientations = read_orientations(table) if has_positions and arm.chain.point_column else None

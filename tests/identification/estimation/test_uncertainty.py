@@ -357,7 +357,7 @@ def test_studentised_squares_are_chi_square_of_all_coordinates(d: int) -> None:
     rng = np.random.default_rng(9)
     residual, columns = 7.0 * rng.normal(size=(4000, d)), rng.normal(size=(4000 * d, 5))
     blocks = column_space(columns, np.ones(5))[0].reshape(4000, d, -1)
-    squares = studentised(residual, blocks, np.ones(4000, dtype=bool), np.zeros((0, 5)), np.zeros(5))
+    squares = studentised(residual, blocks, np.ones(4000, dtype=bool), np.zeros(5))
     assert np.median(squares) == pytest.approx(stats.chi2.median(d), rel=1e-9)
     assert np.mean(squares < stats.chi2.ppf(0.9, d)) == pytest.approx(0.9, abs=0.02)
     # a row is off that is as unlikely as 6 standard deviations in a plane
@@ -386,8 +386,8 @@ def test_with_a_prior_the_squares_are_those_of_the_prediction_without_the_row() 
         expected.append(off @ np.linalg.solve(covariance, off))
     squares = np.array(expected) * stats.chi2.median(d) / np.median(expected)
     basis = column_space(np.concatenate([columns.reshape(-1, p), held]), np.ones(p))[0]
-    blocks, known = basis[: m * d].reshape(m, d, -1), basis[m * d :]
-    found = studentised(residual, blocks, np.ones(m, dtype=bool), known, known.T @ left)
+    blocks = basis[: m * d].reshape(m, d, -1)
+    found = studentised(residual, blocks, np.ones(m, dtype=bool), basis[m * d :].T @ left)
     np.testing.assert_allclose(found, squares, rtol=1e-4)  # 1e-6 is added to each covariance
 
 

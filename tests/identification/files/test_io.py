@@ -122,7 +122,7 @@ EUROPE = {"a": [1.5, 0.0], "b": [-22.5, 4.0], "c": ["x,y", "z"]}
 def test_forms_of_a_csv_file(tmp_path: Path, content: bytes, expected: dict[str, list]) -> None:
     """With any line ends, blank lines and cells; with semicolons, tabs, decimal commas."""
     read = table(tmp_path, content)
-    assert set(expected) <= set(read.columns)
+    assert set(expected) <= set(read.frame.columns)
     assert {n: (read.texts if n == "c" else read.floats)(n).tolist() for n in expected} == expected
     assert read.sha256 == hashlib.sha256(content).hexdigest()
 
@@ -180,7 +180,7 @@ MISSING = "library-prior --missing backlash,gear_ratio"
 def test_comments_above_the_header(tmp_path: Path, above: str, fit: str, lines: int) -> None:
     """As written, as a spreadsheet saves them again, and of any other kind; rows keep their lines."""
     read = table(tmp_path, f"{above}a,x_mm\n1,2.5\n3,nan\n")
-    assert (read.fit, read.columns, len(read)) == (fit, ("a", "x_mm"), 2)
+    assert (read.fit, read.frame.columns, len(read)) == (fit, ["a", "x_mm"], 2)
     refused(read.floats, "x_mm", names=(f"data.csv: row 2 (line {lines + 3}), column x_mm",))
 
 
