@@ -142,10 +142,8 @@ class ErrorCurve(ByValue):
 
 
 def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple[NDArray[np.int64], Array]:
-    """(m, 4) numbers of the splines that are not zero at angles (m,), and (m, 4) their values there.
-
-    Numbers from -3 to count + 2: those outside 0 to count - 1 do not exist; where all four do not, they are repeated.
-    """
+    """(m, 4) numbers of the splines that are not zero at angles (m,), and (m, 4) their values there. Numbers from -3 to
+    count + 2: those outside 0 to count - 1 do not exist; where all four do not, they are repeated."""
     x = np.clip((angles - start) * (count - 1) / (stop - start), -2.0, count + 1.0)
     first = np.clip(np.floor(x).astype(int) - 1, -3, count - 1)
     place = first[:, None] + np.arange(4)
@@ -213,10 +211,8 @@ class Calibration(ByValue):
         covariance: Array | None = None,
         provenance: Mapping[str, Any] = MappingProxyType({}),
     ) -> Calibration:
-        """From (n,) length errors [mm] and (n,) joint offsets [rad] of a planar arm, and values of its effects.
-
-        Raises `InputError` if the two differ in number.
-        """
+        """From (n,) length errors [mm] and (n,) joint offsets [rad] of a planar arm, and values of its effects. Raises
+        `InputError` if the two differ in number."""
         errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
         counted = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
         require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")

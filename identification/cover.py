@@ -139,11 +139,9 @@ def spread(points: Array, most: int) -> Array:
 
 
 def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Array, Array]:
-    """Points of the surface, points around it, and centers of the cells of a grid that the body fills.
-
-    A cell is filled where the surface is in it, or on both sides along at least two of the three axes: the inside of an
-    open surface, and of a bore.
-    """
+    """Points of the surface, points around it, and centers of the cells of a grid that the body fills. A cell is filled
+    where the surface is in it, or on both sides along at least two of the three axes: the inside of an open surface,
+    and of a bore."""
     farthest = 6  # cells
     low = faces.min(axis=(0, 1)) - (farthest + 1) * cell
     shape = (np.ceil(np.ptp(faces, axis=(0, 1)) / cell) + 2 * farthest + 3).astype(int)

@@ -200,11 +200,9 @@ class ArmModel(Model):
         return model, missing.prior.deviations, beyond
 
     def rival_effects(self) -> tuple[int, ArmModel, tuple[Array, ...], Array, Callable[[Array], Array], Any]:
-        """The fields of `doe.discrimination.design.EffectLibrary`: what a plan distinguishes, the effects
-        of the library that an arm can have besides its own, without the rare ones, beside a minimal set of parameters.
-
-        An effect that acts at every joint alike has one size for all of them: that is what is seen first.
-        """
+        """The fields of `doe.discrimination.design.EffectLibrary`: what a plan distinguishes, the effects of the
+        library that an arm can have besides its own, without the rare ones, beside a minimal set of parameters. An
+        effect that acts at every joint alike has one size for all of them: that is what is seen first."""
         from identification.gap.blocks import hypotheses
         from identification.gap.detectability import detectability
 

@@ -70,10 +70,8 @@ Names = Annotated[list[str], words, "NAMES"]
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
-    """The measurements of an arm from files, each a session of its file's name; warns of units that look wrong.
-
-    Raises `InputError` where they certainly are, and for a file given twice.
-    """
+    """The measurements of an arm from files, each a session of its file's name; warns of units that look wrong. Raises
+    `InputError` where they certainly are, and for a file given twice."""
     from identification.files.measurement import load_measurements
     from identification.inspection.readings import data_warnings, read_differently
     from identification.sessions import pooled_sessions

@@ -69,10 +69,8 @@ READERS: dict[str, Callable[[bytes], Array]] = {".stl": _stl, ".obj": _obj}
 
 
 def read_mesh(path: PathLike) -> Array:
-    """(t, 3, 3) corners of the triangles of a file, in its unit.
-
-    Raises `InputError` for a file that is missing, unreadable, of another type, damaged or without triangles.
-    """
+    """(t, 3, 3) corners of the triangles of a file, in its unit. Raises `InputError` for a file that is missing,
+    unreadable, of another type, damaged or without triangles."""
     if (suffix := PurePath(path).suffix.lower()) not in READERS:
         raise InputError(f"{path}: a mesh of type {suffix or 'unknown'}, allowed: {', '.join(READERS)}")
     allowed = f"allowed: a whole {suffix[1:].upper()} file"

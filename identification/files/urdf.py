@@ -211,18 +211,13 @@ class Urdf:
 
 
 def read_urdf(path: PathLike) -> Urdf:
-    """Reads a URDF file.
-
-    Raises `InputError` for a missing file, and as `parse_urdf` does.
-    """
+    """Reads a URDF file. Raises `InputError` for a missing file, and as `parse_urdf` does."""
     return parse_urdf(decode(path, read_bytes(path)), path)
 
 
 def parse_urdf(text: str, path: PathLike) -> Urdf:
-    """The text of a URDF file; `path` is its name in messages.
-
-    Raises `InputError` for text that is no XML or has a document type, equal names, links with two parents.
-    """
+    """The text of a URDF file; `path` is its name in messages. Raises `InputError` for text that is no XML or has a
+    document type, equal names, links with two parents."""
     root = xml_root(text, path, "a URDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")

@@ -73,13 +73,9 @@ class Inspection(Documented):
 
 
 def inspect(arm: Arm, measurements: Measurements) -> Inspection:
-    """Look at measurements of an arm: nothing is changed, nothing is believed.
-
-    Effects of which the arm's calibration has values and no deviations, as those of the library that a prior held, are
-    left out: without the prior no rows determine them.
-
-    Raises `InputError` for another number of joints or coordinates than the arm has.
-    """
+    """Look at measurements of an arm: nothing is changed, nothing is believed. Effects of which the arm's calibration
+    has values and no deviations, as those of the library that a prior held, are left out: without the prior no rows
+    determine them. Raises `InputError` for another number of joints or coordinates than the arm has."""
     held = set[str]()
     if arm.calibration is not None and arm.calibration.covariance is not None:
         held = {*arm.calibration.effects} - {*arm.calibration.parameter_names}
