@@ -134,10 +134,8 @@ def campaign_document(
 
 
 def error_section(rows: str, tests: dict[str, Validation], fitted: Sequence[str]) -> Section:
-    """The error of the drawing and of every model on some measurements, and its sign against each joint.
-
-    rows : name of the measurements;  fitted : models that were fitted to them
-    """
+    """The error of the drawing and of every model on some measurements, and its sign against each joint;
+    rows : name of the measurements;  fitted : models that were fitted to them"""
     *_, last = tests.values()
     measured, left = last.measurements, {"drawing": last.nominal_residuals}
     left |= {name: test.residuals for name, test in tests.items()}

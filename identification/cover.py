@@ -172,10 +172,8 @@ def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Arr
 # -- boxes -------------------------------------------------------------------------------------------------------------
 def boxes_around(triangles: Array, place: Array | None = None, most: int = 32) -> Array:
     """(k, 15) centers, rotation matrices and half sizes of at most `most` boxes, along the axes of the triangles, that
-    contain the triangles (t, 3, 3).
-
-    place : (4, 4) pose of the frame of the triangles in that of the boxes; None: the same
-    """
+    contain the triangles (t, 3, 3);  place : (4, 4) pose of the frame of the triangles in that of the boxes; None: the
+    same"""
     cell = max(float(np.ptp(triangles, axis=(0, 1)).max()), 1.0) / 64
     faces = cut(triangles, 0.5 * cell)
     grid = np.floor((faces.mean(axis=1) - triangles.min(axis=(0, 1))) / cell).astype(int)

@@ -106,10 +106,8 @@ class ArmModel(Model):
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
     ) -> Array:
         """(N, n) random postures at which the measured point is on the surface and all else of the arm outside. Raises
-        `InputError` where there are hardly any; warns of what plans are of.
-
-        lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
-        """
+        `InputError` where there are hardly any; warns of what plans are of;  lower, upper : (n,) limits;  units : (n,)
+        what counts as a radian;  feasible : which postures are allowed"""
         chain = self.arm.chain
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often

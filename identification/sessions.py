@@ -175,10 +175,8 @@ def check_calibrated(arm: Arm, file: str | None = None) -> None:
 
 
 def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
-    """How many rows are outside the angles of the identification, in a clause; None: none, or not known.
-
-    out : (m, n) of `outside`;  what : the rows are
-    """
+    """How many rows are outside the angles of the identification, in a clause; None: none, or not known;  out : (m, n)
+    of `outside`;  what : the rows are"""
     if out is None or not out.any():
         return None
     joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))

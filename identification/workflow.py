@@ -451,10 +451,7 @@ def dh_lines(
     calibrated: Arm, values: Sequence[CorrectedValue], arm: Path
 ) -> tuple[tuple[CorrectedValue, ...], list[str]]:
     """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and what
-    the instrument has beside it; else empty.
-
-    values : corrected ones, those of the instrument among them
-    """
+    the instrument has beside it; else empty;  values : corrected ones, those of the instrument among them"""
     from identification.estimation.result import dh_table
     from identification.files.arm import dh_rows
     from identification.files.io import read_toml

@@ -82,10 +82,8 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
 
 
 def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequence[PathLike] = ()) -> Arm:
-    """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name.
-
-    folder : where the files are that the tables name;  package_dirs : as of `load_arm`
-    """
+    """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name;
+    folder : where the files are that the tables name;  package_dirs : as of `load_arm`"""
     file = validated_arm(tables)
     urdf = _urdf(file, folder)
     chain = _drawn_chain(file, urdf)
@@ -299,10 +297,8 @@ def _fitted_with(curve: Iterable[str], chain: KinematicChain) -> list[Parameter]
 
 
 def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) -> Effects:
-    """Entries of `[[effects]]` in API units. Raises `InputError` for what arm or instrument do not have.
-
-    heavy : the arm has gravity
-    """
+    """Entries of `[[effects]]` in API units. Raises `InputError` for what arm or instrument do not have;  heavy : the
+    arm has gravity"""
     specs = []
     for k, table in enumerate(tables, start=1):
         from identification.effects import library

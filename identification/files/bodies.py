@@ -245,10 +245,8 @@ class ShapedBodies(ByValue, Sequence[Body]):
 
 
 def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
-    """The file that a URDF file names, or one of the same name that can be read; None: in none of the folders.
-
-    folders : in which it may be, that of the URDF file first; the package that this is in (`package.xml`) is another
-    """
+    """The file that a URDF file names, or one of the same name that can be read; None: in none of the folders;
+    folders : in which it may be, that of the URDF file first, whose package (`package.xml`) is another"""
     beside, words = Path(folders[0]), PACKAGE.fullmatch(name)
     package = next((above for above in (beside / "x").resolve().parents if (above / "package.xml").is_file()), None)
     roots = [*map(Path, folders), *([] if package is None else [package])]

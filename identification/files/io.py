@@ -110,10 +110,8 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
 
 
 def check_writable(path: PathLike, force: bool = False, *, picture: bool = False) -> Path:
-    """The file that is then written; raises the `InputError` of `write_together` before long work starts, not after it.
-
-    picture : its ending is that of a format
-    """
+    """The file that is then written; raises the `InputError` of `write_together` before long work starts, not after it;
+    picture : its ending is that of a format"""
     target = Path(os.path.realpath(path))  # a link stays a link: its target is replaced
     folder, ending = str(Path(path).parent), Path(path).suffix
     try:

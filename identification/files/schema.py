@@ -155,10 +155,8 @@ def missing(key: str) -> str:
 
 
 def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None, /, **keys: Any) -> Any:
-    """A table of these keys, each with the type of its value, or with that and what it is where it is left out.
-
-    needed : keys that may not be left out;  check : of the whole table
-    """
+    """A table of these keys, each with the type of its value, or with that and what it is where it is left out;
+    needed : keys that may not be left out;  check : of the whole table"""
     fields = {key: kind if isinstance(kind, tuple) else (kind | None, None) for key, kind in keys.items()}
     fields |= {key: (keys[key], ...) for key in needed.split()}
     validators: dict[str, Any] = {} if check is None else {"check": model_validator(mode="after")(check)}
@@ -402,10 +400,8 @@ ArmFile = _table(
 
 # -- validation --------------------------------------------------------------------------------------------------------
 def validated_arm(tables: Mapping[str, Any], place: str = "") -> Any:
-    """The tables of an arm file. Raises `InputError` naming key, what was found and what is allowed.
-
-    place : before the key in messages
-    """
+    """The tables of an arm file. Raises `InputError` naming key, what was found and what is allowed;  place : before
+    the key in messages"""
     kind = tables.get("kind", "planar")
     if not isinstance(kind, str) or kind not in AXES:
         raise InputError(f"{place}kind: found {kind!r}, allowed: {' or '.join(AXES)}")
@@ -413,10 +409,8 @@ def validated_arm(tables: Mapping[str, Any], place: str = "") -> Any:
 
 
 def validated(file: type[F], tables: Mapping[str, Any], place: str = "", kind: str = "planar") -> F:
-    """The tables of any file; raises `InputError` as `validated_arm` does.
-
-    kind : of the arm, for keys and points that depend on it
-    """
+    """The tables of any file; raises `InputError` as `validated_arm` does;  kind : of the arm, for keys and points that
+    depend on it"""
     try:
         return file.model_validate(tables, context={"kind": kind})
     except ValidationError as error:
