@@ -308,12 +308,7 @@ def identify_files(
     out : Write a calibrated arm file (TOML).
     """
     from identification import estimation, reuse
-    from identification.documents.identification import (
-        hardly_better,
-        identification_actions,
-        identification_document,
-        unit_key,
-    )
+    from identification.documents import identification as shown
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
     from identification.estimation.result import corrected_geometry
@@ -413,14 +408,16 @@ def identify_files(
         if not chosen and old is None:
             alone = Model(with_sessions(bare, rows))
             keys["offered"] = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)
-            doubts += [hardly_better(keys["offered"])] if keys["offered"] and not keys["offered"]["better"] else []
+            doubts += (
+                [shown.hardly_better(keys["offered"])] if keys["offered"] and not keys["offered"]["better"] else []
+            )
     result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
     with suppress(InputError):  # too few rows
         result["rms_drawing_mm"] = rms_distance(drawing_residuals(bare, rows))
     if fitted.geometry is not None and not fitted.not_identifiable:
         table, places = dh_lines(fitted.calibrated_arm(), fitted.corrected_values, arm)
         result |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    result |= unit_key(fitted.arm) | {key: value for key, value in keys.items() if value is not None}
+    result |= shown.unit_key(fitted.arm) | {key: value for key, value in keys.items() if value is not None}
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
 
     # the files, all or none
@@ -431,7 +428,7 @@ def identify_files(
         refusal = "the fit is implausible; --force writes it all the same"
     if fitted.not_identifiable or (refusal and asked_for):
         lines += [f"{path} was not written: {refusal}" for path in asked_for]
-        return Answer(result, identification_document(fitted, result, hidden).plus(*lines), fitted, 1, doubts)
+        return Answer(result, shown.identification_document(fitted, result, hidden).plus(*lines), fitted, 1, doubts)
     if out is not None:
         calibration = without_sessions(fitted.calibration().about(set(fitted.names) - hidden))
         for before in (bare.calibration if fitted.held else None, None if old is None else old.calibration):
@@ -442,8 +439,8 @@ def identify_files(
         files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry)
         labels = ", ".join(effect.label for effect in fitted.model.effects)
         lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
-    document = identification_document(fitted, result, hidden).plus(*lines)
-    actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
+    document = shown.identification_document(fitted, result, hidden).plus(*lines)
+    actions = shown.identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
     return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
 
 

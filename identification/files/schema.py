@@ -14,17 +14,8 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    create_model,
-    model_validator,
-)
+import pydantic
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic_core import PydanticCustomError
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
@@ -126,7 +117,7 @@ class StrictTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    @model_validator(mode="before")
+    @pydantic.model_validator(mode="before")
     @classmethod
     def _has_its_keys(cls, values: Any, info: ValidationInfo) -> Any:
         if not isinstance(values, dict):
@@ -159,8 +150,8 @@ def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None,
     needed : keys that may not be left out;  check : of the whole table"""
     fields = {key: kind if isinstance(kind, tuple) else (kind | None, None) for key, kind in keys.items()}
     fields |= {key: (keys[key], ...) for key in needed.split()}
-    validators: dict[str, Any] = {} if check is None else {"check": model_validator(mode="after")(check)}
-    return create_model(name, __base__=StrictTable, __validators__=validators, **fields)  # type: ignore[call-overload]
+    validators: dict[str, Any] = {} if check is None else {"check": pydantic.model_validator(mode="after")(check)}
+    return pydantic.create_model(name, __base__=StrictTable, __validators__=validators, **fields)  # type: ignore[call-overload]
 
 
 def _table_of_kinds(title: str, place: str, /, **keys: Any) -> Any:
@@ -263,7 +254,7 @@ class EffectTable(BaseModel):
     values_deg: list[Angle] | None = None
     geometry: dict[str, float] | None = None
 
-    @model_validator(mode="after")
+    @pydantic.model_validator(mode="after")
     def _keys_of_a_curve(self) -> Self:
         """All of them for an error curve, and for nothing else."""
         for key in ("from_deg", "to_deg", "values_deg", "geometry"):
