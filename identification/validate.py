@@ -13,14 +13,7 @@ import numpy as np
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
-from identification.documents.identification import (
-    BY_CHANCE,
-    DRAWN,
-    FITTED,
-    unit_key,
-    validation_sections,
-    validation_verdict,
-)
+from identification.documents import identification as shown
 from identification.errors import InputError, require
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import lacking, left_out_residuals
@@ -123,7 +116,7 @@ class Validation(Documented):
             "blocks": blocks,
             "refitted": [dict(row) for row in self.refitted],
             "notes": list(self.notes),
-            **unit_key(self.arm),
+            **shown.unit_key(self.arm),
         }
 
     def remarks(self, left_open: int) -> Iterator[str]:
@@ -136,7 +129,7 @@ class Validation(Documented):
             share = 100.0 * self.model.rms / self.nominal.rms
             of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
             p_value = f"p = {gained.p_above():.2g}"
-            yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell ({p_value})"
+            yield f"the model leaves {of_drawing}, which {shown.BY_CHANCE} as far as these rows tell ({p_value})"
         if angles := self.rms_angles:
             yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
         tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
@@ -150,7 +143,7 @@ class Validation(Documented):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
         if (own := share_fitted(identified(arm), measurements)) >= MOST:
-            yield FITTED
+            yield shown.FITTED
         elif own > 0.0:
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
         if far := extrapolated(outside(arm, measurements.postures), "rows"):
@@ -165,9 +158,9 @@ class Validation(Documented):
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
-        notes = [note for note in self.notes if BY_CHANCE not in note and note != FITTED]
-        parts = validation_sections(data)
-        return Document("Validation", [validation_verdict(data), *notes], parts)
+        notes = [note for note in self.notes if shown.BY_CHANCE not in note and note != shown.FITTED]
+        parts = shown.validation_sections(data)
+        return Document("Validation", [shown.validation_verdict(data), *notes], parts)
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
@@ -181,8 +174,8 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     Raises `InputError` for an arm without calibration, another `refit`, or `none` where nothing is measured from where
     the arm stands, data of another arm, too few rows.
     """
-    if refit not in DRAWN:
-        raise InputError.unknown("refit: unknown name", refit, DRAWN)
+    if refit not in shown.DRAWN:
+        raise InputError.unknown("refit: unknown name", refit, shown.DRAWN)
     check_calibrated(arm)
     instrument, several = arm.chain.instrument, len(measurements.sessions) > 1
     if refit == "none" and (instrument.own_targets or (several and not instrument.reads_positions)):

@@ -155,10 +155,8 @@ def _units_of(table: Table, name: str, quantity: str) -> list[str]:
 
 
 def read_column(table: Table, name: str, quantity: str, bounds: tuple[float, float] | None = None) -> Array:
-    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its quantity.
-
-    bounds : smallest and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`
-    """
+    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its quantity;  bounds : smallest
+    and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`"""
     unit, *others = _units_of(table, name, quantity) or UNITS[quantity]
     if others and f"{name}_{unit}" in table:
         both = " and ".join(f"{name}_{each}" for each in UNITS[quantity])
@@ -186,10 +184,7 @@ def _quantity(types: JointTypes, joint: int) -> str:
 
 def read_postures(table: Table, types: JointTypes = None, name: str = "q") -> Array:
     """(m, n) joint positions [rad, mm] of columns `q1_deg..`, which are as the controller counts (`JointKinds`); n as
-    `types` say, or what the table has. Raises `InputError` for anything else.
-
-    name : `q`, or `commanded`
-    """
+    `types` say, or what the table has. Raises `InputError` for anything else;  name : `q`, or `commanded`"""
     columns = _joint_columns(table, types, name)
     last = max(columns, default=1)
     n = min(last, MAX_LINKS) if types is None else types if isinstance(types, int) else len(types)
@@ -245,10 +240,8 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
 
 # -- writing columns ---------------------------------------------------------------------------------------------------
 def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") -> Columns:
-    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides.
-
-    name : `q`, or `commanded`
-    """
+    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides;
+    name : `q`, or `commanded`"""
     columns: Columns = {}
     for j, column in enumerate(in_columns(postures, types).T, start=1):
         quantity = _quantity(types, j)

@@ -385,10 +385,7 @@ def _spread(points: Array) -> float:
 # -- orientations, and what is said of every file ----------------------------------------------------------------------
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """Sentences about units that the numbers contradict and other conventions of orientations; and of an arm that
-    reaches farther than any does.
-
-    Raises `InputError` if the numbers of joints differ.
-    """
+    reaches farther than any does. Raises `InputError` if the numbers of joints differ."""
     units = read_differently(arm, measurements, search=False).other_units
     if arm.reach > 20000.0:  # [mm]
         how = "lengths that were written in millimetres there come out 1000 times too large"

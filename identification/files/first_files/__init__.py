@@ -52,10 +52,8 @@ def planar_files(links: str) -> dict[str, str]:
 
 
 def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
-    """Of a spatial arm from a Denavit-Hartenberg table that is to be filled in: file name -> text.
-
-    instrument : of `KINDS`, "": positions are measured
-    """
+    """Of a spatial arm from a Denavit-Hartenberg table that is to be filled in: file name -> text;  instrument : of
+    `KINDS`, "": positions are measured"""
     return _files([REVOLUTE] * joints, instrument, title=f"an arm of {joints} joints", example=True)
 
 
@@ -97,10 +95,7 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
 
 def mesh_files(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> tuple[dict[str, Path], list[str]]:
     """Meshes of the bodies of a URDF file, by names under which they are found beside a copy of it; and the names of
-    those that are not found.
-
-    package_dirs : folders that they may be in
-    """
+    those that are not found;  package_dirs : folders that they may be in"""
     urdf, found, missing = read_urdf(path), dict[str, Path](), list[str]()
     try:
         shapes = [shape for link in urdf.links for shape in collisions(urdf, link)]
