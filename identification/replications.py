@@ -174,8 +174,7 @@ class Replications:
 
 
 def plan_of(truth: Model, postures: Array) -> Measurements:
-    """A plan (m, n) as measurements without positions: a row for each measured point at each posture, with the
-    orientations of the true arm."""
+    """A plan (m, n) as measurements without positions: every measured point at each posture, turned as the truth."""
     names = tuple(truth.arm.chain.tools)
     named: dict[str, Any] = {}
     if len(names) > 1:

@@ -41,8 +41,7 @@ def placing(parameters: ParameterSet) -> list[int]:
 def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
     """Sessions by name as one table; a table that names sessions of its own keeps them, its name before theirs.
 
-    Columns that not every table has are left out, with a warning (`UserWarning`). Raises `InputError` for tables of
-    different arms.
+    Columns that not every table has are left out, with a warning. Raises `InputError` for tables of different arms.
     """
     parts = []
     for name, table in tables.items():
@@ -130,8 +129,7 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
 
 
 def without_sessions(calibration: Calibration) -> Calibration:
-    """A calibration without the bases of later sessions, and without targets that stand in the frame of the base: the
-    arm stands as in the first."""
+    """A calibration without bases of later sessions and targets in the frame of the base: the arm as in the first."""
     words = [kind.own_targets for kinds in KINDS.values() for kind in kinds.values() if kind.own_targets]
     dropped = (f"{SESSIONS}.", *(f"{word}[" for word in words))
     kept = calibration.about(name for name in calibration.parameter_names if not name.startswith(dropped))
@@ -193,8 +191,7 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
 
 
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
-    """(m, n) True where a joint of postures (m, n) is outside the angles of the identification, whole turns aside; None
-    where they are not known."""
+    """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None: not known."""
     if (limits := range_of(identified(arm), arm.joint_types)) is None:  # (2, n) [rad, mm]
         return None
     (lower, upper), types = limits, Model(arm).joint_types

@@ -92,15 +92,13 @@ class Validation(Documented):
 
     @property
     def rms_angles(self) -> tuple[float, ...]:
-        """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
-        where none are measured."""
+        """RMS angles between orientations measured and computed [deg], by model and drawing; empty: none measured."""
         scale = self.arm.chain.angle_scale
         angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
     def to_json(self) -> dict[str, Any]:
-        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks` are the rows by session, and by
-        range of the identification."""
+        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks`: rows by session, and by range."""
 
         def millimetres(figures: Figures, of: str = "") -> dict[str, float]:
             return {f"{name}{of}_mm": value for name, value in figures._asdict().items()}

@@ -37,8 +37,7 @@ class Declared(dict[str, tuple[Callable[..., Answer], str]]):
     """Name of a verb -> what it does, and an example of it."""
 
     def declare(self, example: str) -> Callable[[Callable[P, Answer]], Callable[P, Answer]]:
-        """The function below is the verb of its example, `armcal NAME ...`. The files of its answer are written last,
-        all or none."""
+        """The function below is the verb of its example, `armcal NAME ...`; its files are written last, all or none."""
 
         def declared(function: Callable[P, Answer]) -> Callable[P, Answer]:
             @wraps(function)
@@ -71,8 +70,7 @@ Names = Annotated[list[str], words, "NAMES"]
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
-    """The measurements of an arm from one file or several, each of which is a session of its file's name; warns where
-    the units look wrong.
+    """The measurements of an arm from files, each a session of its file's name; warns of units that look wrong.
 
     Raises `InputError` where they certainly are, and for a file given twice.
     """

@@ -6,14 +6,13 @@ list (R. D. Cook, C. J. Nachtsheim, Technometrics 22 (1980), after V. V. Fedorov
 1972). One sweep visits every run in random order; a start ends when a sweep changes nothing. The starts of a batch
 advance together, so that numpy works on arrays of starts x candidates.
 
-Exchange finds the pattern, a climb on gradients the last digits. Near a good plan there are better ones more often than
-at random, so each second batch starts from the best plans so far: with some of their runs drawn again, or, of many
-parameters, with exchanges among the postures of them all.
+Exchange finds the pattern, a climb on gradients the last digits. Of many parameters under constraints the postures of
+climbed plans are among those that the next are begun from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +60,7 @@ class Exchange:
         # where few starts lead to the best plan, its last digits tell whether others agree
         accuracy = None if many or problem.constraints else 1e-11
         repeats = problem.minimum_distance == 0.0
-        best, seen, vary = list[tuple[float, Array]](), list[float](), False
+        seen, climbed = list[float](), list[Array]()
         if choices is not None:
             postures = listed_candidates(problem, choices)
             postures = postures if repeats else np.unique(postures, axis=0)
@@ -77,36 +76,30 @@ class Exchange:
         while True:
             count = max(1, min(most, left, 20_000 // runs))
             left -= count
-            # constraints take long to look at: postures of a pool are known to be allowed
-            if choices is not None or (many and (vary or problem.constraints)):
+            # constraints take long to look at: postures of a pool, and of plans so far, are known to be allowed
+            if choices is not None or (many and problem.constraints):
                 if choices is None:
                     fresh = random_postures(problem, count * runs, generator)
-                    postures = np.unique(np.concatenate([fresh, *(plan for _, plan in best)]), axis=0)
+                    postures = np.unique(np.concatenate([fresh, *climbed[-10:]]), axis=0)
                 again = repeats or len(postures) < runs  # where hardly any posture is allowed
                 chosen = np.array([generator.choice(len(postures), runs, replace=again) for _ in range(count)])
                 batch = Batch(problem, postures[chosen], postures, chosen)
             else:
-                started = self.begin(problem, count, runs, generator)
-                if vary:
-                    kept = generator.random(started.shape[:2]) > 0.25
-                    varied = np.array([plan for _, plan in best])[generator.integers(len(best), size=count)]
-                    started = np.where(kept[..., None], varied, started)
-                batch = Batch(problem, started, self.grid(problem))
+                batch = Batch(problem, self.begin(problem, count, runs, generator), self.grid(problem))
             yield Offer(batch.plans[0])  # something to return if the user stops during the first batch
             plans, values = batch.improved(generator, budget)
             if climb is None:
                 yield from (Offer(plan, 1, independent=True) for plan in plans)
                 continue
             yield Offer(plans[0], 1)
-            for k in _unlike(values, seen)[:5]:
-                seen.append(float(values[k]))
-                climbed = climb(plans[k], accuracy, budget.ended)
-                value = problem.objective(climbed)
-                if _unlike([value], [other for other, _ in best]):
-                    best = sorted([*best, (value, climbed)], key=lambda pair: -pair[0])[:10]
-                yield Offer(climbed, independent=not vary)
+            before = len(seen)
+            for plan, value in zip(plans, values.tolist(), strict=True):
+                # of those with one value, which are one plan up to symmetry, the first; so many of a batch
+                if np.isfinite(value) and all(abs(value - other) > 1e-7 for other in seen) and len(seen) < before + 5:
+                    seen.append(value)
+                    climbed.append(climb(plan, accuracy, budget.ended))
+                    yield Offer(climbed[-1], independent=True)
             yield Offer(plans[0], count - 1)
-            vary = bool(best) and (many or not vary)
 
     def begin(self, problem: DesignProblem, count: int, runs: int, generator: Generator) -> Array:
         """(s, m, n) random plans on the grid, where many optimal plans are, so that a start ends exactly at one; joints
@@ -124,16 +117,6 @@ class Exchange:
     def grid(self, problem: DesignProblem) -> Array:
         """(n, L) values of every joint, limits included."""
         return np.linspace(problem.lower, problem.upper, self.levels, axis=1)
-
-
-def _unlike(values: Sequence[float] | Array, others: Sequence[float]) -> list[int]:
-    """Places of the finite values that no other one and none before is near: else it is one plan up to symmetry."""
-    new, seen = list[int](), list(others)
-    for k, value in enumerate(values):
-        if np.isfinite(value) and all(abs(value - other) > 1e-7 for other in seen):
-            new.append(k)
-            seen.append(float(value))
-    return new
 
 
 class Batch:

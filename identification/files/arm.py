@@ -149,9 +149,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     )
 
 
-def described(
-    arm: Arm, effects: Sequence[Mapping[str, Any]] | None, calibration: Mapping[str, Any] | None = None
-) -> Arm:
+def described(arm: Arm, effects: Sequence[Plain] | None, calibration: Plain | None = None) -> Arm:
     """An arm with entries of `[[effects]]`, None: its own, and with a `[calibration]`, None: without any."""
     chain, kind, found = arm.chain, arm.chain.kind, None
     built = _built(arm.effects, chain)
@@ -350,8 +348,7 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
 def _calibration(
     table: Any, chain: KinematicChain, effects: Effects, provenance: Mapping[str, Any]
 ) -> tuple[Calibration, KinematicChain]:
-    """In API units, and the chain whose errors it has. Raises `InputError` for parameters that arm and effects do not
-    have."""
+    """In API units, and the chain whose errors it has. Raises `InputError` for parameters that are not of the arm."""
     given = (table.values or {}) | table.effects
     for kind, key in chain.lists.items():
         if (values := getattr(table, key)) is not None:

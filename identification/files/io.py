@@ -80,8 +80,7 @@ def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
 
 
 def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> None:
-    """Writes texts, bytes and pictures, each whole or not at all: all are complete beside their targets before the
-    first takes its place.
+    """Writes texts, bytes and pictures, each whole or not at all: all are complete before the first takes its place.
 
     Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable.
     """

@@ -96,9 +96,8 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     elif marked and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.frame.columns)):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     directions = (f"direction{j + 1}" for j in range(postures.shape[1]))
-    table.warn_unused(
-        ["run", "sigma_mm", *NUMBERS, *directions, *filter(None, ("session", instrument.target, marked))], hint
-    )
+    labels = filter(None, ("session", instrument.target, marked))
+    table.warn_unused(["run", "sigma_mm", *NUMBERS, *directions, *labels], hint)
     if instrument.contact and "run" in table and "order" not in table:
         planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
@@ -246,8 +245,7 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
 
 # -- writing columns ---------------------------------------------------------------------------------------------------
 def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") -> Columns:
-    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic
-    joint.
+    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides.
 
     name : `q`, or `commanded`
     """

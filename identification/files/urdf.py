@@ -110,8 +110,7 @@ class Urdf:
         return Joint(name, origin, axis, MOVING[kind], float(lower), float(upper))
 
     def with_origins(self, base: str, tip: str, origins: Sequence[Array]) -> str:
-        """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its
-        own; comments stay.
+        """The file's text with the moving joints at other origins, by the angles nearest to its own; comments stay.
 
         origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
         """
@@ -169,8 +168,7 @@ class Urdf:
         return masses, np.clip(np.divide(moments, whole, out=np.full(len(steps), 0.5), where=whole > 0.0), 0.0, 1.0)
 
     def neighbours(self) -> frozenset[frozenset[str]]:
-        """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of links without
-        bodies."""
+        """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of others."""
         solid = {name for name, link in self.links.items() if link.find("collision") is not None}
         pairs = set[frozenset[str]]()
         for link in solid & self.by_child.keys():
@@ -223,8 +221,7 @@ def read_urdf(path: PathLike) -> Urdf:
 def parse_urdf(text: str, path: PathLike) -> Urdf:
     """The text of a URDF file; `path` is its name in messages.
 
-    Raises `InputError` for text that is no XML or has a document type, links or joints of equal names, links with two
-    parents.
+    Raises `InputError` for text that is no XML or has a document type, equal names, links with two parents.
     """
     root = xml_root(text, path, "a URDF file")
     if root.tag != "robot":
@@ -263,8 +260,7 @@ def xml_root(text: str, path: PathLike, what: str) -> ElementTree.Element:
 
 
 def urdf_text(chain: KinematicChain, name: str) -> str:
-    """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
-    `tip`."""
+    """A URDF file of bare links and joints, `base_link`, `link_1`, .., `tip`, of a chain that comes from none."""
     robot, before = ElementTree.Element("robot", name=printable(name)), BASE_LINK
     ElementTree.SubElement(robot, "link", name=before)
     for j, joint in enumerate([*chain.joints, None], start=1):

@@ -201,8 +201,7 @@ def _problems(
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[str]]:
-    """Of each joint the entry of `joints` (as the controller counts), and its row of the table; and notes of joints
-    that hardly move."""
+    """Of each joint its entry of `joints` (as the controller counts) and its row; a note of those that hardly move."""
     beyond, entries, rows, still = doubts.beyond_limits(arm, postures), [], [], list[int]()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     columns, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
