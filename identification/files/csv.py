@@ -104,10 +104,7 @@ class Table:
 
     def warn_unused(self, expected: Iterable[str] = (), hint: str = "") -> None:
         """One `UserWarning` for all columns that were not asked for, with the nearest `expected` one where there is
-        one; these may be there without a word.
-
-        hint : what else to say
-        """
+        one; these may be there without a word;  hint : what else to say"""
         unused, free = [], [column for column in expected if column not in self]
         for column in (column for column in self.frame.columns if column not in {*self.used, *expected}):
             near = "" if MEANINGFUL.fullmatch(column) else suggestion(close_names(column, free)).strip()
