@@ -18,17 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from identification.arrays import Array, ByValue, readonly
 from identification.document import Document, Sheet, html
 from identification.errors import InputError, require
+from identification.kinematics import parameters
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
-from identification.kinematics.parameters import (
-    GEOMETRY,
-    JOINT_OFFSET,
-    LENGTH_ERROR,
-    MAX_LINKS,
-    REVOLUTE,
-    by_joint,
-    chain_parameters,
-)
+from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, MAX_LINKS, REVOLUTE
 from identification.workspace import Cell, ColumnLimits, WorkspaceConstraint
 
 # what files may say: beyond these, squares overflow and sines of angles are noise
@@ -142,10 +135,8 @@ class ErrorCurve(ByValue):
 
 
 def local_splines(angles: Array, start: float, stop: float, count: int) -> tuple[NDArray[np.int64], Array]:
-    """(m, 4) numbers of the splines that are not zero at angles (m,), and (m, 4) their values there.
-
-    Numbers from -3 to count + 2: those outside 0 to count - 1 do not exist; where all four do not, they are repeated.
-    """
+    """(m, 4) numbers of the splines that are not zero at angles (m,), and (m, 4) their values there. Numbers from -3 to
+    count + 2: those outside 0 to count - 1 do not exist; where all four do not, they are repeated."""
     x = np.clip((angles - start) * (count - 1) / (stop - start), -2.0, count + 1.0)
     first = np.clip(np.floor(x).astype(int) - 1, -3, count - 1)
     place = first[:, None] + np.arange(4)
@@ -213,25 +204,23 @@ class Calibration(ByValue):
         covariance: Array | None = None,
         provenance: Mapping[str, Any] = MappingProxyType({}),
     ) -> Calibration:
-        """From (n,) length errors [mm] and (n,) joint offsets [rad] of a planar arm, and values of its effects.
-
-        Raises `InputError` if the two differ in number.
-        """
+        """From (n,) length errors [mm] and (n,) joint offsets [rad] of a planar arm, and values of its effects. Raises
+        `InputError` if the two differ in number."""
         errors, offsets = np.ravel(length_errors), np.ravel(joint_offsets)
         counted = f"calibration: found {len(errors)} length errors and {len(offsets)} joint offsets"
         require(len(errors) == len(offsets), f"{counted}, allowed: one of each for every joint")
-        values = chain_parameters(np.ones(len(errors))).mapping(np.r_[errors, offsets]) | dict(effects)
+        values = parameters.chain_parameters(np.ones(len(errors))).mapping(np.r_[errors, offsets]) | dict(effects)
         return cls(values, parameter_names, covariance, provenance)
 
     @property
     def length_errors(self) -> Array:
         """(n,) [mm]."""
-        return by_joint(self.values, LENGTH_ERROR)
+        return parameters.by_joint(self.values, LENGTH_ERROR)
 
     @property
     def joint_offsets(self) -> Array:
         """(n,) [rad]."""
-        return by_joint(self.values, JOINT_OFFSET)
+        return parameters.by_joint(self.values, JOINT_OFFSET)
 
     @property
     def scatter(self) -> float | None:

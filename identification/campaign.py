@@ -7,14 +7,7 @@ from pathlib import Path
 
 from identification.arm import Arm
 from identification.document import Action, Document, Pictures, Section, Sheet, as_sentence, count_of, number
-from identification.documents.identification import (
-    FITTED,
-    calibrated_actions,
-    corrected_section,
-    dh_sections,
-    identify_command,
-    validation_verdict,
-)
+from identification.documents import identification as shown
 from identification.documents.pictures import signed_figures, workspace_arrows
 from identification.errors import InputError
 from identification.estimation.result import corrected_values
@@ -91,7 +84,7 @@ def campaign_document(
     model = min(reversed(squares), key=squares.__getitem__, default="")
     elsewhere = [rows for rows in tests if model not in seen[rows]]
     ordered = sorted(tests, key=lambda rows: rows not in elsewhere)
-    lines = [validation_verdict(tests[rows][model].to_json(), model, rows) for rows in ordered]
+    lines = [shown.validation_verdict(tests[rows][model].to_json(), model, rows) for rows in ordered]
     if len(calibrated) > 1:
         why = f"it leaves the smallest error on {' and '.join(fresh)}" if fresh else "it is the last given"
         others = " and ".join(name for name in calibrated if name != model)
@@ -103,8 +96,8 @@ def campaign_document(
     for name in sorted(calibrated, key=lambda name: name != model):
         corrected = corrected_values(calibrated[name])
         rows, places = dh_lines(calibrated[name], corrected, Path(name))
-        sections.append(corrected_section(f"Corrected values: {name}", corrected, folded=name != model))
-        sections += [Section(part.title, part.parts, name != model) for part in dh_sections(rows, places, name)]
+        sections.append(shown.corrected_section(f"Corrected values: {name}", corrected, folded=name != model))
+        sections += [Section(part.title, part.parts, name != model) for part in shown.dh_sections(rows, places, name)]
     sections += [error_section(name, of_models, seen[name]) for name, of_models in tests.items()]
     left = {name: of_models[model] for name, of_models in tests.items()}
     sections += [show_plan(drawn, plan, name, tests=left) for name, plan in plans.items()] if show_plan else []
@@ -112,7 +105,7 @@ def campaign_document(
     # what to do next, from the farthest step that was reached
     arm_file = next((name for name in arms if name not in calibrated), next(iter(arms)))
     data = sorted(seen, key=lambda rows: (model not in seen[rows], not seen[rows])) or ["data.csv"]
-    look, hold, use = calibrated_actions(arm_file, data[0], model or "calibrated.toml")
+    look, hold, use = shown.calibrated_actions(arm_file, data[0], model or "calibrated.toml")
     fit = next(iter([each.fit for each in measurements.values()] + [plan.fit for plan in plans.values()]), "")
     if worse := [rows for rows, test in left.items() if test.model.rms >= test.nominal.rms]:
         pooled = " ".join(["armcal diagnose", arm_file, *data])
@@ -121,23 +114,21 @@ def campaign_document(
     elif model:
         actions = [*([] if diagnosed(calibrated[model]) else [look]), *([] if elsewhere else [hold]), use]
     elif measurements:
-        actions = [Action("Identify the arm:", identify_command(arm_file, data[0], fit)), look]
+        actions = [Action("Identify the arm:", shown.identify_command(arm_file, data[0], fit)), look]
     else:
         why = ", as the plan is meant: what it promises is of this fit" if fit else ""
         measure = f"Measure the postures of {next(iter(plans), 'plan.csv')}, and write the positions beside the"
         actions = [
             Action(f"{measure} angles (armcal help formats)."),
             Action("See whether the data are what they should be:", f"armcal check {arm_file} data.csv"),
-            Action(f"Identify the arm{why}:", identify_command(arm_file, "data.csv", fit)),
+            Action(f"Identify the arm{why}:", shown.identify_command(arm_file, "data.csv", fit)),
         ]
     return Document(f"Calibration report: {drawn.name}".removesuffix(": "), verdict, sections, actions), kinds
 
 
 def error_section(rows: str, tests: dict[str, Validation], fitted: Sequence[str]) -> Section:
-    """The error of the drawing and of every model on some measurements, and its sign against each joint.
-
-    rows : name of the measurements;  fitted : models that were fitted to them
-    """
+    """The error of the drawing and of every model on some measurements, and its sign against each joint;
+    rows : name of the measurements;  fitted : models that were fitted to them"""
     *_, last = tests.values()
     measured, left = last.measurements, {"drawing": last.nominal_residuals}
     left |= {name: test.residuals for name, test in tests.items()}
@@ -145,7 +136,7 @@ def error_section(rows: str, tests: dict[str, Validation], fitted: Sequence[str]
     cells = [[name, *map(number, values)] for name, values in zip(left, figures, strict=True)]
     pairs = [(residuals, name) for name, residuals in left.items()][-2:]
     used = f"Fitted to these rows: {', '.join(fitted)}." if fitted else "No model given here was fitted to this file."
-    notes = [as_sentence(note) for note in last.notes if note != FITTED]
+    notes = [as_sentence(note) for note in last.notes if note != shown.FITTED]
     return Section(
         f"Error on {rows}",
         [

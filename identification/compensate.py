@@ -216,8 +216,7 @@ class Compensation(Documented):
 
     @property
     def misses(self) -> dict[str, Array]:
-        """Columns `error_mm`, and of poses `error_deg`: (k,) what is left, NaN where a constraint bars the target:
-        nothing is driven to there."""
+        """`error_mm`, of poses `error_deg`: (k,) what is left, NaN where a constraint keeps from driving there."""
         left = {"error_mm": self.errors} | ({} if self.angles is None else {"error_deg": np.degrees(self.angles)})
         return {name: np.where(self.near & ~self.reached, np.nan, column) for name, column in left.items()}
 
@@ -255,8 +254,7 @@ class Compensation(Documented):
         return notes
 
     def to_json(self) -> dict[str, Any]:
-        """Counts, the largest error over targets reached, the others, and a row for each target
-        (identification/files/README.md, "JSON keys")."""
+        """Counts, the largest error reached, a row for each target (identification/files/README.md, "JSON keys")."""
         reached, angles = self.reached, posture_columns(self.commands, self.arm.joint_types)
         rows = np.column_stack([*angles.values()]).tolist()
         commands = [row if drive else None for row, drive in zip(rows, reached.tolist(), strict=True)]

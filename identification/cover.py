@@ -139,11 +139,9 @@ def spread(points: Array, most: int) -> Array:
 
 
 def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Array, Array]:
-    """Points of the surface, points around it, and centers of the cells of a grid that the body fills.
-
-    A cell is filled where the surface is in it, or on both sides along at least two of the three axes: the inside of an
-    open surface, and of a bore.
-    """
+    """Points of the surface, points around it, and centers of the cells of a grid that the body fills. A cell is filled
+    where the surface is in it, or on both sides along at least two of the three axes: the inside of an open surface,
+    and of a bore."""
     farthest = 6  # cells
     low = faces.min(axis=(0, 1)) - (farthest + 1) * cell
     shape = (np.ceil(np.ptp(faces, axis=(0, 1)) / cell) + 2 * farthest + 3).astype(int)
@@ -174,10 +172,8 @@ def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Arr
 # -- boxes -------------------------------------------------------------------------------------------------------------
 def boxes_around(triangles: Array, place: Array | None = None, most: int = 32) -> Array:
     """(k, 15) centers, rotation matrices and half sizes of at most `most` boxes, along the axes of the triangles, that
-    contain the triangles (t, 3, 3).
-
-    place : (4, 4) pose of the frame of the triangles in that of the boxes; None: the same
-    """
+    contain the triangles (t, 3, 3);  place : (4, 4) pose of the frame of the triangles in that of the boxes; None: the
+    same"""
     cell = max(float(np.ptp(triangles, axis=(0, 1)).max()), 1.0) / 64
     faces = cut(triangles, 0.5 * cell)
     grid = np.floor((faces.mean(axis=1) - triangles.min(axis=(0, 1))) / cell).astype(int)

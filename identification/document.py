@@ -249,8 +249,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def estimate_text(value: float | None, std: float | None, unit: str) -> str:
-    """A parameter or a limit of its interval: three significant digits of the standard deviation, in mm and deg no more
-    than five decimals."""
+    """A parameter or limit: three significant digits of the standard deviation, in mm and deg at most five decimals."""
     if not value or not std or math.isnan(std):
         return "0" if value == 0.0 else number(value)
     std = max(std, FINEST) if unit in ("mm", "deg") else std

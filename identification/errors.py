@@ -27,10 +27,8 @@ class InputError(ArmcalError):
 
     @classmethod
     def unknown(cls, what: str, name: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> Self:
-        """Of a name that is not allowed: `solver: unknown name 'ipot', did you mean 'ipopt'? allowed: ...`
-
-        what : the place, and what the name is there;  meant : as for `nearest`
-        """
+        """Of a name that is not allowed: `solver: unknown name 'ipot', did you mean 'ipopt'? allowed: ...`;  what : the
+        place, and what the name is there;  meant : as for `nearest`"""
         return cls(f"{what} {name!r}, {nearest(name, allowed, meant)}")
 
 

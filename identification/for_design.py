@@ -106,10 +106,8 @@ class ArmModel(Model):
         self, lower: Array, upper: Array, units: Array, feasible: Callable[[Array], NDArray[np.bool_]]
     ) -> Array:
         """(N, n) random postures at which the measured point is on the surface and all else of the arm outside. Raises
-        `InputError` where there are hardly any; warns of what plans are of.
-
-        lower, upper : (n,) limits;  units : (n,) what counts as a radian;  feasible : which postures are allowed
-        """
+        `InputError` where there are hardly any; warns of what plans are of;  lower, upper : (n,) limits;  units : (n,)
+        what counts as a radian;  feasible : which postures are allowed"""
         chain = self.arm.chain
         generator, kept = np.random.default_rng(0), np.zeros((0, len(chain)))
         batch, batches = 4000, 10  # effort: random postures that are led to the surface at once, and how often
@@ -200,11 +198,9 @@ class ArmModel(Model):
         return model, missing.prior.deviations, beyond
 
     def rival_effects(self) -> tuple[int, ArmModel, tuple[Array, ...], Array, Callable[[Array], Array], Any]:
-        """The fields of `doe.discrimination.design.EffectLibrary`: what a plan distinguishes, the effects
-        of the library that an arm can have besides its own, without the rare ones, beside a minimal set of parameters.
-
-        An effect that acts at every joint alike has one size for all of them: that is what is seen first.
-        """
+        """The fields of `doe.discrimination.design.EffectLibrary`: what a plan distinguishes, the effects of the
+        library that an arm can have besides its own, without the rare ones, beside a minimal set of parameters. An
+        effect that acts at every joint alike has one size for all of them: that is what is seen first."""
         from identification.gap.blocks import hypotheses
         from identification.gap.detectability import detectability
 

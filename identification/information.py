@@ -53,12 +53,8 @@ def rounding_share(p: int) -> float:
 
 
 def log_determinants(information: Array) -> Array:
-    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf where the rule of ranks calls them
-    singular.
-
-    The determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most matrices their
-    eigenvalues.
-    """
+    """(...) log det of information matrices (..., p, p) of scaled parameters; -inf: singular by the rule of ranks. The
+    determinant of a matrix of trace p is at most e times its smallest eigenvalue, and spares most these."""
     p = information.shape[-1]
     lengths = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
     usable = np.array(np.all(np.isfinite(information), axis=(-2, -1)))

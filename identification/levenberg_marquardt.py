@@ -39,8 +39,7 @@ Linearize = Callable[[Array, Index], tuple[Array, Array]]
 
 
 class Points(NamedTuple):
-    """Where k searches are: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares (k,) and damping
-    (k,)."""
+    """Of k searches: parameters (k, p), residuals (k, N), Jacobians (k, N, p), sums of squares and damping (k,)."""
 
     x: Array
     residuals: Array
@@ -272,8 +271,7 @@ def newton_ascent(
     """(m, n) postures reached from starts (m, n), none lower than its start.
 
     Directions are those of the absolute eigenvalues of the Hessian, which lead away from saddles; joints at a limit
-    that would leave the box stay there. Each start has a reach of its own, which grows with success and shrinks with
-    failure.
+    that would leave the box stay there. Each start has a reach of its own, which grows with success, else shrinks.
 
     height : postures (k, n) of the starts numbered (k,) -> (k,) values, -inf where none may be
     slopes : the same -> (k, n) gradients and (k, n, n) Hessians

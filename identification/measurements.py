@@ -125,11 +125,8 @@ def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]
 
 
 def gaps_of(order: Array) -> NDArray[np.bool_]:
-    """(m,) True where numbers are left out of an `order` that counts measurements: the row before is missing.
-
-    Where numbers are left out before more than 3 of 4 rows they are frames or labels, no counts: then the row before is
-    the one before.
-    """
+    """(m,) True where numbers are left out of an `order` that counts measurements: the row before is missing. Where
+    numbers are left out before more than 3 of 4 rows they are frames or labels, no counts: none is missing."""
     sequence = np.argsort(order, kind="stable")
     gaps = np.zeros(len(order), dtype=bool)
     gaps[sequence[1:]] = np.diff(order[sequence]) > 1.0
@@ -455,11 +452,8 @@ class Measurements(ByValue):
         return kept if self.temperature is None else {**kept, "mean_temperature_C": self.reference_temperature}
 
     def rows(self, index: Any) -> Self:
-        """Some of the rows (any numpy index), as a session of their own.
-
-        Directions and the past stay what they were among all rows; session time and the mean temperature are those of
-        the subset.
-        """
+        """Some of the rows (any numpy index), as a session of their own. Directions and the past stay what they were
+        among all rows; session time and mean temperature are the subset's."""
         return replace(self, directions=self._directions, past=self._past)._picked(index)
 
     def without_copies(self) -> Self:

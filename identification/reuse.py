@@ -186,20 +186,18 @@ def same_drawing(calibrated: Arm, arm: Arm) -> bool:
 
 
 # -- another set-up ----------------------------------------------------------------------------------------------------
-def with_base_doubt(
-    held_fit: Identification, arm: Arm, words: Sequence[str], measurements: Measurements
-) -> Identification:
+def with_base_doubt(held: Identification, arm: Arm, words: Sequence[str], measurements: Measurements) -> Identification:
     """A fit of `only` these words, with a doubt where the base is held and the arm stands elsewhere by now: residuals
     fall as in `doubts.another_frame` where it is estimated, too."""
     try:
         model = only(arm, ["base", *words], measurements)
-        free_fit = estimate(model, measurements) if "base" not in words else held_fit
+        free = estimate(model, measurements) if "base" not in words else held
     except InputError:  # the base is given, or too few rows
-        return held_fit
-    left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held_fit, free_fit))
-    if not worth_freeing(left, left_free, len(free_fit.names) - len(held_fit.names), free_fit.dof, FALL**2):
-        return held_fit
-    fall = f"the RMS falls from {held_fit.rms_after:.4g} to {free_fit.rms_after:.4g} mm"
+        return held
+    left, left_free = (float(np.sum(fit.residuals_after**2)) for fit in (held, free))
+    if not worth_freeing(left, left_free, len(free.names) - len(held.names), free.dof, FALL**2):
+        return held
+    fall = f"the RMS falls from {held.rms_after:.4g} to {free.rms_after:.4g} mm"
     reason = f"the arm does not stand where the arm file says: {fall} where the base is estimated, too"
-    others = (doubt for doubt in held_fit.doubts if not doubt.startswith(OTHER_FRAME))
-    return replace(held_fit, doubts=(f"{reason}; add it: --only base,{','.join(words)}", *others))
+    others = (doubt for doubt in held.doubts if not doubt.startswith(OTHER_FRAME))
+    return replace(held, doubts=(f"{reason}; add it: --only base,{','.join(words)}", *others))

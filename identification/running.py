@@ -61,11 +61,8 @@ def single_thread() -> Iterator[None]:
 
 
 def additions(group: str) -> Iterator[tuple[str, str, Any]]:
-    """Name, place (for messages) and object of every entry point of a group.
-
-    Warns (`UserWarning`) of all of them before the first is loaded, which runs the package's code. Raises `InputError`
-    for one that cannot be loaded.
-    """
+    """Name, place (for messages) and object of every entry point of a group. Warns (`UserWarning`) of all of them
+    before the first is loaded, which runs the package's code. Raises `InputError` for one that cannot be loaded."""
     points = list(metadata.entry_points(group=group))
     if points:
         packages = ("of no package" if p.dist is None else f"{p.dist.name} {p.dist.version}" for p in points)

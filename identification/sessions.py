@@ -39,11 +39,8 @@ def placing(parameters: ParameterSet) -> list[int]:
 
 # -- one table of several ----------------------------------------------------------------------------------------------
 def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
-    """Sessions by name as one table; a table that names sessions of its own keeps them, its name before theirs.
-
-    Columns that not every table has are left out, with a warning (`UserWarning`). Raises `InputError` for tables of
-    different arms.
-    """
+    """Sessions by name as one table; a table that names sessions of its own keeps them, its name before theirs. Columns
+    that not every table has are left out, with a warning. Raises `InputError` for tables of different arms."""
     parts = []
     for name, table in tables.items():
         several = table.sessions if len(table.sessions) > 1 else ()
@@ -130,8 +127,7 @@ def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
 
 
 def without_sessions(calibration: Calibration) -> Calibration:
-    """A calibration without the bases of later sessions, and without targets that stand in the frame of the base: the
-    arm stands as in the first."""
+    """A calibration without bases of later sessions and targets in the frame of the base: the arm as in the first."""
     words = [kind.own_targets for kinds in KINDS.values() for kind in kinds.values() if kind.own_targets]
     dropped = (f"{SESSIONS}.", *(f"{word}[" for word in words))
     kept = calibration.about(name for name in calibration.parameter_names if not name.startswith(dropped))
@@ -153,10 +149,8 @@ def with_open_base(arm: Arm) -> Arm:
 
 def start_at_base(model: Model, measurements: Measurements, conditions: Conditions) -> Array:
     """(p,) best known values, where parameters that the chain names say where it stands with the shift and the rotation
-    that bring computed tips nearest to measured ones.
-
-    Exact where nothing but the chain depends on where the base stands; otherwise a start for least squares.
-    """
+    that bring computed tips nearest to measured ones. Exact where nothing but the chain depends on where the base
+    stands; otherwise a start for least squares."""
     standing, moved = model.arm.chain.standing, model.values.copy()
     if standing and {*standing} <= {*model.names}:
         x0, y0, turn = (model.parameters.index(name) for name in standing)
@@ -181,10 +175,8 @@ def check_calibrated(arm: Arm, file: str | None = None) -> None:
 
 
 def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
-    """How many rows are outside the angles of the identification, in a clause; None: none, or not known.
-
-    out : (m, n) of `outside`;  what : the rows are
-    """
+    """How many rows are outside the angles of the identification, in a clause; None: none, or not known;  out : (m, n)
+    of `outside`;  what : the rows are"""
     if out is None or not out.any():
         return None
     joints = ", ".join(f"joint {j + 1} in {int(out[:, j].sum())}" for j in np.flatnonzero(out.any(axis=0)))
@@ -193,8 +185,7 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
 
 
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
-    """(m, n) True where a joint of postures (m, n) is outside the angles of the identification, whole turns aside; None
-    where they are not known."""
+    """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None: not known."""
     if (limits := range_of(identified(arm), arm.joint_types)) is None:  # (2, n) [rad, mm]
         return None
     (lower, upper), types = limits, Model(arm).joint_types

@@ -87,10 +87,8 @@ def simulate(
 
 def _seated(model: Model, session: Measurements, noise: float, generator: np.random.Generator) -> Measurements:
     """Rows whose postures are led to the nearest targets, which are their sessions: where the joints then stand is all
-    that is read, and the measured point is beside the target by the noise.
-
-    Raises `InputError` for a truth that does not say where targets are, and where one cannot be reached.
-    """
+    that is read, and the measured point is beside the target by the noise. Raises `InputError` for a truth that does
+    not say where targets are, and where one cannot be reached."""
     chain = model.arm.chain
     targets = chain.instrument.targets
     if not targets:

@@ -10,17 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from identification import sessions
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
-from identification.documents.identification import (
-    BY_CHANCE,
-    DRAWN,
-    FITTED,
-    unit_key,
-    validation_sections,
-    validation_verdict,
-)
+from identification.documents import identification as shown
 from identification.errors import InputError, require
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import lacking, left_out_residuals
@@ -41,9 +35,6 @@ from identification.sessions import (
     outside,
     share_fitted,
     start_at_base,
-    with_open_base,
-    with_sessions,
-    without_sessions,
 )
 
 if TYPE_CHECKING:  # a diagnosis imports this package
@@ -92,21 +83,19 @@ class Validation(Documented):
 
     @property
     def rms_angles(self) -> tuple[float, ...]:
-        """RMS of the angles between orientations measured and computed [deg], by the model and by the drawing; empty
-        where none are measured."""
+        """RMS angles between orientations measured and computed [deg], by model and drawing; empty: none measured."""
         scale = self.arm.chain.angle_scale
         angles = [residuals[:, POINT.stop :] for residuals in (self.residuals, self.nominal_residuals)]
         return tuple(float(np.degrees(rms_distance(a) / scale)) for a in angles if scale and a.size)
 
     def to_json(self) -> dict[str, Any]:
-        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks` are the rows by session, and by
-        range of the identification."""
+        """Keys of `validate` (identification/files/README.md, "JSON keys"); `blocks`: rows by session, and by range."""
 
         def millimetres(figures: Figures, of: str = "") -> dict[str, float]:
             return {f"{name}{of}_mm": value for name, value in figures._asdict().items()}
 
-        sessions = zip(self.measurements.sessions, self.measurements.session_rows, strict=False)
-        groups = [("session", name, rows) for name, rows in sessions]
+        of_sessions = zip(self.measurements.sessions, self.measurements.session_rows, strict=False)
+        groups = [("session", name, rows) for name, rows in of_sessions]
         out = outside(self.arm, self.measurements.postures)
         beyond = np.zeros(len(self.residuals), dtype=bool) if out is None else np.any(out, axis=1)
         if 0 < np.count_nonzero(beyond) < len(beyond):
@@ -125,7 +114,7 @@ class Validation(Documented):
             "blocks": blocks,
             "refitted": [dict(row) for row in self.refitted],
             "notes": list(self.notes),
-            **unit_key(self.arm),
+            **shown.unit_key(self.arm),
         }
 
     def remarks(self, left_open: int) -> Iterator[str]:
@@ -138,7 +127,7 @@ class Validation(Documented):
             share = 100.0 * self.model.rms / self.nominal.rms
             of_drawing = f"{share:.0f} % of the RMS error of the drawing, refitted in the same way"
             p_value = f"p = {gained.p_above():.2g}"
-            yield f"the model leaves {of_drawing}, which {BY_CHANCE} as far as these rows tell ({p_value})"
+            yield f"the model leaves {of_drawing}, which {shown.BY_CHANCE} as far as these rows tell ({p_value})"
         if angles := self.rms_angles:
             yield f"orientations: RMS {angles[0]:.3g} deg, by the drawing {angles[1]:.3g} deg"
         tools, names = arm.chain.tools, () if arm.chain.instrument.own_targets else measurements.marker_names
@@ -152,7 +141,7 @@ class Validation(Documented):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
         if (own := share_fitted(identified(arm), measurements)) >= MOST:
-            yield FITTED
+            yield shown.FITTED
         elif own > 0.0:
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
         if far := extrapolated(outside(arm, measurements.postures), "rows"):
@@ -167,9 +156,9 @@ class Validation(Documented):
     def document(self) -> Document:
         """What the model is worth, drawing and model over all rows, then block by block."""
         data = self.to_json()
-        notes = [note for note in self.notes if BY_CHANCE not in note and note != FITTED]
-        parts = validation_sections(data)
-        return Document("Validation", [validation_verdict(data), *notes], parts)
+        notes = [note for note in self.notes if shown.BY_CHANCE not in note and note != shown.FITTED]
+        parts = shown.validation_sections(data)
+        return Document("Validation", [shown.validation_verdict(data), *notes], parts)
 
 
 def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Validation:
@@ -183,8 +172,8 @@ def validate(arm: Arm, measurements: Measurements, refit: str = "base") -> Valid
     Raises `InputError` for an arm without calibration, another `refit`, or `none` where nothing is measured from where
     the arm stands, data of another arm, too few rows.
     """
-    if refit not in DRAWN:
-        raise InputError.unknown("refit: unknown name", refit, DRAWN)
+    if refit not in shown.DRAWN:
+        raise InputError.unknown("refit: unknown name", refit, shown.DRAWN)
     check_calibrated(arm)
     instrument, several = arm.chain.instrument, len(measurements.sessions) > 1
     if refit == "none" and (instrument.own_targets or (several and not instrument.reads_positions)):
@@ -204,7 +193,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     if len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, "base", arm)[1]
     chain = replace(arm.chain, settled=arm.chain.drawn)
-    model = Model(with_sessions(replace(drawing, chain=chain), measurements))
+    model = Model(sessions.with_sessions(replace(drawing, chain=chain), measurements))
     free = {p.name for p in model.parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")}
     free |= {*chain.standing}
     held = {name: value for name, value in model.best_known.items() if name not in free}
@@ -263,15 +252,13 @@ def _refitted(
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------
-def offer(
-    by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p_value: float
-) -> dict[str, Any]:
+def offer(by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p: float) -> dict[str, Any]:
     """Key `offered` (identification/files/README.md, "JSON keys"): RMS and largest distance [mm] that the model offered
     and the geometry alone leave, and whether it is better beyond chance, as `validate` judges it;  by : `holdout` or
-    `cross-validation` (each posture by a fit to others);  p_value : one-sided, of no gain"""
+    `cross-validation` (each posture by a fit to others);  p : one-sided p-value, of no gain"""
     lengths = {"rms_mm": model[0], "max_mm": model[1], "rms_geometry_mm": geometry[0], "max_geometry_mm": geometry[1]}
-    better = model[0] < geometry[0] and p_value <= LEVEL_95 / 2.0
-    return {"by": by, "rows": rows, **lengths, "p_value": p_value, "better": better}
+    better = model[0] < geometry[0] and p <= LEVEL_95 / 2.0
+    return {"by": by, "rows": rows, **lengths, "p_value": p, "better": better}
 
 
 def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements) -> dict[str, Any]:
@@ -313,8 +300,8 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
     # as `identify` calibrates it, where it stands in the first session
-    fit = estimate(Model(with_sessions(arm, kept)), kept)
-    geometry = replace(arm, calibration=without_sessions(fit.calibration()))
+    fit = estimate(Model(sessions.with_sessions(arm, kept)), kept)
+    geometry = replace(arm, calibration=sessions.without_sessions(fit.calibration()))
     try:
         alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
     except InputError:  # too few rows to place the arm
@@ -348,7 +335,7 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
         model = Model(replace(arm, chain=with_markers(chain, measurements)))
     else:
         chain = replace(one_unnamed(chain, measurements), settled=chain.drawn)
-        model = placed_model(Model(replace(with_open_base(arm), chain=chain)), measurements)
+        model = placed_model(Model(replace(sessions.with_open_base(arm), chain=chain)), measurements)
         free |= {p.name for p in model.geometry_parameters if p.kind in known} | {*chain.standing}
         if refit == "offsets":
             free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}

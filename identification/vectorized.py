@@ -42,11 +42,9 @@ FUNCTIONS = {getattr(ca, f"OP_{name.upper()}"): function for name, function in (
 
 
 def vectorize(function: ca.Function) -> Evaluate:
-    """Numpy version of an SX function whose inputs are dense column vectors.
-
-    The result takes, per input, an array whose LAST axis runs over the components and whose leading axes broadcast
-    against those of the other inputs; it returns, per output, an array of the broadcast shape + (rows, columns).
-    """
+    """Numpy version of an SX function whose inputs are dense column vectors. The result takes, per input, an array
+    whose LAST axis runs over the components and whose leading axes broadcast against those of the other inputs; it
+    returns, per output, an array of the broadcast shape + (rows, columns)."""
     run, shapes = _compiled(function.serialize()), [function.size_out(i) for i in range(function.n_out())]
 
     def evaluate(*arguments: ArrayLike) -> tuple[np.ndarray, ...]:

@@ -37,8 +37,7 @@ class Declared(dict[str, tuple[Callable[..., Answer], str]]):
     """Name of a verb -> what it does, and an example of it."""
 
     def declare(self, example: str) -> Callable[[Callable[P, Answer]], Callable[P, Answer]]:
-        """The function below is the verb of its example, `armcal NAME ...`. The files of its answer are written last,
-        all or none."""
+        """The function below is the verb of its example, `armcal NAME ...`; its files are written last, all or none."""
 
         def declared(function: Callable[P, Answer]) -> Callable[P, Answer]:
             @wraps(function)
@@ -71,11 +70,8 @@ Names = Annotated[list[str], words, "NAMES"]
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
-    """The measurements of an arm from one file or several, each of which is a session of its file's name; warns where
-    the units look wrong.
-
-    Raises `InputError` where they certainly are, and for a file given twice.
-    """
+    """The measurements of an arm from files, each a session of its file's name; warns of units that look wrong. Raises
+    `InputError` where they certainly are, and for a file given twice."""
     from identification.files.measurement import load_measurements
     from identification.inspection.readings import data_warnings, read_differently
     from identification.sessions import pooled_sessions
@@ -312,12 +308,7 @@ def identify_files(
     out : Write a calibrated arm file (TOML).
     """
     from identification import estimation, reuse
-    from identification.documents.identification import (
-        hardly_better,
-        identification_actions,
-        identification_document,
-        unit_key,
-    )
+    from identification.documents import identification as shown
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
     from identification.estimation.result import corrected_geometry
@@ -416,15 +407,15 @@ def identify_files(
         lines.append(effects.sentence + (f", or rather {share:g} times as large" if share != 1.0 else ""))
         if not chosen and old is None:
             alone = Model(with_sessions(bare, rows))
-            keys["offered"] = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)
-            doubts += [hardly_better(keys["offered"])] if keys["offered"] and not keys["offered"]["better"] else []
+            keys["offered"] = offered = prior_judged(lambda: estimation.estimate(alone, rows), fitted, rows)
+            doubts += [shown.hardly_better(offered)] if offered and not offered["better"] else []
     result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
     with suppress(InputError):  # too few rows
         result["rms_drawing_mm"] = rms_distance(drawing_residuals(bare, rows))
     if fitted.geometry is not None and not fitted.not_identifiable:
         table, places = dh_lines(fitted.calibrated_arm(), fitted.corrected_values, arm)
         result |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
-    result |= unit_key(fitted.arm) | {key: value for key, value in keys.items() if value is not None}
+    result |= shown.unit_key(fitted.arm) | {key: value for key, value in keys.items() if value is not None}
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
 
     # the files, all or none
@@ -435,7 +426,7 @@ def identify_files(
         refusal = "the fit is implausible; --force writes it all the same"
     if fitted.not_identifiable or (refusal and asked_for):
         lines += [f"{path} was not written: {refusal}" for path in asked_for]
-        return Answer(result, identification_document(fitted, result, hidden).plus(*lines), fitted, 1, doubts)
+        return Answer(result, shown.identification_document(fitted, result, hidden).plus(*lines), fitted, 1, doubts)
     if out is not None:
         calibration = without_sessions(fitted.calibration().about(set(fitted.names) - hidden))
         for before in (bare.calibration if fitted.held else None, None if old is None else old.calibration):
@@ -446,19 +437,14 @@ def identify_files(
         files[urdf] = "corrected URDF file", corrected_urdf(arm, fitted.geometry)
         labels = ", ".join(effect.label for effect in fitted.model.effects)
         lines += [f"a URDF file has no effects: {labels} left out"] if labels else []
-    document = identification_document(fitted, result, hidden).plus(*lines)
-    actions = identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
+    document = shown.identification_document(fitted, result, hidden).plus(*lines)
+    actions = shown.identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
     return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
 
 
-def dh_lines(
-    calibrated: Arm, values: Sequence[CorrectedValue], arm: Path
-) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+def dh_lines(real: Arm, values: Sequence[CorrectedValue], arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:
     """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and what
-    the instrument has beside it; else empty.
-
-    values : corrected ones, those of the instrument among them
-    """
+    the instrument has beside it; else empty;  values : corrected ones, those of the instrument among them"""
     from identification.estimation.result import dh_table
     from identification.files.arm import dh_rows
     from identification.files.io import read_toml
@@ -469,14 +455,14 @@ def dh_lines(
     if file.dh is None:
         return (), []
     try:
-        rows, places = dh_table(calibrated, *dh_rows(file))
+        rows, places = dh_table(real, *dh_rows(file))
     except InputError:  # prismatic joints, or axes that are one
         return (), []
     lines = []
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
         lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    own = {p.name for p in calibrated.chain.instrument.parameters}
+    own = {p.name for p in real.chain.instrument.parameters}
     touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
     return rows, [*lines, *touched]
 

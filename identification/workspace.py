@@ -180,8 +180,7 @@ def brick(half: Array) -> Array:
 
 
 def cut(triangles: Array, longest: float) -> Array:
-    """The surface of triangles (t, 3, 3) in faces (f, 3, 3) without a longer edge: halved in the middle of the longest
-    one, again and again."""
+    """Triangles (t, 3, 3) as faces (f, 3, 3) without a longer edge: halved across the longest one, again and again."""
     done = [np.empty((0, 3, 3))]
     while len(triangles):
         edges = triangles - triangles[:, [1, 2, 0]]

@@ -161,8 +161,8 @@ def outside_round(model: Offers, region: Any, q: ca.SX) -> ca.SX:
 
 def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
     """(k,) The tracker sees the reflector: inside its cone and range, not from behind, no link near the line of sight;
-    links have a radius here, and the last, which carries the reflector, is not in the way. Where a model of space has
-    bodies, these are looked at instead (`Clearance`)."""
+    links have a radius here, and the last, which carries the reflector, is not in the way. Where a model has bodies,
+    these are looked at instead (`Clearance`)."""
     if len(sight.tracker) != model.space:
         raise InputError(f"line_of_sight: a tracker in {len(sight.tracker)} dimensions, allowed: in {model.space}")
     points, tracker = model.symbolic_points(q), ca.DM(sight.tracker)

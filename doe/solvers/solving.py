@@ -121,7 +121,7 @@ def solve(
     if begin is None or not problem.feasible(begin).any():
         random_postures(problem, 1, np.random.default_rng(seed))  # raises where the constraints exclude everything
     best, best_value, best_name, done, agreeing = None, -np.inf, chosen.name, 0, 0
-    reached = 1.0 - 1e-9  # efficiency from which searching on cannot matter
+    reached = 1.0 - 1e-7  # efficiency from which searching on cannot matter
     status, p, same = Status.starts_finished, problem.parameters, 1e-7  # of criterion values
     with threadpool_limits(limits=1, user_api="blas"):  # matrices are small: more threads only wait for each other
         limit = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds

@@ -23,14 +23,7 @@ from identification.document import (
     of_joints,
     unit_or_dash,
 )
-from identification.documents.identification import (
-    ALONE,
-    DRAWN,
-    correct,
-    corrected_section,
-    hardly_better,
-    identify_command,
-)
+from identification.documents import identification as fits
 from identification.effects import library
 from identification.estimation.result import corrected_values
 
@@ -77,7 +70,7 @@ def diagnosis_verdict(data: Data) -> list[str]:
         partly = "Not confirmed as predicted: the error on rows that no fit has seen falls by less."
         lines.append(partly if shrinks(data) else "Not confirmed on rows that no fit has seen.")
     if not is_offered(data):
-        lines.append(hardly_better(data["offered"]))
+        lines.append(fits.hardly_better(data["offered"]))
     if verdict == "none" and data["misfit"] and data["misfit"]["significant"]:
         return [*lines, "The model is incomplete or sigma_mm too small; what is missing these data do not show."]
     if verdict == "none":
@@ -180,7 +173,7 @@ def diagnosis_actions(
     """What follows from a diagnosis of these files;  written : the extended model, where it has been"""
     again = " ".join(["armcal diagnose", arm, *rows])
     joined = ", of all rows in one file with a column session" * (len(rows) > 1)
-    alone = identify_command(arm, "all.csv" if joined else rows[0], ALONE)
+    alone = fits.identify_command(arm, "all.csv" if joined else rows[0], fits.ALONE)
     confirm = Action(
         "Measure some twenty other postures, best on another day, and let them confirm what was found:",
         f"{again} --holdout other.csv",
@@ -190,14 +183,14 @@ def diagnosis_actions(
         why = gain if shrinks(data) else ": rows that no fit has seen speak against it"
         return [Action(f"Do not put this into the controller{why}."), confirm]
     if data["verdict"] == "none":
-        return [Action(f"Use the calibration of the geometry{joined}:", alone), correct("calibrated.toml")]
+        return [Action(f"Use the calibration of the geometry{joined}:", alone), fits.correct("calibrated.toml")]
     if data["verdict"] == "ambiguous":
         apart = " ".join(["armcal discriminate", arm, *rows, "--runs 6 --out next.csv"])
         measure = Action("Measure the postures that tell the explanations apart:", apart)
         return [measure, Action("Add the new rows to the data, and diagnose again:", again)]
     if not is_offered(data):
         use = Action(f"Use the calibration of the geometry{joined}, unless other rows show that it is worse:", alone)
-        return [use, correct("calibrated.toml"), confirm]
+        return [use, fits.correct("calibrated.toml"), confirm]
     actions = [] if data["confirmation"] and data["confirmation"]["confirmed"] else [confirm]
     if data["verdict"] == "unknown":
         within = ", within the angles measured" if is_described(data) else ""
@@ -205,7 +198,7 @@ def diagnosis_actions(
         actions.insert(0, Action(f"Look for a cause {place_in_words(data)}{usable if data['predicting'] else ''}."))
     if written is None:
         actions.append(Action("Keep the extended model:", f"{again} --out extended.toml"))
-    return [*actions, correct(str(written or "extended.toml"))]
+    return [*actions, fits.correct(str(written or "extended.toml"))]
 
 
 # -- the document ------------------------------------------------------------------------------------------------------
@@ -255,7 +248,7 @@ def diagnosis_document(
     values = corrected_values(diagnosis.extended_arm(best), best.calibration, unknown=undetermined)
     doubted = data["confirmed"] is False
     title = "Corrected values, not confirmed" if doubted else "Corrected values"
-    sections.append(corrected_section(title, values, folded=doubted))
+    sections.append(fits.corrected_section(title, values, folded=doubted))
     sections.append(Section("Signed error against each joint", [picture("signed_of")]))
     if data["curves"]:
         sections.append(Section("Error curves of joints", [curve_table(data), CURVES, picture("curves_figure")]))
@@ -325,7 +318,7 @@ def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:
         chance = f"probability {1.0 - finding['p']:.2f}"
         sentences.append(f"Scatter: {finding['finding']} ({what} {abs(finding['size']):.2g}, {chance}).")
     sentences += [f"Rows left out as outliers: {', '.join(map(str, out))}."] if out else []
-    sentences += [] if nominal is None else [f"Drawing: {number(nominal)} {unit} RMS, {DRAWN['base']}."]
+    sentences += [] if nominal is None else [f"Drawing: {number(nominal)} {unit} RMS, {fits.DRAWN['base']}."]
     table = Sheet([f"RMS distance [{unit}]", "rows", "before", "after", "expected", "holds"], shown)
     return [table, ABOUT_GAP.format(noise), *sentences]
 

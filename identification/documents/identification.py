@@ -4,7 +4,7 @@ commands; what to do next; and the library of effects."""
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,14 +107,10 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
     }
 
 
-def identification_document(
-    fit: Identification, data: Data | None = None, hidden: frozenset[str] = frozenset()
-) -> Document:
+def identification_document(fit: Identification, data: Data | None = None, hidden: Collection[str] = ()) -> Document:
     """Everything about a fit: warnings, verdict, figures, the Denavit-Hartenberg table where the arm file has one, else
-    the corrected values but for those `hidden`; the parameters of a model that is no arm's.
-
-    data : what `armcal identify --json` says of it, None: what it says itself
-    """
+    the corrected values but for those `hidden`; the parameters of a model that is no arm's;  data : what `armcal
+    identify --json` says of it, None: what it says itself"""
     data = fit.to_json() if data is None else data
     # of the class of the others: estimation, where it is defined, imports this module
     dh = [type(fit.corrected_values[0])(**row) for row in data.get("dh_table", ())]
@@ -244,10 +240,8 @@ def identify_command(arm: str, rows: str, fit: str = "") -> str:
 
 
 def identification_actions(data: Data, arm: str, rows: str, written: Path | None, *, diagnosed: bool) -> list[Action]:
-    """What follows from an identification, by its JSON.
-
-    written : the calibrated arm, where it has been;  diagnosed : its effects have been looked for
-    """
+    """What follows from an identification, by its JSON;  written : the calibrated arm, where it has been;
+    diagnosed : its effects have been looked for"""
     keep = [] if written else [Action("Keep the calibration: add --out calibrated.toml to this command.")]
     look, *use = calibrated_actions(arm, rows, str(written or "calibrated.toml"))
     if "prior" not in data:

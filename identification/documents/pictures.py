@@ -1,5 +1,4 @@
-"""Residuals as pictures: over the workspace, against each joint with their sign, against time and torque; error
-curves.
+"""Residuals as pictures: over the workspace, against each joint with their sign, time and torque; error curves.
 
 A joint that turns by e too far moves the tip by e times its lever d tip / d q_j. The error that explains most of a
 row's residual r is e = r . lever / |lever|^2; where the lever is short a row says little, and e is held small.
@@ -50,8 +49,7 @@ def joint_errors(levers: Array, residuals: Array) -> Array:
 
 
 def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditions | None) -> list[Figure | str]:
-    """How they are read, and a picture for each joint: its errors that residuals (m, d) [mm] of two models mean, at
-    postures (m, n)."""
+    """How they are read, and the errors of each joint that residuals (m, d) [mm] of two models mean at postures."""
     levers = Model(arm).joint_levers(postures, conditions=conditions)[:, POINT]
     errors = [joint_errors(levers, residuals[:, : levers.shape[1]]) for residuals, _ in pairs]
     shown: list[Figure | str] = [f"{READ} Red: {pairs[0][1]}. Blue: {pairs[1][1]}."]
@@ -168,9 +166,7 @@ def curves_figure(diagnosis: Diagnosis) -> Figure:
     return panels(sorted(diagnosis.curves, key=lambda curve: curve.joint), 2, 2.2, draw)
 
 
-def panels(
-    items: Sequence[Any], columns: int, height: float, draw: Callable[[Axes, Any], None], **style: Any
-) -> Figure:
+def panels(items: Sequence[Any], columns: int, height: float, draw: Callable[[Axes, Any], Any], **style: Any) -> Figure:
     """One picture of a panel for each item, the first with a legend."""
     rows = -(-len(items) // columns)
     figure = Figure(figsize=(10.0, height * rows), layout="constrained")

@@ -448,19 +448,15 @@ def mean_of(values: Array, groupings: Sequence[Groups], least: float = 0.0) -> M
 
 
 def groups_of(measurements: Measurements, kept: NDArray[np.bool_] | None = None) -> tuple[Groups, Groups]:
-    """Groups of rows that count as independent, among the kept rows (None: all): see `groupings`."""
-    turn = np.argsort(measurements.sequence)
-    rows = np.ones(len(turn), dtype=bool) if kept is None else kept
-    return groupings(measurements.postures[rows], measurements.posture_numbers[rows], turn[rows])
-
-
-def groupings(postures: Array, repeats: Groups, time: Array | Groups) -> tuple[Groups, Groups]:
-    """(m,) group of each row by interval of time, and by region of posture (repeated bisection at the median of the
-    joint with the widest range): up to `GROUPS` groups of equal size;  repeats : (m,) equal numbers mark repeats"""
-    sequence = np.argsort(time, kind="stable")
+    """Of the kept rows (None: all) those that count as independent: (m,) group of each by interval of time, and by
+    region of posture (repeated bisection at the median of the joint with the widest range): up to `GROUPS` groups of
+    equal size."""
+    rows = np.ones(len(measurements), dtype=bool) if kept is None else kept
+    postures, repeats = measurements.postures[rows], measurements.posture_numbers[rows]
+    sequence = np.cumsum(rows)[measurements.sequence[rows[measurements.sequence]]] - 1
     stays = np.cumsum(np.diff(repeats[sequence], prepend=repeats[sequence[0]]) != 0)  # at one posture, from 0
-    ends = np.unique(np.searchsorted(np.cumsum(np.bincount(stays)), np.arange(1, GROUPS) * len(time) / GROUPS))
-    intervals = np.empty(len(time), dtype=np.int64)
+    ends = np.unique(np.searchsorted(np.cumsum(np.bincount(stays)), np.arange(1, GROUPS) * len(stays) / GROUPS))
+    intervals = np.empty(len(stays), dtype=np.int64)
     intervals[sequence] = np.searchsorted(ends, stays, side="left")
     _, first, number = np.unique(repeats, return_index=True, return_inverse=True)
     q, regions = postures[first], np.zeros(len(first), dtype=np.int64)

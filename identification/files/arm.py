@@ -28,17 +28,8 @@ from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import CURVE, CalibrationTable, EffectTable, PoseTable, validated, validated_arm
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
 from identification.instruments import KINDS
-from identification.kinematics.chain import (
-    BASE,
-    STANDARD,
-    TOOL,
-    CorrectedGeometry,
-    DHRow,
-    KinematicChain,
-    chain_of,
-    planar_chain,
-    standing_in,
-)
+from identification.kinematics import chain as chains
+from identification.kinematics.chain import BASE, STANDARD, TOOL, CorrectedGeometry, DHRow, KinematicChain
 from identification.kinematics.counting import Counting, check_kinds
 from identification.kinematics.frames import from_angles, pose, pose_table, rotation_to_z, tool_tables
 from identification.kinematics.parameters import GEOMETRY, PRISMATIC, REVOLUTE, Parameter, by_joint
@@ -82,12 +73,10 @@ def load_arm(path: PathLike | Mapping[str, Any], package_dirs: Sequence[PathLike
 
 
 def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequence[PathLike] = ()) -> Arm:
-    """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name.
-
-    folder : where the files are that the tables name;  package_dirs : as of `load_arm`
-    """
+    """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name;
+    folder : where the files are that the tables name;  package_dirs : as of `load_arm`"""
     file = validated_arm(tables)
-    urdf = _urdf(file, folder)
+    urdf = None if file.urdf is None else read_urdf(named_file(folder, file.urdf, "urdf", "the arm file"))
     chain = _drawn_chain(file, urdf)
     n, types = len(chain), np.array(chain.joint_types)
     for place, values in (
@@ -149,9 +138,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     )
 
 
-def described(
-    arm: Arm, effects: Sequence[Mapping[str, Any]] | None, calibration: Mapping[str, Any] | None = None
-) -> Arm:
+def described(arm: Arm, effects: Sequence[Plain] | None, calibration: Plain | None = None) -> Arm:
     """An arm with entries of `[[effects]]`, None: its own, and with a `[calibration]`, None: without any."""
     chain, kind, found = arm.chain, arm.chain.kind, None
     built = _built(arm.effects, chain)
@@ -175,21 +162,16 @@ def _in_api(table: BaseModel) -> Plain:
     return {names[key]: tuple(value) if isinstance(value, list) else value for key, value in values}
 
 
-def _urdf(file: Any, folder: PathLike) -> Urdf | None:
-    """The URDF file that an arm file names; None: it names none."""
-    return None if file.urdf is None else read_urdf(named_file(folder, file.urdf, "urdf", "the arm file"))
-
-
 def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     """The geometry as drawn, with base and measured points where the file gives them; joint limits of the URDF."""
     if file.links_mm is not None:
-        chain = planar_chain(file.links_mm)
+        chain = chains.planar_chain(file.links_mm)
     elif urdf is not None:
         tables = {REVOLUTE: file.joint_limits_deg, PRISMATIC: file.joint_limits_mm}
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(file.base_link, file.tip_link, limited)
     else:
-        chain = chain_of(*dh_rows(file))
+        chain = chains.chain_of(*dh_rows(file))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -301,10 +283,8 @@ def _fitted_with(curve: Iterable[str], chain: KinematicChain) -> list[Parameter]
 
 
 def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) -> Effects:
-    """Entries of `[[effects]]` in API units. Raises `InputError` for what arm or instrument do not have.
-
-    heavy : the arm has gravity
-    """
+    """Entries of `[[effects]]` in API units. Raises `InputError` for what arm or instrument do not have;  heavy : the
+    arm has gravity"""
     specs = []
     for k, table in enumerate(tables, start=1):
         from identification.effects import library
@@ -350,8 +330,7 @@ def _effects(tables: Sequence[EffectTable], chain: KinematicChain, heavy: bool) 
 def _calibration(
     table: Any, chain: KinematicChain, effects: Effects, provenance: Mapping[str, Any]
 ) -> tuple[Calibration, KinematicChain]:
-    """In API units, and the chain whose errors it has. Raises `InputError` for parameters that arm and effects do not
-    have."""
+    """In API units, and the chain whose errors it has. Raises `InputError` for parameters that are not of the arm."""
     given = (table.values or {}) | table.effects
     for kind, key in chain.lists.items():
         if (values := getattr(table, key)) is not None:
@@ -368,7 +347,7 @@ def _calibration(
     # where its base was before the fit says which turn about the normal of a touched plane was not fitted
     every = {p.file_name: p for p in chain.every_parameter}
     moved = {every[key].name: value / every[key].to_file for key, value in given.items() if key in every}
-    drawn = standing_in(chain if base is None else replace(chain, base=base), moved, back=True)
+    drawn = chains.standing_in(chain if base is None else replace(chain, base=base), moved, back=True)
     chain = chain if base is None else replace(chain, base=drawn.base)
     chain = replace(chain, tools=drawn.tools, tool_axes=drawn.tool_axes) if tools else chain
     parameters = chain.parameters()
@@ -388,8 +367,9 @@ def corrected_urdf(path: PathLike, geometry: CorrectedGeometry | None) -> str:
     if geometry is None:
         raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     file, chain = validated_arm(read_toml(path)), geometry.real
-    if (urdf := _urdf(file, Path(path).parent)) is None:
+    if file.urdf is None:
         return urdf_text(chain, file.name)
+    urdf = read_urdf(named_file(Path(path).parent, file.urdf, "urdf", "the arm file"))
     return urdf.with_origins(file.base_link, file.tip_link, [joint.origin for joint in chain.joints])
 
 

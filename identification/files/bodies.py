@@ -69,10 +69,8 @@ READERS: dict[str, Callable[[bytes], Array]] = {".stl": _stl, ".obj": _obj}
 
 
 def read_mesh(path: PathLike) -> Array:
-    """(t, 3, 3) corners of the triangles of a file, in its unit.
-
-    Raises `InputError` for a file that is missing, unreadable, of another type, damaged or without triangles.
-    """
+    """(t, 3, 3) corners of the triangles of a file, in its unit. Raises `InputError` for a file that is missing,
+    unreadable, of another type, damaged or without triangles."""
     if (suffix := PurePath(path).suffix.lower()) not in READERS:
         raise InputError(f"{path}: a mesh of type {suffix or 'unknown'}, allowed: {', '.join(READERS)}")
     allowed = f"allowed: a whole {suffix[1:].upper()} file"
@@ -247,10 +245,8 @@ class ShapedBodies(ByValue, Sequence[Body]):
 
 
 def mesh_file(name: str, folders: Sequence[PathLike]) -> Path | None:
-    """The file that a URDF file names, or one of the same name that can be read; None: in none of the folders.
-
-    folders : in which it may be, that of the URDF file first; the package that this is in (`package.xml`) is another
-    """
+    """The file that a URDF file names, or one of the same name that can be read; None: in none of the folders;
+    folders : in which it may be, that of the URDF file first, whose package (`package.xml`) is another"""
     beside, words = Path(folders[0]), PACKAGE.fullmatch(name)
     package = next((above for above in (beside / "x").resolve().parents if (above / "package.xml").is_file()), None)
     roots = [*map(Path, folders), *([] if package is None else [package])]

@@ -104,10 +104,7 @@ class Table:
 
     def warn_unused(self, expected: Iterable[str] = (), hint: str = "") -> None:
         """One `UserWarning` for all columns that were not asked for, with the nearest `expected` one where there is
-        one; these may be there without a word.
-
-        hint : what else to say
-        """
+        one; these may be there without a word;  hint : what else to say"""
         unused, free = [], [column for column in expected if column not in self]
         for column in (column for column in self.frame.columns if column not in {*self.used, *expected}):
             near = "" if MEANINGFUL.fullmatch(column) else suggestion(close_names(column, free)).strip()
@@ -123,8 +120,7 @@ def read_table(path: PathLike, *, vias: bool = False) -> Table:
     vias : with the way-points that a plan has between its postures, where nobody measures: its column `kind` says so
 
     Lines above the header that begin with # are comments; `# fit: ...` among them says how the rows are to be fitted.
-    Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, then with decimal
-    points or commas.
+    Columns are separated by commas, or as European spreadsheets write them by semicolons or tabs, with either decimal.
 
     Raises `InputError` for a missing or empty file, no data rows, a header that is missing, repeats a name or does not
     fit the rows (ragged rows), and bytes that are not UTF-8.

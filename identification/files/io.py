@@ -65,10 +65,8 @@ def read_toml(path: PathLike) -> dict[str, Any]:
 
 
 def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
-    """The file that another file in `folder` names under `key`; `whose` says which file that is.
-
-    Raises `InputError` for a name that leads out of the folder, also by a link.
-    """
+    """The file that another file in `folder` names under `key`; `whose` says which file that is. Raises `InputError`
+    for a name that leads out of the folder, also by a link."""
     path = Path(folder) / name
     try:
         inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
@@ -80,11 +78,8 @@ def named_file(folder: PathLike, name: str, key: str, whose: str) -> Path:
 
 
 def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> None:
-    """Writes texts, bytes and pictures, each whole or not at all: all are complete beside their targets before the
-    first takes its place.
-
-    Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable.
-    """
+    """Writes texts, bytes and pictures, each whole or not at all: all are complete before the first takes its place.
+    Raises `InputError` if a file exists and `force` is false, or its folder is missing or not writable."""
     targets: dict[Path, bytes] = {}
     for path, content in contents.items():
         target = check_writable(path, force, picture=not isinstance(content, str | bytes))
@@ -115,10 +110,8 @@ def write_together(contents: Mapping[AnyPath, Content], force: bool = False) -> 
 
 
 def check_writable(path: PathLike, force: bool = False, *, picture: bool = False) -> Path:
-    """The file that is then written; raises the `InputError` of `write_together` before long work starts, not after it.
-
-    picture : its ending is that of a format
-    """
+    """The file that is then written; raises the `InputError` of `write_together` before long work starts, not after it;
+    picture : its ending is that of a format"""
     target = Path(os.path.realpath(path))  # a link stays a link: its target is replaced
     folder, ending = str(Path(path).parent), Path(path).suffix
     try:

@@ -96,18 +96,15 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     elif marked and instrument.reads_positions and not poses and any(map(ORIENTATION.fullmatch, table.frame.columns)):
         hint = "orientations are used where the arm file gives measurement.sigma_mm and sigma_deg"
     directions = (f"direction{j + 1}" for j in range(postures.shape[1]))
-    table.warn_unused(
-        ["run", "sigma_mm", *NUMBERS, *directions, *filter(None, ("session", instrument.target, marked))], hint
-    )
+    labels = filter(None, ("session", instrument.target, marked))
+    table.warn_unused(["run", "sigma_mm", *NUMBERS, *directions, *labels], hint)
     if instrument.contact and "run" in table and "order" not in table:
         planned = "has the column run and no order, as a plan does; contacts are joints as they were read"
         warnings.warn(f"{table.path}: {planned}", UserWarning, stacklevel=2)
     return measurements
 
 
-def measurement_text(
-    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
-) -> str:
+def measurement_text(measurements: Measurements, types: JointTypes = None, instrument: Instrument | None = None) -> str:
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad).
 
     instrument : that measured; None: one of positions or lengths
@@ -125,16 +122,16 @@ def measurement_text(
                 target = np.array([name.rpartition("/")[2] for name in target.tolist()])
         else:
             session = instrument.target or session
-    columns = posture_columns(measurements.postures, joint_types)
+    columns = posture_columns(measurements.postures, types)
     columns |= dict(zip(names, measurements.positions.T, strict=False))
     if measurements.commanded is not None:
-        columns |= posture_columns(measurements.commanded, joint_types, "commanded")
+        columns |= posture_columns(measurements.commanded, types, "commanded")
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if (order := measurements.order) is not None:
         columns["order" if np.all(order == np.round(order)) else "time_s"] = order
     optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
     if (directions := measurements.directions) is not None:
-        counting = counting_in(joint_types)
+        counting = counting_in(types)
         signs = directions if counting is None else counting.signs_of_columns(directions)
         optional |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
     optional |= {"posture": measurements.repeats, marker: target, "sigma_mm": measurements.sigma}
@@ -156,10 +153,8 @@ def _units_of(table: Table, name: str, quantity: str) -> list[str]:
 
 
 def read_column(table: Table, name: str, quantity: str, bounds: tuple[float, float] | None = None) -> Array:
-    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its quantity.
-
-    bounds : smallest and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`
-    """
+    """(m,) lengths [mm] or angles [rad] of a column `name` in one of the `UNITS` of its quantity;  bounds : smallest
+    and largest value, in [mm] or [rad]; None: any that is finite, up to `MOST`"""
     unit, *others = _units_of(table, name, quantity) or UNITS[quantity]
     if others and f"{name}_{unit}" in table:
         both = " and ".join(f"{name}_{each}" for each in UNITS[quantity])
@@ -187,10 +182,7 @@ def _quantity(types: JointTypes, joint: int) -> str:
 
 def read_postures(table: Table, types: JointTypes = None, name: str = "q") -> Array:
     """(m, n) joint positions [rad, mm] of columns `q1_deg..`, which are as the controller counts (`JointKinds`); n as
-    `types` say, or what the table has. Raises `InputError` for anything else.
-
-    name : `q`, or `commanded`
-    """
+    `types` say, or what the table has. Raises `InputError` for anything else;  name : `q`, or `commanded`"""
     columns = _joint_columns(table, types, name)
     last = max(columns, default=1)
     n = min(last, MAX_LINKS) if types is None else types if isinstance(types, int) else len(types)
@@ -246,11 +238,8 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
 
 # -- writing columns ---------------------------------------------------------------------------------------------------
 def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") -> Columns:
-    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) joint positions [rad, mm]; `q1_mm` for a prismatic
-    joint.
-
-    name : `q`, or `commanded`
-    """
+    """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides;
+    name : `q`, or `commanded`"""
     columns: Columns = {}
     for j, column in enumerate(in_columns(postures, types).T, start=1):
         quantity = _quantity(types, j)

@@ -14,17 +14,8 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    create_model,
-    model_validator,
-)
+import pydantic
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic_core import PydanticCustomError
 
 from identification.arm import LARGEST, LARGEST_ANGLE, LENGTH_RANGE, MAX_LINKS, SIGMA_RANGE
@@ -126,7 +117,7 @@ class StrictTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    @model_validator(mode="before")
+    @pydantic.model_validator(mode="before")
     @classmethod
     def _has_its_keys(cls, values: Any, info: ValidationInfo) -> Any:
         if not isinstance(values, dict):
@@ -155,14 +146,12 @@ def missing(key: str) -> str:
 
 
 def _table(name: str, needed: str = "", check: Callable[..., Any] | None = None, /, **keys: Any) -> Any:
-    """A table of these keys, each with the type of its value, or with that and what it is where it is left out.
-
-    needed : keys that may not be left out;  check : of the whole table
-    """
+    """A table of these keys, each with the type of its value, or with that and what it is where it is left out;
+    needed : keys that may not be left out;  check : of the whole table"""
     fields = {key: kind if isinstance(kind, tuple) else (kind | None, None) for key, kind in keys.items()}
     fields |= {key: (keys[key], ...) for key in needed.split()}
-    validators: dict[str, Any] = {} if check is None else {"check": model_validator(mode="after")(check)}
-    return create_model(name, __base__=StrictTable, __validators__=validators, **fields)  # type: ignore[call-overload]
+    validators: dict[str, Any] = {} if check is None else {"check": pydantic.model_validator(mode="after")(check)}
+    return pydantic.create_model(name, __base__=StrictTable, __validators__=validators, **fields)  # type: ignore[call-overload]
 
 
 def _table_of_kinds(title: str, place: str, /, **keys: Any) -> Any:
@@ -265,7 +254,7 @@ class EffectTable(BaseModel):
     values_deg: list[Angle] | None = None
     geometry: dict[str, float] | None = None
 
-    @model_validator(mode="after")
+    @pydantic.model_validator(mode="after")
     def _keys_of_a_curve(self) -> Self:
         """All of them for an error curve, and for nothing else."""
         for key in ("from_deg", "to_deg", "values_deg", "geometry"):
@@ -402,10 +391,8 @@ ArmFile = _table(
 
 # -- validation --------------------------------------------------------------------------------------------------------
 def validated_arm(tables: Mapping[str, Any], place: str = "") -> Any:
-    """The tables of an arm file. Raises `InputError` naming key, what was found and what is allowed.
-
-    place : before the key in messages
-    """
+    """The tables of an arm file. Raises `InputError` naming key, what was found and what is allowed;  place : before
+    the key in messages"""
     kind = tables.get("kind", "planar")
     if not isinstance(kind, str) or kind not in AXES:
         raise InputError(f"{place}kind: found {kind!r}, allowed: {' or '.join(AXES)}")
@@ -413,10 +400,8 @@ def validated_arm(tables: Mapping[str, Any], place: str = "") -> Any:
 
 
 def validated(file: type[F], tables: Mapping[str, Any], place: str = "", kind: str = "planar") -> F:
-    """The tables of any file; raises `InputError` as `validated_arm` does.
-
-    kind : of the arm, for keys and points that depend on it
-    """
+    """The tables of any file; raises `InputError` as `validated_arm` does;  kind : of the arm, for keys and points that
+    depend on it"""
     try:
         return file.model_validate(tables, context={"kind": kind})
     except ValidationError as error:

@@ -74,10 +74,8 @@ class Urdf:
         return joints[::-1]
 
     def chain(self, base: str, tip: str, limited: Collection[str] = ()) -> KinematicChain:
-        """The chain of moving joints; fixed joints between them belong to the next one's origin.
-
-        limited : types of joints whose limits are given elsewhere, and may be missing here
-        """
+        """The chain of moving joints; fixed joints between them belong to the next one's origin;  limited : types of
+        joints whose limits are given elsewhere, and may be missing here"""
         joints, before = list[Joint](), np.eye(4)
         for joint in self.joints(base, tip):
             before = before @ self.origin(joint.element)
@@ -110,11 +108,8 @@ class Urdf:
         return Joint(name, origin, axis, MOVING[kind], float(lower), float(upper))
 
     def with_origins(self, base: str, tip: str, origins: Sequence[Array]) -> str:
-        """The file's text with the moving joints of the chain at other origins, by the angles that are nearest to its
-        own; comments stay.
-
-        origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`
-        """
+        """The file's text with the moving joints at other origins, by the angles nearest to its own; comments stay;
+        origins : (4, 4) [mm] pose of each joint's frame in that of the moving joint before, as in `KinematicChain`"""
         above = re.match(r"(\s*(<\?.*?\?>|<!--.*?-->))*\s*", self.text, re.DOTALL)
         parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
         robot = ElementTree.fromstring(self.text.lstrip(), parser)
@@ -169,8 +164,7 @@ class Urdf:
         return masses, np.clip(np.divide(moments, whole, out=np.full(len(steps), 0.5), where=whole > 0.0), 0.0, 1.0)
 
     def neighbours(self) -> frozenset[frozenset[str]]:
-        """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of links without
-        bodies."""
+        """Pairs of links with bodies that one joint connects, or one that moves and fixed ones, by way of others."""
         solid = {name for name, link in self.links.items() if link.find("collision") is not None}
         pairs = set[frozenset[str]]()
         for link in solid & self.by_child.keys():
@@ -213,19 +207,13 @@ class Urdf:
 
 
 def read_urdf(path: PathLike) -> Urdf:
-    """Reads a URDF file.
-
-    Raises `InputError` for a missing file, and as `parse_urdf` does.
-    """
+    """Reads a URDF file. Raises `InputError` for a missing file, and as `parse_urdf` does."""
     return parse_urdf(decode(path, read_bytes(path)), path)
 
 
 def parse_urdf(text: str, path: PathLike) -> Urdf:
-    """The text of a URDF file; `path` is its name in messages.
-
-    Raises `InputError` for text that is no XML or has a document type, links or joints of equal names, links with two
-    parents.
-    """
+    """The text of a URDF file; `path` is its name in messages. Raises `InputError` for text that is no XML or has a
+    document type, equal names, links with two parents."""
     root = xml_root(text, path, "a URDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")
@@ -250,10 +238,8 @@ def parse_urdf(text: str, path: PathLike) -> Urdf:
 
 
 def xml_root(text: str, path: PathLike, what: str) -> ElementTree.Element:
-    """The root of XML text. Raises `InputError` for a document type, and what is no XML.
-
-    what : the text is allowed to be
-    """
+    """The root of XML text. Raises `InputError` for a document type, and what is no XML;  what : the text is allowed to
+    be"""
     if declared := re.search(r"<!(DOCTYPE|ENTITY)", text):
         raise InputError(f"{path}: found {declared.group()}, allowed: XML without document types and entities")
     try:
@@ -263,8 +249,7 @@ def xml_root(text: str, path: PathLike, what: str) -> ElementTree.Element:
 
 
 def urdf_text(chain: KinematicChain, name: str) -> str:
-    """A URDF file of bare links and joints for a chain that comes from no such file; links `base_link`, `link_1`, ..,
-    `tip`."""
+    """A URDF file of bare links and joints, `base_link`, `link_1`, .., `tip`, of a chain that comes from none."""
     robot, before = ElementTree.Element("robot", name=printable(name)), BASE_LINK
     ElementTree.SubElement(robot, "link", name=before)
     for j, joint in enumerate([*chain.joints, None], start=1):

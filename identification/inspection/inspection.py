@@ -59,10 +59,8 @@ class Inspection(Documented):
         return self.data
 
     def document(self, arm: str = "arm.toml", rows: str = "data.csv") -> Document:
-        """Problems first, then the facts, the range of each joint, what the data cannot say, and the next command.
-
-        arm, rows : names of the files
-        """
+        """Problems first, then the facts, the range of each joint, what the data cannot say, and the next command;
+        arm, rows : names of the files"""
         parts: list[Any] = [*(f"  - {sentence}" for sentence in self.problems), *self.parts]
         if self.problems:
             return Document("Inspection", ["Fix these first:"], parts)
@@ -73,13 +71,9 @@ class Inspection(Documented):
 
 
 def inspect(arm: Arm, measurements: Measurements) -> Inspection:
-    """Look at measurements of an arm: nothing is changed, nothing is believed.
-
-    Effects of which the arm's calibration has values and no deviations, as those of the library that a prior held, are
-    left out: without the prior no rows determine them.
-
-    Raises `InputError` for another number of joints or coordinates than the arm has.
-    """
+    """Look at measurements of an arm: nothing is changed, nothing is believed. Effects of which the arm's calibration
+    has values and no deviations, as those of the library that a prior held, are left out: without the prior no rows
+    determine them. Raises `InputError` for another number of joints or coordinates than the arm has."""
     held = set[str]()
     if arm.calibration is not None and arm.calibration.covariance is not None:
         held = {*arm.calibration.effects} - {*arm.calibration.parameter_names}
@@ -201,8 +195,7 @@ def _problems(
 
 
 def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[str]], list[str]]:
-    """Of each joint the entry of `joints` (as the controller counts), and its row of the table; and notes of joints
-    that hardly move."""
+    """Of each joint its entry of `joints` (as the controller counts) and its row; a note of those that hardly move."""
     beyond, entries, rows, still = doubts.beyond_limits(arm, postures), [], [], list[int]()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
     columns, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
@@ -226,10 +219,8 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
 # -- where the arm stands, against the arm file ------------------------------------------------------------------------
 def other_frame(arm: Arm, written: Reading) -> list[str]:
     """How far the frame of the positions is from where the `[base]` of an arm in space has it, in a sentence; none for
-    less than a zero may be off by, and where the drawing does not explain the positions from any place.
-
-    written : the columns as they are
-    """
+    less than a zero may be off by, and where the drawing does not explain the positions from any place;  written : the
+    columns as they are"""
     chain, base = arm.chain, written.base
     if base is None or not chain.instrument.reads_positions or BASE not in chain.settled - chain.drawn:
         return []
@@ -255,10 +246,8 @@ def sufficiency(
     fit: Identification, measurements: Measurements, floor: NoiseFloor
 ) -> tuple[dict[str, Any], list[tuple[str, str | None]], bool]:
     """What these rows can say of the model that was fitted to them: keys of `check`, the same in words, and whether
-    fewer numbers are left over than there are parameters without a prior: a good fit says little then.
-
-    floor : what repeats scatter by
-    """
+    fewer numbers are left over than there are parameters without a prior: a good fit says little then;  floor : what
+    repeats scatter by"""
     held, parameters, spare = fit.prior.names, len(fit.names), max(fit.dof, 0)
     few, judged = spare < parameters - len(held), fit
     source = None if fit.expected_tip is None else "sigma" if fit.uncertainty.kind == "given" else "residuals"

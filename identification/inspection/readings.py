@@ -385,14 +385,17 @@ def _spread(points: Array) -> float:
 # -- orientations, and what is said of every file ----------------------------------------------------------------------
 def data_warnings(measurements: Measurements, arm: Arm) -> list[str]:
     """Sentences about units that the numbers contradict and other conventions of orientations; and of an arm that
-    reaches farther than any does.
-
-    Raises `InputError` if the numbers of joints differ.
-    """
+    reaches farther than any does. Raises `InputError` if the numbers of joints differ."""
     units = read_differently(arm, measurements, search=False).other_units
     if arm.reach > 20000.0:  # [mm]
         how = "lengths that were written in millimetres there come out 1000 times too large"
         units.insert(0, f"the arm of the file reaches {arm.reach / 1000.0:.4g} m: a URDF has metres, and {how}")
+    if measurements.commanded is not None:
+        off = np.median(np.abs(measurements.postures - measurements.commanded), axis=0)
+        beside = off > np.where([kind == PRISMATIC for kind in arm.joint_types], 1.0, np.radians(1.0))
+        if beside.any():  # convention: 1 deg or 1 mm, far above what a controller leaves
+            joints = ", ".join(map(str, np.flatnonzero(beside) + 1))
+            units.append(f"commanded and read differ by more than 1 deg or 1 mm, joints {joints}: are the units right?")
     first = measurements.rows(measurements.session_rows[0])
     if units or (turns := first.orientations) is None or _rows(arm, measurements)[2]:
         return units

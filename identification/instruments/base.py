@@ -260,24 +260,6 @@ def _reading(instrument: Instrument) -> Evaluate:
 
 
 @dataclass(frozen=True)
-class Tracker(Instrument):
-    """A laser tracker, a camera system, a coordinate measuring machine: positions of one or several reflectors in the
-    frame of the instrument, in the plane the first two coordinates, or the pose of a measured frame."""
-
-    coordinates = tuple(Coordinate(axis) for axis in AXES)
-    reads_positions = True
-
-    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
-        return point
-
-    def place(self, rows: Unplaced) -> Placement:
-        return placed(rows)
-
-
-TRACKER = Tracker()
-
-
-@dataclass(frozen=True)
 class AtTargets(Instrument):
     """An instrument whose targets stand in the frame of the base, where they are parameters, `cup[A].x`.
 

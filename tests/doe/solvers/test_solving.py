@@ -113,7 +113,7 @@ GIVEN = Bound(complex_log_det(POOR), "continuous")
         # certified at the end of the search: more starts are of no use
         (
             [Offer(POOR, 1)] * 3,
-            {"bound": Bound(GIVEN.value + 1e-7, "continuous"), "starts": 3},
+            {"bound": Bound(GIVEN.value + 4e-6, "continuous"), "starts": 3},
             Status.bound_reached,
             3,
         ),

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from identification import Arm, Measurements
 from identification.documents.diagnosis import holds_in_words
-from identification.estimation.uncertainty import GROUPS, Mean, groupings, mean_of
+from identification.estimation.uncertainty import GROUPS, Mean, groups_of, mean_of
 from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Confirmation, HeldOut, confirm, placed_again, predicted_from_others
 from identification.gap.fit import Rows
@@ -54,12 +54,14 @@ def test_groups_keep_repeats_together_and_are_of_equal_size() -> None:
     """In time and in space; of three reflectors of 41 postures one after the other no stretch begins between two."""
     rng, number = np.random.default_rng(3), np.repeat(np.arange(40), 3)
     time = rng.permutation(120).astype(float)
-    stretches, places = groupings(rng.uniform(-1.0, 1.0, (40, 4))[number], number, time)
+    postures = rng.uniform(-1.0, 1.0, (40, 4))[number]
+    stretches, places = groups_of(Measurements(postures, np.zeros((120, 2)), repeats=number, order=time))
     assert np.bincount(stretches).tolist() == np.bincount(places).tolist() == [15] * GROUPS
     assert all(np.ptp(time[stretches == g]) == 14.0 for g in range(GROUPS))
     assert all(len(set(places[number == k])) == 1 for k in range(40))
     number = np.repeat(np.arange(41), 3)
-    stretches, _ = groupings(rng.uniform(-1.0, 1.0, (41, 4))[number], number, np.arange(123.0))
+    postures = rng.uniform(-1.0, 1.0, (41, 4))[number]
+    stretches, _ = groups_of(Measurements(postures, np.zeros((123, 2)), repeats=number, order=np.arange(123.0)))
     assert all(len(set(stretches[number == k])) == 1 for k in range(41))
     assert np.bincount(stretches).tolist() == [18, 15, 15, 15, 15, 15, 15, 15]
 
@@ -76,7 +78,7 @@ def held_out(rng: np.random.Generator, m: int, size: float, present: float = 1.0
     variance = SIGMA**2 * rng.chisquare(100) / 100
     after = after + SIGMA * np.sqrt(0.08) * rng.normal(size=2)
     predicted = Mean(2.0 * 1.08 * variance, (2.0 * variance) ** 2 * 2.0 / 100, 7.0)
-    groups = groupings(rng.uniform(size=(m, 3)), np.arange(m), np.arange(m))
+    groups = groups_of(Measurements(rng.uniform(size=(m, 3)), np.zeros((m, 2))))
     return confirm(before, after, predicted, float(np.sqrt(variance)), groups, "other postures")
 
 
@@ -109,7 +111,7 @@ def test_errors_shared_by_a_stretch_of_time_do_not_refute() -> None:
     for _ in range(200):
         shared = np.repeat(SIGMA * rng.normal(size=(8, 2)), 20, axis=0)
         squares = np.square(shared).sum(axis=1)
-        groups = groupings(rng.uniform(size=(160, 3)), np.arange(160), np.arange(160))
+        groups = groups_of(Measurements(rng.uniform(size=(160, 3)), np.zeros((160, 2))))
         found = confirm(shared, shared, Mean(2.0 * SIGMA**2, 0.0, 7.0), SIGMA, groups, "other postures")
         refuted += found.confirmed is False
         naive += stats.ttest_1samp(squares, 2.0 * SIGMA**2, alternative="greater").pvalue <= 0.025
@@ -121,7 +123,7 @@ def test_a_gap_that_shrinks_while_the_prediction_stays_open_is_said_so() -> None
     """Twice the predicted square is left, in stretches of time that differ so much that it may be chance."""
     left = np.sqrt(np.repeat([0.2, 0.2, 6.0, 0.2, 0.3, 0.2, 8.0, 0.9], 20))
     after, before = np.column_stack([left, np.zeros(160)]), np.column_stack([left, np.full(160, np.sqrt(30.0))])
-    groups = groupings(np.random.default_rng(7).uniform(size=(160, 3)), np.arange(160), np.arange(160))
+    groups = groups_of(Measurements(np.random.default_rng(7).uniform(size=(160, 3)), np.zeros((160, 2))))
     found = confirm(before, after, Mean(1.0, 1e-4, 100.0), 0.7, groups, "a later time")
     assert (found.confirmed, found.shrinks, found.as_predicted) == (True, True, None)
     assert holds_in_words(found.to_json())[0] == "shrinks"

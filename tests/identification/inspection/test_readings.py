@@ -252,6 +252,9 @@ def measured(rows: int = 30) -> Measurements:
 
 def test_good_data_are_not_doubted() -> None:
     assert data_warnings(measured(), ARM) == []
+    for beside, said in ((0.01, []), ([0.8, 0.0, 0.8], ["joints 1, 3: are the units right?"])):
+        commanded = replace(measured(), commanded=measured().postures + beside)
+        assert [sentence[-len(said[0]) :] for sentence in data_warnings(commanded, ARM)] == said
     assert data_warnings(measured(8), ARM) == []  # too few to tell
 
 
