@@ -574,8 +574,8 @@ def discriminate_files(
     if diagnosis.verdict != "ambiguous":
         lines = [f"Nothing to distinguish, since the verdict is not ambiguous. {diagnosis.sentence}"]
         lines += [] if out is None else [f"{out} was not written: there are no next postures"]
-        nothing = {"postures_deg": [], "pairs": [], **dict.fromkeys(("payload_kg", "directions", "chance", "status"))}
-        return Answer(keys | nothing, Document(parts=lines))
+        nothing = dict.fromkeys(("payload_kg", "directions", "chance", "status"))
+        return Answer({**keys, "postures_deg": [], "pairs": [], **nothing}, Document(parts=lines))
     end = perf_counter() + seconds
 
     def late() -> bool:
