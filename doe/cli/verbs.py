@@ -272,8 +272,8 @@ def score_files(
     if robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
     if len(judged) < bounded.fewest_runs:
-        need = f"allowed: at least {bounded.fewest_runs} for {bounded.parameters} parameters"
-        raise InputError(f"{plan}: {len(judged)} runs, {need}")
+        need = f"at least {bounded.fewest_runs} for {bounded.parameters} parameters"
+        raise InputError(f"{plan}: runs: found {len(judged)}, allowed: {need}")
     design = score_plan(bounded, judged, seconds=seconds)
     if design.outside:
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
