@@ -154,14 +154,12 @@ class Replications:
 
     points = property(lambda self: len(self.model.arm.chain.tools))  # number of them, each a row at every posture
 
-    def fits(
-        self, postures: Array, sigma: float, generator: np.random.Generator, count: int
-    ) -> tuple[Array, Array, Array]:
+    def fits(self, postures: Array, sigma: float, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
         """Errors (K, r) of fits of K = `count` data sets of one plan (m, n), not numbers where one failed; sums of
         squares (K,) [mm^2]; deviations (r,) by eq. 16 at the true values. API units. Raises `JobError` for a plan that
         does not identify the model."""
         plan = plan_of(self.truth, postures)
-        positions = sigma * generator.standard_normal((count, len(plan), self.truth.dimension))
+        positions = sigma * rng.standard_normal((count, len(plan), self.truth.dimension))
         positions += self.truth.position(plan.postures, conditions=plan.conditions)
         batch = estimate_batch(self.model, plan, positions)
         parameters = np.where(batch.converged[:, None], batch.parameters, np.nan)

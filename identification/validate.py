@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from identification import sessions
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
@@ -34,9 +35,6 @@ from identification.sessions import (
     outside,
     share_fitted,
     start_at_base,
-    with_open_base,
-    with_sessions,
-    without_sessions,
 )
 
 if TYPE_CHECKING:  # a diagnosis imports this package
@@ -96,8 +94,8 @@ class Validation(Documented):
         def millimetres(figures: Figures, of: str = "") -> dict[str, float]:
             return {f"{name}{of}_mm": value for name, value in figures._asdict().items()}
 
-        sessions = zip(self.measurements.sessions, self.measurements.session_rows, strict=False)
-        groups = [("session", name, rows) for name, rows in sessions]
+        of_sessions = zip(self.measurements.sessions, self.measurements.session_rows, strict=False)
+        groups = [("session", name, rows) for name, rows in of_sessions]
         out = outside(self.arm, self.measurements.postures)
         beyond = np.zeros(len(self.residuals), dtype=bool) if out is None else np.any(out, axis=1)
         if 0 < np.count_nonzero(beyond) < len(beyond):
@@ -142,7 +140,7 @@ class Validation(Documented):
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-        if (own := share_fitted(identified(arm), measurements)) >= MOST:
+        if (own := share_fitted(identified(arm), measurements)) > 0.9:  # convention: a few others or left out rows
             yield shown.FITTED
         elif own > 0.0:
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
@@ -195,7 +193,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     if len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, "base", arm)[1]
     chain = replace(arm.chain, settled=arm.chain.drawn)
-    model = Model(with_sessions(replace(drawing, chain=chain), measurements))
+    model = Model(sessions.with_sessions(replace(drawing, chain=chain), measurements))
     free = {p.name for p in model.parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")}
     free |= {*chain.standing}
     held = {name: value for name, value in model.best_known.items() if name not in free}
@@ -254,15 +252,13 @@ def _refitted(
 
 
 # -- judged before it is offered ---------------------------------------------------------------------------------------
-def offer(
-    by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p_value: float
-) -> dict[str, Any]:
+def offer(by: str, rows: int, model: tuple[float, float], geometry: tuple[float, float], p: float) -> dict[str, Any]:
     """Key `offered` (identification/files/README.md, "JSON keys"): RMS and largest distance [mm] that the model offered
     and the geometry alone leave, and whether it is better beyond chance, as `validate` judges it;  by : `holdout` or
-    `cross-validation` (each posture by a fit to others);  p_value : one-sided, of no gain"""
+    `cross-validation` (each posture by a fit to others);  p : one-sided p-value, of no gain"""
     lengths = {"rms_mm": model[0], "max_mm": model[1], "rms_geometry_mm": geometry[0], "max_geometry_mm": geometry[1]}
-    better = model[0] < geometry[0] and p_value <= LEVEL_95 / 2.0
-    return {"by": by, "rows": rows, **lengths, "p_value": p_value, "better": better}
+    better = model[0] < geometry[0] and p <= LEVEL_95 / 2.0
+    return {"by": by, "rows": rows, **lengths, "p_value": p, "better": better}
 
 
 def beside_geometry(by: str, geometry: Array, model: Array, measurements: Measurements) -> dict[str, Any]:
@@ -304,8 +300,8 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
     # as `identify` calibrates it, where it stands in the first session
-    fit = estimate(Model(with_sessions(arm, kept)), kept)
-    geometry = replace(arm, calibration=without_sessions(fit.calibration()))
+    fit = estimate(Model(sessions.with_sessions(arm, kept)), kept)
+    geometry = replace(arm, calibration=sessions.without_sessions(fit.calibration()))
     try:
         alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
     except InputError:  # too few rows to place the arm
@@ -339,7 +335,7 @@ def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, re
         model = Model(replace(arm, chain=with_markers(chain, measurements)))
     else:
         chain = replace(one_unnamed(chain, measurements), settled=chain.drawn)
-        model = placed_model(Model(replace(with_open_base(arm), chain=chain)), measurements)
+        model = placed_model(Model(replace(sessions.with_open_base(arm), chain=chain)), measurements)
         free |= {p.name for p in model.geometry_parameters if p.kind in known} | {*chain.standing}
         if refit == "offsets":
             free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}

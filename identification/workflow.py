@@ -442,9 +442,7 @@ def identify_files(
     return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
 
 
-def dh_lines(
-    calibrated: Arm, values: Sequence[CorrectedValue], arm: Path
-) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+def dh_lines(real: Arm, values: Sequence[CorrectedValue], arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:
     """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and what
     the instrument has beside it; else empty;  values : corrected ones, those of the instrument among them"""
     from identification.estimation.result import dh_table
@@ -457,14 +455,14 @@ def dh_lines(
     if file.dh is None:
         return (), []
     try:
-        rows, places = dh_table(calibrated, *dh_rows(file))
+        rows, places = dh_table(real, *dh_rows(file))
     except InputError:  # prismatic joints, or axes that are one
         return (), []
     lines = []
     for name, at in places:
         figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
         lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    own = {p.name for p in calibrated.chain.instrument.parameters}
+    own = {p.name for p in real.chain.instrument.parameters}
     touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
     return rows, [*lines, *touched]
 

@@ -4,7 +4,7 @@ commands; what to do next; and the library of effects."""
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -107,9 +107,7 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
     }
 
 
-def identification_document(
-    fit: Identification, data: Data | None = None, hidden: frozenset[str] = frozenset()
-) -> Document:
+def identification_document(fit: Identification, data: Data | None = None, hidden: Collection[str] = ()) -> Document:
     """Everything about a fit: warnings, verdict, figures, the Denavit-Hartenberg table where the arm file has one, else
     the corrected values but for those `hidden`; the parameters of a model that is no arm's;  data : what `armcal
     identify --json` says of it, None: what it says itself"""

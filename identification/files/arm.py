@@ -76,7 +76,7 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
     """The arm of parsed TOML; raises `InputError` as `load_arm` does, without the file's name;
     folder : where the files are that the tables name;  package_dirs : as of `load_arm`"""
     file = validated_arm(tables)
-    urdf = _urdf(file, folder)
+    urdf = None if file.urdf is None else read_urdf(named_file(folder, file.urdf, "urdf", "the arm file"))
     chain = _drawn_chain(file, urdf)
     n, types = len(chain), np.array(chain.joint_types)
     for place, values in (
@@ -160,11 +160,6 @@ def _in_api(table: BaseModel) -> Plain:
     values = table.model_dump(exclude_none=True, exclude={"kind"}).items()
     names = {key: "reach" if key == "range_mm" else re.sub(r"_(mm|deg|kg|m_s2)$", "", key) for key, _ in values}
     return {names[key]: tuple(value) if isinstance(value, list) else value for key, value in values}
-
-
-def _urdf(file: Any, folder: PathLike) -> Urdf | None:
-    """The URDF file that an arm file names; None: it names none."""
-    return None if file.urdf is None else read_urdf(named_file(folder, file.urdf, "urdf", "the arm file"))
 
 
 def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
@@ -372,8 +367,9 @@ def corrected_urdf(path: PathLike, geometry: CorrectedGeometry | None) -> str:
     if geometry is None:
         raise InputError("--urdf: found for a planar arm, allowed: for spatial arms")
     file, chain = validated_arm(read_toml(path)), geometry.real
-    if (urdf := _urdf(file, Path(path).parent)) is None:
+    if file.urdf is None:
         return urdf_text(chain, file.name)
+    urdf = read_urdf(named_file(Path(path).parent, file.urdf, "urdf", "the arm file"))
     return urdf.with_origins(file.base_link, file.tip_link, [joint.origin for joint in chain.joints])
 
 

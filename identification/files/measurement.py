@@ -104,9 +104,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     return measurements
 
 
-def measurement_text(
-    measurements: Measurements, joint_types: JointTypes = None, instrument: Instrument | None = None
-) -> str:
+def measurement_text(measurements: Measurements, types: JointTypes = None, instrument: Instrument | None = None) -> str:
     """The text of a measurement file; `load_measurements` reads the same from it, to rounding (1e-14 rad).
 
     instrument : that measured; None: one of positions or lengths
@@ -124,16 +122,16 @@ def measurement_text(
                 target = np.array([name.rpartition("/")[2] for name in target.tolist()])
         else:
             session = instrument.target or session
-    columns = posture_columns(measurements.postures, joint_types)
+    columns = posture_columns(measurements.postures, types)
     columns |= dict(zip(names, measurements.positions.T, strict=False))
     if measurements.commanded is not None:
-        columns |= posture_columns(measurements.commanded, joint_types, "commanded")
+        columns |= posture_columns(measurements.commanded, types, "commanded")
     columns |= {} if measurements.orientations is None else angle_columns(measurements.orientations)
     if (order := measurements.order) is not None:
         columns["order" if np.all(order == np.round(order)) else "time_s"] = order
     optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
     if (directions := measurements.directions) is not None:
-        counting = counting_in(joint_types)
+        counting = counting_in(types)
         signs = directions if counting is None else counting.signs_of_columns(directions)
         optional |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
     optional |= {"posture": measurements.repeats, marker: target, "sigma_mm": measurements.sigma}

@@ -18,7 +18,7 @@ from identification.files.bodies import collisions, mesh_file, name_beside
 from identification.files.io import PathLike
 from identification.files.measurement import column_of, posture_columns
 from identification.files.schema import ArmFile, validated_arm
-from identification.files.urdf import Urdf, read_urdf
+from identification.files.urdf import read_urdf
 from identification.instruments import KINDS, TRACKER
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.parameters import REVOLUTE
@@ -67,7 +67,16 @@ def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, 
     """
     urdf, file = read_urdf(path), Path(path).name
     base = base or urdf.root
-    chains = _chains(urdf, base, tip)
+    chains, reason = dict[str, KinematicChain](), None  # of the ends that are possible where none is asked for
+    for end in urdf.ends if tip is None else [tip]:
+        try:
+            if len(chain := urdf.chain(base, end)) <= MAX_LINKS:
+                chains[end] = chain
+        except InputError as error:  # of a gripper, say; another end may do
+            reason = reason or error
+    if not chains:
+        links = "allowed: --base-link, --tip-link"
+        raise reason or InputError(f"{path}: no chain of 1 to {MAX_LINKS} joints, {links}")
     tip = min(chains, key=lambda end: (ENDS.index(end) if end in ENDS else len(ENDS), -len(chains[end])))
     chain, (masses, centers), name = chains[tip], urdf.masses(base, tip), urdf.robot.get("name")
     if file in (ARM, DATA, SCHEMA, STEPS):
@@ -108,23 +117,6 @@ def mesh_files(path: PathLike, package_dirs: Sequence[PathLike] = ()) -> tuple[d
         else:
             found[str(Path(beside).with_suffix(file.suffix))] = file
     return found, missing
-
-
-def _chains(urdf: Urdf, base: str, tip: str | None) -> dict[str, KinematicChain]:
-    """End -> chain; of the ends that are possible where none is asked for. Raises `InputError` without any."""
-    if tip is not None:
-        return {tip: urdf.chain(base, tip)}
-    chains, reason = {}, None
-    for end in urdf.ends:
-        try:
-            if len(chain := urdf.chain(base, end)) <= MAX_LINKS:
-                chains[end] = chain
-        except InputError as error:  # of a gripper, say; another end may do
-            reason = reason or error
-    if not chains:
-        links = "allowed: --base-link, --tip-link"
-        raise reason or InputError(f"{urdf.path}: no chain of 1 to {MAX_LINKS} joints, {links}")
-    return chains
 
 
 def _files(types: Sequence[str], kind: str, *, spatial: bool = True, **values: Any) -> dict[str, str]:
