@@ -184,11 +184,6 @@ class ApproximateDesign:
         return Bound(self.upper, source, self.rigorous, cut, self.candidates, self.unconstrained)
 
     @property
-    def criterion(self) -> str:
-        """Its name."""
-        return self.problem.criterion.name
-
-    @property
     def log_det(self) -> float:
         """log det M', whatever the criterion."""
         return float(D().value(self.information))
@@ -204,7 +199,7 @@ class ApproximateDesign:
         numbers = {name: getattr(self, name) for name in ("value", "log_det", "gap", "efficiency_lower_bound")}
         return {
             "candidates": self.candidates,
-            "criterion": self.criterion,
+            "criterion": self.problem.criterion.name,
             **{name: number if np.isfinite(number) else None for name, number in numbers.items()},
             "bound": None if self.bound is None else self.bound.as_dict(),
             "support": [{key: posture, "weight": weight} for posture, weight in carried],
@@ -218,7 +213,7 @@ class ApproximateDesign:
     def __str__(self) -> str:
         where = "the continuous set" if self.candidates is None else f"{self.candidates} candidates"
         return (
-            f"{self.criterion}-optimal weights on {len(self.plan)} postures of {where} ({self.solver}, "
+            f"{self.problem.criterion.name}-optimal weights on {len(self.plan)} postures of {where} ({self.solver}, "
             f"{self.seconds:.3g} s)\n  value {self.value:.10g}, bound {self.bound or 'none'}, gap {self.gap:.2g}, "
             f"efficiency >= {self.efficiency_lower_bound:.10g}\n  {self.status.name}: {self.status.value}"
         )

@@ -272,8 +272,8 @@ def score_files(
     if robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
     if len(judged) < bounded.fewest_runs:
-        need = f"allowed: at least {bounded.fewest_runs} for {bounded.parameters} parameters"
-        raise InputError(f"{plan}: {len(judged)} runs, {need}")
+        need = f"at least {bounded.fewest_runs} for {bounded.parameters} parameters"
+        raise InputError(f"{plan}: runs: found {len(judged)}, allowed: {need}")
     design = score_plan(bounded, judged, seconds=seconds)
     if design.outside:
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
@@ -574,12 +574,8 @@ def discriminate_files(
     if diagnosis.verdict != "ambiguous":
         lines = [f"Nothing to distinguish, since the verdict is not ambiguous. {diagnosis.sentence}"]
         lines += [] if out is None else [f"{out} was not written: there are no next postures"]
-        nothing: dict[str, Any] = {
-            "postures_deg": [],
-            "pairs": [],
-            **dict.fromkeys(("payload_kg", "directions", "chance", "status")),
-        }
-        return Answer(keys | nothing, Document(parts=lines))
+        nothing = dict.fromkeys(("payload_kg", "directions", "chance", "status"))
+        return Answer({**keys, "postures_deg": [], "pairs": [], **nothing}, Document(parts=lines))
     end = perf_counter() + seconds
 
     def late() -> bool:

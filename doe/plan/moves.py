@@ -322,7 +322,7 @@ def drive(
     times, counted = after / (min(shortest) or after or 1.0), f"{vias} way-point{'s' * (vias != 1)}"
     lines.append(f"Moves: {counted}, {times:.2f} times the travel of the shortest order with nothing in the way.")
     if approach != "any":
-        how = "both ways in turn" if approach == "alternate" else f"in {approach} direction"
+        how = "both ways, half of the runs each" if approach == "alternate" else f"in {approach} direction"
         lines.append(f"every joint comes to each posture {how}; plan and bound leave room for it at the limits")
     if no_approach:
         named = f"run{'s' * (len(no_approach) != 1)} {', '.join(map(str, no_approach))}"

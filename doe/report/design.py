@@ -344,6 +344,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
     runs : m, where the value depends on it, as that of a prior per run does
     """
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
+    kind = design.problem.criterion.name
     order = np.argsort(-design.plan.shares, kind="stable")
     weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
     of_runs = "" if runs is None else f", {runs} runs"
@@ -352,10 +353,10 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
     unseen = len(design.plan) - len(rows)
     rest = [f"and {unseen} more of less weight than {least:g}; --json and --out have them"] if unseen else []
     facts: dict[str, str | None] = {
-        "criterion": f"{design.criterion} over {where}{of_runs}, {len(design.plan)} with positive weight",
+        "criterion": f"{kind} over {where}{of_runs}, {len(design.plan)} with positive weight",
         "value": number(design.value, 9),
         "upper bound": "-" if design.bound is None else str(design.bound),
-        f"gap ({'max d - p' if design.criterion == 'D' else 'max tr(G F) - tr(G M)'})": f"{max(design.gap, 0.0):.2g}",
+        f"gap ({'max d - p' if kind == 'D' else 'max tr(G F) - tr(G M)'})": f"{max(design.gap, 0.0):.2g}",
         "efficiency at least": number(design.efficiency_lower_bound, 9),
         "solver": f"{design.solver} ({design.solver_status}), {design.seconds:.2f} s",
         "status": design.status.value,

@@ -11,24 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from doe.studies.blind import simulator
-from doe.studies.blind.simulator import (
-    OF_GRAVITY,
-    SHAPES,
-    Drawn,
-    RowConditions,
-    TrueArm,
-    Values,
-    base_jacobian,
-    column,
-    gravity_loads,
-    noise,
-    off,
-    scaled_amplitudes,
-    session,
-    shift,
-    turn,
-    wound_up,
-)
+from doe.studies.blind.simulator import Drawn, RowConditions, TrueArm, Values, base_jacobian, column, off, session
 from identification import Arm, Array, EffectSpec, Measurements, load_arm, spectrum
 
 TABLE = tomllib.loads(Path(__file__).with_name("cells.toml").read_text())
@@ -124,8 +107,8 @@ def truth_of(spec: CellSpec, rng: np.random.Generator) -> TrueArm:
     span = rng.uniform(1.5, 2.9, 6)
     aside = rng.uniform(30.0, 80.0, (2, 2)) * rng.choice([-1.0, 1.0], (2, 2))
     tools = np.column_stack([aside, rng.uniform(40, 100, 2)])[: spec.reflectors]
-    base = shift(rng.uniform(-1500.0, 1500.0, 3))
-    base[:3, :3] = turn(rng.normal(0.0, 1.0, 3))
+    base = simulator.shift(rng.uniform(-1500.0, 1500.0, 3))
+    base[:3, :3] = simulator.turn(rng.normal(0.0, 1.0, 3))
     masses = 1.0 + np.hypot(table[:, 0], table[:, 2]) / 100.0 * rng.uniform(1.0, 4.0, 6)
     loads = {"masses": masses, "payload": float(rng.uniform(2.0, 10.0)), "sigma": float(rng.choice([0.02, 0.05, 0.1]))}
     offsets = rng.normal(0.0, 5e-3, 6)
@@ -190,9 +173,9 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
     fresh = fresh or measured_at(None, FRESH, 1)
     outside = next((e for e in truth.effects if e[0] in NOT_INSIDE), None)
     inside = [e for e in truth.effects if e[0] not in NOT_INSIDE]
-    error = noise(truth, run, rng, spec.noise)
+    error = simulator.noise(truth, run, rng, spec.noise)
     data = simulator.recorded(truth, run, error)
-    held_out = noise(truth, fresh, rng, "posture" if spec.reads > 1 else "white")
+    held_out = simulator.noise(truth, fresh, rng, "posture" if spec.reads > 1 else "white")
     if spec.reads > 1:
         data = replace(data, repeats=np.arange(m) // spec.reads)
     far = np.linalg.norm(error, axis=1) > 10.0 * truth.sigma if spec.noise == "outliers" else np.zeros(m)
@@ -204,7 +187,7 @@ def data_set(cell: str, seed: int, planned: Array | None = None) -> DataSet:
         t, warm = 0.5 + np.arange(1, count + 1) / (m - 1), later.normal(0.0, 1.0, count)
         later_rows = RowConditions(q, t, warm, s, np.full(count, truth.payload), np.zeros(count, dtype=int))
         whole = RowConditions(*map(np.concatenate, zip(vars(run).values(), vars(later_rows).values(), strict=True)))
-        error = np.vstack([data.positions - simulator.position(truth, run), noise(truth, later_rows, later)])
+        error = np.vstack([data.positions - simulator.position(truth, run), simulator.noise(truth, later_rows, later)])
         return replace(simulator.recorded(truth, whole, error), payload=whole.payload)
 
     exact = reachable = None
@@ -248,7 +231,7 @@ def settings(name: str, values: Values) -> dict[str, float]:
 def numbered(values: Values) -> dict[str, float]:
     """Amplitudes of an effect, named as the library names its parameters: `v` of a drift is vx, vy; `c` c1, c2, .."""
     named: dict[str, float] = {}
-    for name in (name for name in values if name not in SHAPES):
+    for name in (name for name in values if name not in simulator.SHAPES):
         parts = np.atleast_1d(values[name]).tolist()
         ends = [""] if np.ndim(values[name]) == 0 else "xyz" if name in "vw" else range(1, len(parts) + 1)
         named |= {f"{name}{end}": part for end, part in zip(ends, parts, strict=False)}
@@ -262,7 +245,7 @@ def key(effect: Drawn) -> str:
 
 def family(effect: Drawn) -> str:
     """What effects are said to be alike."""
-    return "gravity" if effect[0] in OF_GRAVITY else effect[0]
+    return "gravity" if effect[0] in simulator.OF_GRAVITY else effect[0]
 
 
 def place_of(effect: Drawn) -> str | None:
@@ -289,7 +272,7 @@ def hidden(spec: CellSpec, truth: TrueArm, run: RowConditions, rng: np.random.Ge
     if spec.many:  # what a real robot has at once, each effect of its own size
         listed = [(name, joint) for name in names for joint in joints_of(name, truth.n)]
         listed = [listed[k] for k in rng.permutation(len(listed))]
-        of_gravity = [place for place in listed if place[0].rstrip("*") in OF_GRAVITY]
+        of_gravity = [place for place in listed if place[0].rstrip("*") in simulator.OF_GRAVITY]
         listed = [place for place in listed if place not in of_gravity[1:]]
         if spec.many == "small":  # one or more in every joint
             first = {j: (name, j) for name, j in reversed(listed) if j is not None}
@@ -385,7 +368,7 @@ def sized(truth: TrueArm, run: RowConditions, effect: Drawn, lam: float, span: A
     seen = float(np.linalg.norm(off(base_jacobian(truth, run) if span is None else span, whole)))
     if seen <= 0.02 * np.linalg.norm(whole):  # hardly anything of its length is left
         return None
-    return name, joint, scaled_amplitudes(values, lam * truth.sigma / seen)
+    return name, joint, simulator.scaled_amplitudes(values, lam * truth.sigma / seen)
 
 
 def random_effect(
@@ -404,8 +387,8 @@ def random_effect(
 def probed(truth: TrueArm, run: RowConditions, name: str, joint: int | None, values: Values | None = None) -> Array:
     """(m d, c) columns of each amplitude of an effect;  values : with its shapes, left out: drawn"""
     values = values or directions(truth, name, joint, np.random.default_rng(0))
-    columns, zero = [], scaled_amplitudes(values, 0.0)
-    for amplitude in (key for key in values if key not in SHAPES):
+    columns, zero = [], simulator.scaled_amplitudes(values, 0.0)
+    for amplitude in (key for key in values if key not in simulator.SHAPES):
         each = np.eye(np.size(values[amplitude])) if np.ndim(values[amplitude]) else [1.0]
         columns += [column(truth, run, (name, joint, zero | {amplitude: one})) for one in each]
     return np.stack(columns, axis=1)
@@ -430,14 +413,15 @@ def physics_effect(truth: TrueArm, run: RowConditions, name: str, lam: float, rn
     # how the length and the angle of each link move the tip: (m, 2, n); a joint's angle turns all links beyond
     along, across = np.moveaxis(base.reshape(-1, 2, n, 2), -1, 0)
     lever = np.cumsum((across * truth.links[:, 0])[..., ::-1], axis=-1)[..., ::-1]
-    torques = np.einsum("mji,ji->mj", gravity_loads(truth, run)[0], truth.home[:-1, :3, 2])
+    torques = np.einsum("mji,ji->mj", simulator.gravity_loads(truth, run)[0], truth.home[:-1, :3, 2])
     steps = np.stack([1.0 * (run.t > at) for at in np.linspace(-0.4, 0.4, 17)])
     moves = [lever * torques[:, None]]  # every joint at once
     moves += [step[:, None, None] * np.eye(2) for step in steps]
     for j, q in enumerate(run.q.T):
-        widths = (truth.upper[j] - truth.lower[j]) * np.array([0.05, 0.1, 0.2, 0.4])
+        width = truth.upper[j] - truth.lower[j]
+        wound = [simulator.wound_up(q, share * width) for share in (0.05, 0.1, 0.2, 0.4)]
         shapes = [np.column_stack([np.cos(k * q), np.sin(k * q)]) for k in range(1, 65)]
-        alone = [q, run.s[:, j], np.sign(torques[:, j]), torques[:, j], *steps, *(wound_up(q, each) for each in widths)]
+        alone = [q, run.s[:, j], np.sign(torques[:, j]), torques[:, j], *steps, *wound]
         shapes += [shape[:, None] for shape in (*alone, *([run.q[:, j - 1]] if j else []))]
         moves += [lever[:, :, j, None] * shape[:, None] for shape in shapes]
         moves += [(along[:, :, j] * step[:, None])[:, :, None] for step in steps]

@@ -70,7 +70,7 @@ CASES: list[Case] = [
         toml=SPATIAL + "[measurement]\nsigma_mm = 0.1\n",
     ),
     # plans and truths
-    case(SCORE, "bad.csv; 2 runs; at least 4", csv=data("1,0,10,20,30\n2,0,40,50,60\n", PLAN)),
+    case(SCORE, "bad.csv; runs: found 2; at least 4", csv=data("1,0,10,20,30\n2,0,40,50,60\n", PLAN)),
     case(SIMULATE, "bad.toml: effects", "size", toml=added('[[effects]]\nname = "outliers"\nshare = 0.1')),
     case(SIMULATE.replace("arm.toml", "bad.toml"), "bad.toml; measurement.sigma_mm", toml=BARE),
     case(SIMULATE, "temperature_C", toml=added('[[effects]]\nname = "thermal_growth"\na_per_K = 0.001')),
