@@ -243,10 +243,10 @@ class TipErrors:
 
         `model_right` : the model lacks nothing, and is fitted by least squares, of a spatial arm with the prior of its
         machining; `model_right_worst` at that of the test poses where it is largest; `effects_missing` : effects of
-        typical size are missing in the model, which is fitted in the same way: it takes up of each what the geometry
-        can, the tip lacks the rest, and it takes the noise for that of the instrument, which each posture's own error
-        comes on top of; `effects_missing_prior` : the same arms, fitted with the effects and their prior (`identify
-        --library-prior`); infinite where none are counted
+        typical size are missing in the model, which is fitted in the same way: the geometry absorbs what it can of
+        each, the rest is error of the tip, and each posture has an error of its own beside the instrument's noise;
+        `effects_missing_prior` : the same arms, fitted with the effects and their prior (`identify --library-prior`);
+        infinite where none are counted
         """
         problem, wide, p = self.problem, self.wide, self.problem.parameters
         sigma, noise = ((model.sigma or 0.0) ** 2 for model in (problem.model, wide.model))

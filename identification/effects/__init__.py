@@ -20,7 +20,7 @@ import numpy as np
 
 from identification.arm import EffectSpec
 from identification.effects import formulas, unlisted  # they fill the library
-from identification.effects.base import _LIBRARY, Chain, Effect, Scope, Setting, register, widths
+from identification.effects.base import _LIBRARY, ArmState, Effect, Scope, Setting, register, widths
 from identification.errors import InputError, close_names, nearest, require, suggestion
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.parameters import PRISMATIC, Parameter

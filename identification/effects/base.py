@@ -1,5 +1,5 @@
 """`Effect`: base class of all physical effects, with a name, parameters with units, and a formula at its place; and
-`Chain`: the nominal arm at one posture in CasADi symbols, on which formulas may depend, with what effects add along it.
+`ArmState`: the nominal arm at one posture in CasADi symbols, on which formulas may depend.
 
     loads -> commanded joint angle -> real joint angle -> links -> tool -> position in the base -> measured position
 
@@ -33,7 +33,7 @@ from identification.kinematics.frames import Frame
 from identification.kinematics.parameters import LENGTH_ERROR, PRISMATIC, REVOLUTE, Parameter
 from identification.measurements import REMEMBERED, Conditions
 
-OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `Chain`
+OF_LOAD = ("payload", "gravity_turn", "payload_shift")  # places that are also of `ArmState`
 BY_JOINT = ("joint_angles", "extensions", "joint_turns", "joint_shifts")
 SESSION = 1.1  # from one session to the next on the clock of steps, a gap of 0.1 between them
 
@@ -132,7 +132,7 @@ class Effect:
     its `parameters`, and is `tagged` where their names have the settings in them, `transmission_ripple:1[k=20].a`, as
     the arm has a similar effect at the same joint (`build_all`).
 
-    Places, each a method of the symbols of the nominal arm (`Chain`) and the values of the parameters that returns
+    Places, each a method of the symbols of the nominal arm (`ArmState`) and the values of the parameters that returns
     CasADi SX of this many elements, or a number for all of them. Where n joints or 3 n coordinates are asked for, an
     effect of one joint may return its own.
 
@@ -246,7 +246,7 @@ def add_effect(name: str, about: str, numbers: Any = (), **members: Any) -> type
 
 # -- the arm that effects act on ---------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Chain:
+class ArmState:
     """Symbols of an arm at one posture, for effects to use: CasADi SX, lengths in mm, angles in rad."""
 
     geometry: KinematicChain
@@ -266,7 +266,7 @@ class Chain:
     off: ca.SX | None = None  # the share of their geometry that does not hold
 
     @classmethod
-    def of(cls, arm: Arm, q: ca.SX, c: ca.SX, columns: Mapping[str, slice]) -> Chain:
+    def of(cls, arm: Arm, q: ca.SX, c: ca.SX, columns: Mapping[str, slice]) -> ArmState:
         """An arm at a posture q (n) under conditions c in these columns (`condition_columns`)."""
         at = {name: c[place] for name, place in columns.items()}
         if "past" in at:
@@ -350,7 +350,7 @@ def state_slices(chain: KinematicChain) -> dict[str, slice]:
 
 
 def position_and_state(
-    chain: Chain, effects: Sequence[Effect], values: ca.SX, added: ca.SX | None = None
+    chain: ArmState, effects: Sequence[Effect], values: ca.SX, added: ca.SX | None = None
 ) -> tuple[ca.SX, ca.SX]:
     """(d,) measured position [mm] (identification/README.md, "Effects"), with three further elements where orientations
     are measured, see `Model.symbols`; and the state (`state_slices`);  values : those of the geometry, then the
@@ -361,7 +361,7 @@ def position_and_state(
     added = ca.SX.zeros(sum(sizes.values())) if added is None else added
     additions = {place: added[where] for place, where in slices(sizes).items()}
 
-    def add(places: Collection[str], chain: Chain, lengths: ca.SX | None = None, tip: ca.SX | None = None) -> None:
+    def add(places: Collection[str], chain: ArmState, lengths: ca.SX | None = None, tip: ca.SX | None = None) -> None:
         for effect, part in zip(effects, parts, strict=True):
             for place in (place for place in places if hasattr(effect, place)):
                 additions[place] += contribution(effect, place, chain, part, lengths, tip)
@@ -382,7 +382,7 @@ def position_and_state(
 
 
 def contribution(
-    effect: Effect, place: str, chain: Chain, values: ca.SX, lengths: ca.SX | None = None, tip: ca.SX | None = None
+    effect: Effect, place: str, chain: ArmState, values: ca.SX, lengths: ca.SX | None = None, tip: ca.SX | None = None
 ) -> ca.SX:
     """What an effect adds at a place at which it has a formula, for all elements of the place."""
     size = widths(effect.chain)[place]

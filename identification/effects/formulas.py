@@ -16,7 +16,18 @@ import casadi as ca
 import numpy as np
 
 from identification.arrays import Array
-from identification.effects.base import LEVER, REACH, Chain, Effect, Number, Scope, Setting, add_effect, at_joint, clock
+from identification.effects.base import (
+    LEVER,
+    REACH,
+    ArmState,
+    Effect,
+    Number,
+    Scope,
+    Setting,
+    add_effect,
+    at_joint,
+    clock,
+)
 from identification.instruments import distance_to_center
 from identification.kinematics.frames import rotation_to_z
 
@@ -172,12 +183,12 @@ of_time(
 )
 
 
-def _after(effect: Effect, chain: Chain) -> ca.SX:
+def _after(effect: Effect, chain: ArmState) -> ca.SX:
     """1 after the step, 0 before."""
     return clock(chain.time, chain.session) > effect.chosen["at"]
 
 
-def _beside(effect: Effect, chain: Chain) -> ca.SX:
+def _beside(effect: Effect, chain: ArmState) -> ca.SX:
     """1 on one side of the step, of a later session in that alone, since each has a base of its own; 0 elsewhere."""
     at, session = effect.chosen["at"], chain.session
     there = ca.fmax(at <= 0.5, ca.fabs(at - clock(0.0, session)) <= 0.5)
@@ -233,7 +244,7 @@ of_load(
 )
 
 
-def _leaning(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+def _leaning(effect: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """(2 n,) displacements along and across each link: its length times real and imaginary part of
     (a + ib) exp(-2i angle), with the angle of the link against the one before the joint of the effect."""
     first = effect.joint_index
@@ -265,7 +276,7 @@ def _hysteresis_widths(scope: Scope) -> list[float]:
     return [share * span for share in (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)] if span > 0.0 else [1.0]
 
 
-def _wound_up(effect: Effect, chain: Chain) -> ca.SX:
+def _wound_up(effect: Effect, chain: ArmState) -> ca.SX:
     """The wind-up grows by the motion divided by the width and stays within -1..1 (Prandtl's element); at the start of
     the session it is 0. It remembers earlier postures as long as no motion is wider than twice the width. A width of 0
     is `backlash`, one beyond the range of the joint `gear_ratio`."""
@@ -289,7 +300,7 @@ of_turning_joint(
 
 
 # -- links and bearings ------------------------------------------------------------------------------------------------
-def _bent(chain: Chain, values: ca.SX, by_force: tuple[int, int], by_moment: tuple[int, int]) -> ca.SX:
+def _bent(chain: ArmState, values: ca.SX, by_force: tuple[int, int], by_moment: tuple[int, int]) -> ca.SX:
     """(n,) flexibility times F L^a / b + M L^c / d for pairs (a, b), (c, d): of each link with its length L [m], the
     force F [N] to its left and the moment M [N m] at its tip. The link's own mass is not a load beyond it."""
     bends, last = [], chain.links - 1
@@ -379,7 +390,7 @@ of_time(
 )
 
 
-def _of_session(effect: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+def _of_session(effect: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """(d + r,) shift and rotation of the row's session, zero for the first."""
     in_session = ca.vertcat(*(chain.session == number for number in range(1, int(effect.chosen["sessions"]))))
     return ca.mtimes(ca.reshape(values, -1, in_session.numel()), in_session)

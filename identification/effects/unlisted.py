@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from identification.effects.base import LEVER, Chain, Effect, Number, Scope, Setting, add_effect, widths
+from identification.effects.base import LEVER, ArmState, Effect, Number, Scope, Setting, add_effect, widths
 from identification.effects.formulas import SPACE
 from identification.kinematics.frames import rotation_to_z
 
@@ -48,13 +48,13 @@ def slow_waves(place: ca.SX, with_last: bool = False) -> ca.SX:
     return ca.vertcat(*(prod(w[k] for w, k in zip(along, each, strict=True)) / np.dot(each, each) for each in orders))
 
 
-def held(chain: Chain) -> ca.SX | float:
+def held(chain: ArmState) -> ca.SX | float:
     """1 where error curves of the arm hold, 0 beyond: nothing says that what was fitted beside them holds there."""
     return 1.0 if chain.off is None else 1.0 - chain.off
 
 
 # -- of a joint --------------------------------------------------------------------------------------------------------
-def _by_approach(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+def _by_approach(self: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """Of the angle and the last move, with another sign by its direction."""
     j = self.joint_index
     move = ca.fabs(chain.q[j] - chain.previous[j])
@@ -62,20 +62,20 @@ def _by_approach(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
     return held(chain) * chain.directions[j] * ca.dot(waves, values)
 
 
-def _load_unit(self: Effect, chain: Chain) -> float:
+def _load_unit(self: Effect, chain: ArmState) -> float:
     """Torque [N m] of all masses at half the reach."""
     gravity = chain.required_gravity
     weight = (sum(gravity.link_masses) + gravity.payload) * float(np.linalg.norm(gravity.acceleration))
     return max(0.5e-3 * weight * self.reach, 1e-9)
 
 
-def _by_load(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+def _by_load(self: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """Of the torque, as a spring, play and friction have it."""
     t = chain.torques[self.joint_index] / _load_unit(self, chain)
     return held(chain) * ca.dot(ca.vertcat(t, ca.fabs(t), t * ca.fabs(t), ca.sign(t)), values)
 
 
-def _across_the_axis(self: Effect, chain: Chain, values: ca.SX) -> ca.SX:
+def _across_the_axis(self: Effect, chain: ArmState, values: ca.SX) -> ca.SX:
     """(3,) across the axis, by waves of its angle."""
     across = ca.DM(rotation_to_z(self.chain.joints[self.joint_index].axis)[:, :2])
     waves = turning_waves(chain.q[self.joint_index], range(1, SLOW + 1))
@@ -118,7 +118,7 @@ of_joint(
 
 
 # -- in time and with the temperature ----------------------------------------------------------------------------------
-def _in_time(chain: Chain, count: int) -> ca.SX:
+def _in_time(chain: ArmState, count: int) -> ca.SX:
     """Waves over the session, the slow ones larger."""
     return half_waves(chain.time + 0.5, count) / ca.DM(range(1, count + 1))
 
@@ -129,13 +129,13 @@ def _moving(
     unit: str,
     places: tuple[str, str],
     count: int,
-    functions: Callable[[Chain, int], ca.SX],
+    functions: Callable[[ArmState, int], ca.SX],
     **more: Any,
 ) -> None:
     """Add an effect that shifts and turns something, at its places, each by so many functions of what holds in a row;
     unit : of the values, shifts and turns at the reach"""
 
-    def moved(self: Effect, chain: Chain, values: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def moved(self: Effect, chain: ArmState, values: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift, turn = (widths(self.chain)[place] for place in places)
         both = ca.mtimes(ca.reshape(values, shift + turn, count), functions(chain, count))
         return both[:shift], both[shift:] / self.reach

@@ -392,10 +392,9 @@ def contradicted(problem: Problem, prior: Prior, x: Array) -> Contradiction | No
     """The parameter whose prior, an earlier calibration, the measurements contradict most clearly; None: none.
 
     The drop of the weighted squares is chi2 of one degree of freedom if both agree (F where the noise is estimated).
-    Errors of one parameter look like errors of others, so that of several the others are told once it is free; a zero
-    of a joint before a frame that looks the same. Its change d since then is one more unknown, in prior rows
-    F^-1 (x - m - d e), and the fit without its prior gives it, from the one with it, x (p,), since an error of degrees
-    is not linear.
+    Several parameters may explain the same change: the one with the largest drop is told, a zero of a joint before an
+    error of a frame. Its change d since then is one more unknown, in prior rows F^-1 (x - m - d e), and the fit without
+    its prior gives it, from the one with it, x (p,), since an error of degrees is not linear.
     """
     model, alone = problem.model, replace(problem, prior=prior.released(problem.model.names, problem.model.prior))
     residual, jacobian = problem.linearized(x)

@@ -23,7 +23,7 @@ import numpy as np
 from identification.arm import Arm, EffectSpec, spline_table
 from identification.arrays import Array
 from identification.effects import Effect, Scope, build, build_all, of_dimension
-from identification.effects.base import OF_LOAD, Chain, contribution, state_slices, widths
+from identification.effects.base import OF_LOAD, ArmState, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.gap.fit import Fitted, Rows
 from identification.gap.likelihood import SIZES, Products
@@ -232,7 +232,7 @@ def _slopes(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> tuple[Evaluate,
     columns, where = condition_columns(arm.links, ("past",) * remembers), state_slices(arm.chain)
     ends = (max(place.stop for place in each.values()) for each in (columns, where))
     q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
-    chain, sizes = Chain.of(arm, q, c, columns), widths(arm.chain)
+    chain, sizes = ArmState.of(arm, q, c, columns), widths(arm.chain)
     given: dict[str, Any] = {name: state[place] for name, place in where.items()}
     loaded = replace(chain, **{place: given[place] for place in OF_LOAD})
     scanned = {s: ca.SX.sym(s) for _, _, settings in keys for s in settings if isinstance(s, str)}

@@ -220,10 +220,13 @@ class KinematicChain(ByValue):
         return ParameterSet([*parameters, *self.instrument.parameters])
 
     def parameters(self, best: Mapping[str, float] = NOTHING) -> ParameterSet:
-        """What there is to find: `every_parameter` without the base and tools that are known, without the errors along
-        or about a joint's own axis, which are its offset, and without those of joint 1 where the base is to be found,
-        which move all that lies beyond as the base does; nor what no reading of the instrument shows;  best : best
-        known values, which matter in the plane"""
+        """What there is to find: `every_parameter` but for
+
+        the base and tools that are given; errors along or about a joint's own axis, which are its offset; those of
+        joint 1 where the base is to be found, which are errors of the base; what no reading of the instrument shows
+
+        best : best known values, which matter in the plane
+        """
         stands = BASE in self.settled
         hidden = {
             error_names(j)[joint.along + DIMENSION * (joint.type == REVOLUTE)]

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from identification.arm import Arm, ErrorCurve
 from identification.arrays import Array, slices
-from identification.effects import Chain, Effect, build_all
+from identification.effects import ArmState, Effect, build_all
 from identification.effects.base import position_and_state, widths
 from identification.errors import InputError
 from identification.kinematics.chain import ROTATION_ERROR, TRANSLATION_ERROR, PlanarClosedForm
@@ -182,9 +182,9 @@ class Model:
         q, c, p = ca.SX.sym("q", self.arm.links), ca.SX.sym("c", width), ca.SX.sym("p", len(self.parameters))
         return q, c, p, position_and_state(self.chain_at(q, c), self.effects, self.values_at(c, p))[0]
 
-    def chain_at(self, q: ca.SX, c: ca.SX) -> Chain:
+    def chain_at(self, q: ca.SX, c: ca.SX) -> ArmState:
         """The nominal chain at the symbols of a posture and its conditions."""
-        return Chain.of(self.arm, q, c, self._columns)
+        return ArmState.of(self.arm, q, c, self._columns)
 
     def values_at(self, c: ca.SX, p: ca.SX) -> ca.SX:
         """Values of every parameter, where p has those of the estimated ones; where error curves do not hold, without
@@ -301,7 +301,7 @@ class Model:
         return self.arm.chain.points(self._postures(postures), self.geometry)
 
     def torques(self, postures: ArrayLike, conditions: When = None) -> Array:
-        """(m, n) gravity torques of the nominal arm (`Chain.torques`). Raises `InputError` for one without gravity."""
+        """(m, n) gravity torques of the nominal arm, `ArmState.torques`. Raises `InputError` without gravity."""
         q, c = self.expressions.symbols[:2]
         torques = ca.Function("torques", [q, c], [ca.cse(ca.densify(self.chain_at(q, c).torques))])
         return vectorize(torques)(*self._arguments(postures, None, conditions)[:2])[0][..., 0]

@@ -22,7 +22,7 @@ from identification import (
     diagnose,
     estimate,
 )
-from identification.effects import Chain, Scope, Setting, build
+from identification.effects import ArmState, Scope, Setting, build
 from identification.effects.base import clock
 from identification.gap.blocks import hypotheses
 from identification.instruments import TRACKER, Distance, Instrument, Sphere, Tracker
@@ -166,8 +166,8 @@ HEAVY = Arm(LENGTHS, gravity=Gravity([2.0, -9.0], MASSES, CENTERS))
 POSTURE, PAYLOAD = np.array([0.7, -1.9]), 4.0
 
 
-def chain(arm: Arm = HEAVY) -> Chain:
-    return Chain.of(arm, ca.SX(POSTURE), ca.SX([PAYLOAD, 1.5, -0.25, 2.0, 1.0, -1.0]), condition_columns(2))
+def chain(arm: Arm = HEAVY) -> ArmState:
+    return ArmState.of(arm, ca.SX(POSTURE), ca.SX([PAYLOAD, 1.5, -0.25, 2.0, 1.0, -1.0]), condition_columns(2))
 
 
 def number(expression: ca.SX) -> np.ndarray:

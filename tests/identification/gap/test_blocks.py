@@ -14,7 +14,7 @@ import pytest
 
 from identification import Array, InputError, Measurements, Model, diagnose, load_arm, planar_chain, with_effects
 from identification.arm import Arm, EffectSpec, Gravity
-from identification.effects import Chain, Effect, Parameter, Setting, base, build
+from identification.effects import ArmState, Effect, Parameter, Setting, base, build
 from identification.gap.blocks import Block, Library, hypotheses
 from identification.gap.fit import Fitted, Rows
 
@@ -28,7 +28,7 @@ class Breathing(Effect):
     def define(self) -> tuple[Parameter, ...]:
         return tuple(self.parameter(short, "1", scale=self.reach) for short in "ab")
 
-    def extensions(self, chain: Chain, values: ca.SX, lengths: ca.SX) -> ca.SX:
+    def extensions(self, chain: ArmState, values: ca.SX, lengths: ca.SX) -> ca.SX:
         angle = self.chosen["rate"] * chain.time
         return lengths * (values[0] * ca.cos(angle) + values[1] * ca.sin(angle))
 
@@ -42,7 +42,7 @@ class Settling(Effect):
         tau = self.parameter("tau", "1", scale=1.0, lower=0.05, upper=5.0)
         return (self.parameter("x", "mm", scale=1.0), tau)
 
-    def base_translation(self, chain: Chain, values: ca.SX) -> ca.SX:
+    def base_translation(self, chain: ArmState, values: ca.SX) -> ca.SX:
         return ca.vertcat(values[0] * ca.exp(-(chain.time + 0.5) / values[1]), 0)
 
 
@@ -55,7 +55,7 @@ class Series(Effect):
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("a", "rad", scale=self.link_length),)
 
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+    def joint_angles(self, chain: ArmState, values: ca.SX) -> ca.SX:
         q = chain.q[self.joint_index]
         return values[0] * sum(ca.cos(k * q) for k in range(1, self.chosen["terms"] + 1))
 
@@ -68,7 +68,7 @@ class Lag(Effect):
     def define(self) -> tuple[Parameter, ...]:
         return (self.parameter("c", "1", scale=self.link_length),)
 
-    def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+    def joint_angles(self, chain: ArmState, values: ca.SX) -> ca.SX:
         j = self.joint_index
         return values[0] * (chain.previous[j] - chain.q[j])
 

@@ -12,7 +12,7 @@ import pytest
 from doe.criteria import information_matrix
 from identification import PRISMATIC, Arm, Calibration, Conditions, EffectSpec, Gravity, InputError, Measurements, Model
 from identification.arm import ErrorCurve
-from identification.effects import Chain, base, library
+from identification.effects import ArmState, base, library
 from identification.effects.base import position_and_state, widths
 from identification.instruments import Distance, Tracker
 from identification.kinematics.chain import DHRow, chain_of
@@ -156,7 +156,7 @@ def test_an_effect_that_is_defined_anew_is_not_the_one_before(monkeypatch: pytes
             name = "gear_ratio"
             by = factor
 
-            def joint_angles(self, chain: Chain, values: ca.SX) -> ca.SX:
+            def joint_angles(self, chain: ArmState, values: ca.SX) -> ca.SX:
                 return self.by * values[0]
 
         monkeypatch.setitem(base._LIBRARY, "gear_ratio", Turned)
