@@ -57,9 +57,8 @@ def simulate(
         if missing := [p.toml_key for p in effect.parameters if p.short not in effect.fixed]:
             raise InputError(f"effects: {effect.place}: no value of {', '.join(missing)}, allowed: a number for each")
     if "temperature" in model.needs and temperature is None:
-        raise InputError(
-            "temperature_C: an effect of the truth needs a temperature per row, none is given, allowed: a plan with it"
-        )
+        needed = "an effect of the truth needs a temperature per row, none is given"
+        raise InputError(f"temperature_C: {needed}, allowed: a plan with it")
     approach = directions_from_order(q) if directions is None else directions
     session = Measurements(q, np.zeros((len(q), model.dimension)), order, payload, temperature, approach)
     if (shift := servo_shift(truth, approach)).any():  # the joints come to rest, and are read, beside their commands

@@ -115,17 +115,16 @@ def remarks(design: Design) -> list[str]:
     """How many postures are measured already; why there is no log det, where there is none; and what the rule against
     repeats may cost, where a search kept it and the bound is not reached."""
     lines, runs, apart = list[str](), len(design.plan), design.problem.spacing
+    alike = ", under one payload, temperature, time and approach" * bool(getattr(design.problem.model, "needs", ()))
     if kept := len(design.problem.kept):
-        lines.append(f"every figure is of these runs and the {kept} measured already (--keep) together")
+        lines.append(f"every figure is of these runs and the {kept} measured already (--keep) together{alike}")
     if not np.isfinite(design.log_det):
         still, combinations = design.problem.without_effect, design.not_identifiable
-        why = f"not estimable from the plan: {', '.join(combinations[:4])}{', ...' * (len(combinations) > 4)}"
+        why = f"not estimable from the plan: {', '.join(combinations[:4])}{', ...' * (len(combinations) > 4)}{alike}"
         if not combinations:
             why = "the information matrix of the plan is singular to the precision of the computer"
         elif still:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
-        elif getattr(design.problem.model, "needs", ()):
-            why += ", under one payload, temperature, time and approach"
         lines.append(f"no log det: {why}")
     better = "armcal design --repeats lets them be equal, which can be better"
     if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`

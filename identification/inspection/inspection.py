@@ -6,7 +6,7 @@ what repeats scatter by; where neither is known, neither is the accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -266,12 +266,25 @@ def sufficiency(
     for p, std in zip(judged.model.parameters, judged.std.tolist(), strict=True):
         if judged.model.arm.chain.redundant and p.name not in judged.prior.names and std > far.get(p.unit, np.inf):
             weak.append((p.name, std * p.to_file, p.file_unit))
-    determined = _in_words(fit, held, {name for name, *_ in weak})
+    # by kind, `length of links 1 to 3`; of one that is partly weak, what is not: `base (x, y, rx, ry, rz)`
+    kinds, determined = dict[str, list[Parameter]](), list[str]()
+    for parameter in (p for p, sure in zip(fit.model.parameters, fit.identifiable, strict=True) if sure):
+        kind = parameter.name.partition(".")[0].partition(":")[0]
+        kind = GEOMETRY.get(kind, "frame, held by [machining]," if parameter.name in held else kind)
+        kinds.setdefault(kind, []).append(parameter)
+    for kind, alike in kinds.items():
+        sure = [p.short for p in alike if p.name not in {name for name, *_ in weak}]
+        if joints := sorted({p.joint for p in alike if p.joint is not None}):
+            which = of_joints(joints)
+            name = f"{kind} of {which.replace('joint', 'link') if kind == GEOMETRY[LENGTH_ERROR] else which}"
+        else:
+            name = kind if len(sure) == len(alike) else f"{kind} ({', '.join(sure)})"
+        determined += [name] if sure else []
     keys = {
         "numbers": fit.residuals_after.size,
         "parameters": parameters,
         "spare_numbers": spare,
-        "identifiable": determined,
+        "identifiable": tuple(determined),
         "weakly_determined": [{"name": name, "std": std, "unit": unit} for name, std, unit in weak],
         "expected_tip_mm": tip,
         "expected_tip_measured_mm": measured,
@@ -289,24 +302,3 @@ def sufficiency(
     words.append(("determines", "; ".join(determined) or "nothing by itself"))
     words += [("only weakly", "; ".join(weakly)), ("does not", "; ".join(fit.not_identifiable)), ("accuracy", accuracy)]
     return keys, words, few
-
-
-def _in_words(fit: Identification, held: Set[str], weak: Set[str]) -> tuple[str, ...]:
-    """`length of links 1 to 3`, `zero of joints 1 to 3`, `base_offset`: what is determined, by kind; of one that is
-    partly weak, what is not: `base (x, y, rx, ry, rz)`."""
-    kinds: dict[str, list[Parameter]] = {}
-    for parameter, determined in zip(fit.model.parameters, fit.identifiable, strict=True):
-        if determined:
-            kind = parameter.name.partition(".")[0].partition(":")[0]
-            kind = GEOMETRY.get(kind, "frame, held by [machining]," if parameter.name in held else kind)
-            kinds.setdefault(kind, []).append(parameter)
-    words = []
-    for kind, parameters in kinds.items():
-        sure = [p.short for p in parameters if p.name not in weak]
-        if joints := sorted({p.joint for p in parameters if p.joint is not None}):
-            which = of_joints(joints)
-            name = f"{kind} of {which.replace('joint', 'link') if kind == GEOMETRY[LENGTH_ERROR] else which}"
-        else:
-            name = kind if len(sure) == len(parameters) else f"{kind} ({', '.join(sure)})"
-        words += [name] if sure else []
-    return tuple(words)

@@ -14,7 +14,7 @@ import pytest
 from doe.cli import main
 from identification import campaign_document, load_arm
 from identification.document import in_a_sentence
-from identification.validate import REFITS
+from identification.documents.identification import DRAWN
 from tests.doe.cli.conftest import ARM, LOWER, UPPER, Folder, table
 
 KEYS = {
@@ -108,7 +108,7 @@ def test_validate_on_another_session_and_on_the_own_data(folder: Folder) -> None
     shown = folder.armcal("validate calibrated.toml data.csv")
     assert (shown.flat.count("this says nothing about others"), shown.err) == (1, "")
     (refit,) = (parameter for parameter in main.commands["validate"].params if parameter.name == "refit")
-    assert tuple(refit.type.choices) == REFITS
+    assert tuple(refit.type.choices) == tuple(DRAWN)
 
 
 def test_a_plan_is_scored_by_its_weights_and_with_what_is_measured_already(folder: Folder) -> None:
