@@ -24,6 +24,7 @@ from identification.document import Document, Documented, Sheet, number
 from identification.errors import InputError, require
 from identification.files.csv import csv_text
 from identification.files.measurement import angle_columns, posture_columns
+from identification.instruments import Tracker
 from identification.kinematics.chain import standing_in
 from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import REVOLUTE
@@ -73,7 +74,9 @@ def compensate(
     check_calibrated(arm)
     keeps_nominal = targets is None and orientations is None and arm.chain.angle_scale is not None
     posed, arm = orientations is not None or keeps_nominal, in_own_frame(arm)
-    arm = replace(arm, chain=replace(arm.chain, angle_scale=arm.reach if posed else None))  # of an angle of a pose
+    arm = replace(
+        arm, chain=replace(arm.chain, instrument=Tracker(arm.reach if posed else None))
+    )  # of an angle of a pose
     model = Model(arm)
     nominal = None if postures is None else _checked("postures", postures, arm.links)
     if targets is not None:

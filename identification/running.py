@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from importlib import metadata
+from functools import lru_cache
+from importlib import import_module, metadata
 from typing import Any
 
 from identification.errors import InputError
@@ -54,10 +56,12 @@ class Progress:
 def single_thread() -> Iterator[None]:
     """`with single_thread():`, or `@single_thread()` of a function: BLAS uses one thread inside, and as many as before
     afterwards. Matrices here are 8 x 8 or so: more threads only wait for each other (5 x slower)."""
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _libraries(len(sys.modules)).limit(limits=1, user_api="blas"):
         yield
+
+
+# those that are loaded; to look for them takes 2 ms, a tenth of a fit, so again only after an import: number of modules
+_libraries = lru_cache(maxsize=1)(lambda modules: import_module("threadpoolctl").ThreadpoolController())
 
 
 def additions(group: str) -> Iterator[tuple[str, str, Any]]:

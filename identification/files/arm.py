@@ -27,7 +27,7 @@ from identification.files.bodies import Shape, ShapedBodies, pairs_apart
 from identification.files.io import PathLike, named_file, read_toml
 from identification.files.schema import CURVE, CalibrationTable, EffectTable, PoseTable, validated, validated_arm
 from identification.files.urdf import METER, Urdf, read_urdf, urdf_text
-from identification.instruments import KINDS
+from identification.instruments import KINDS, Tracker
 from identification.kinematics import chain as chains
 from identification.kinematics.chain import BASE, STANDARD, TOOL, CorrectedGeometry, DHRow, KinematicChain
 from identification.kinematics.counting import Counting, check_kinds
@@ -184,7 +184,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
                 warnings.warn(f"measurement.sigma_deg: found without sigma_mm: {unused}", UserWarning, stacklevel=2)
             else:  # residuals of orientations weigh as much as those of positions
                 scale = sigma.sigma_mm / sigma.sigma_deg
-        return replace(chain, angle_scale=scale)
+        return replace(chain, instrument=Tracker(scale))
     instrument = KINDS[chain.axes][table.kind].of_table(table.model_dump(exclude_none=True))
     if file.base is not None and instrument.own_targets:
         raise InputError(f"base: found with an [instrument] of kind {table.kind}, allowed: left out, it is the frame")

@@ -353,7 +353,7 @@ def _rows(arm: Arm, measurements: Measurements) -> tuple[Array, Array, bool]:
             rows = rows[names[rows] == each[counts.argmax()]]
     # 200 of them: a wrong sign shows in far fewer
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, 200).astype(int))]
-    x = measurements.positions[rows, : arm.chain.coordinates]
+    x = measurements.positions[rows, : arm.chain.instrument.dimension]  # of poses the points
     off = np.linalg.norm(x - np.median(x, axis=0), axis=1)
     near = off <= FAR * np.quantile(off, 0.75)
     # below three equations for each fitted number anything may fit

@@ -17,8 +17,12 @@ ENOUGH = 1e-6  # relative fall of the sum of squares in a round, below which a l
 @dataclass(frozen=True)
 class Tracker(Instrument):
     """A laser tracker, a camera system, a coordinate measuring machine: positions of one or several reflectors in the
-    frame of the instrument, in the plane the first two coordinates, or the pose of a measured frame."""
+    frame of the instrument, in the plane the first two coordinates, or the pose of a measured frame.
 
+    angle_scale : [mm/rad] that a radian of a measured orientation counts as; None: only points are measured
+    """
+
+    angle_scale: float | None = None  # type: ignore[misc]  # of the class, where it is none
     coordinates = tuple(Coordinate(axis) for axis in AXES)
     reads_positions = True
 

@@ -134,7 +134,6 @@ class KinematicChain(ByValue):
     tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
     settled: frozenset[str] = frozenset()  # those of `base` and `tool` that are given, and not to be found
     fixed: frozenset[str] = frozenset()  # names of parameters that are not estimated (model/placed.py)
-    angle_scale: float | None = None  # [mm/rad] a radian of a measured orientation counts as; None: only points are
     tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
 
@@ -164,6 +163,7 @@ class KinematicChain(ByValue):
             raise InputError(f"instrument: found {reason}, allowed here: distance, or no [instrument]")
 
     dimension = property(lambda self: len(self.axes))  # d, coordinates of a position: 3 in space, 2 in the plane
+    angle_scale = property(attrgetter("instrument.angle_scale"))  # [mm/rad], `Tracker`
     joint_types = property(lambda self: tuple(joint.type for joint in self.joints))  # (n) `revolute` or `prismatic`
 
     # whether it has more free errors than measurements can show, so that a fit needs a prior of them

@@ -5,7 +5,7 @@ rotations about own axes, x, then y, then z.
 
 Measured orientations are rotation matrices of what files say. The difference of two is a rotation vector: the axis of
 the rotation from one to the other, as long as its angle [rad]. A fit counts it in millimetres,
-`KinematicChain.angle_scale` [mm/rad] for each radian.
+`Tracker.angle_scale` [mm/rad] for each radian.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from identification.arm import Arm
 from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
-from identification.instruments import TRACKER, Unplaced
+from identification.instruments import TRACKER, Tracker, Unplaced
 from identification.kinematics.chain import (
     BASE,
     DIMENSION,
@@ -148,7 +148,7 @@ def with_markers(chain: KinematicChain, measurements: Measurements) -> Kinematic
     orientations where the data have none. One point that the arm knows is the one that is measured, whatever the data
     call it."""
     if chain.angle_scale is not None and measurements.dimension == DIMENSION:
-        chain = replace(chain, angle_scale=None)
+        chain = replace(chain, instrument=TRACKER)
     names, tools = () if chain.instrument.own_targets else measurements.marker_names, chain.tools
     if not names:
         if len(tools) > 1:
@@ -180,7 +180,7 @@ def _as_tracker(arm: Arm) -> Arm:
     """The arm as if positions were read in the frame of its instrument, without effects of that."""
     offers = arm.chain.instrument.offers
     effects = [spec for spec in arm.effects if not library()[spec.name].needs & offers]
-    return replace(arm, chain=replace(arm.chain, instrument=TRACKER)).with_effects(*effects)
+    return replace(arm, chain=replace(arm.chain, instrument=Tracker(arm.chain.angle_scale))).with_effects(*effects)
 
 
 def of_positions(model: Model) -> Model:

@@ -31,7 +31,7 @@ from identification import (
 from identification.files.arm import load_arm, with_calibration
 from identification.files.measurement import measurement_text
 from identification.inspection.readings import data_warnings
-from identification.instruments import Distance, Instrument, Plane, Sphere
+from identification.instruments import Distance, Instrument, Plane, Sphere, Tracker
 from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.frames import pose
 from identification.model.placed import minimal, placed_model, practical
@@ -175,7 +175,7 @@ def test_an_effect_is_named_by_contacts_alone() -> None:
 # -- poses -------------------------------------------------------------------------------------------------------------
 SIGMA, SIGMA_DEG = 0.05, 0.01
 SCALE = SIGMA / np.radians(SIGMA_DEG)
-SIX = Arm(replace(drawing(), angle_scale=SCALE), sigma=SIGMA)
+SIX = Arm(replace(drawing(), instrument=Tracker(SCALE)), sigma=SIGMA)
 HIDDEN = {"base.x": 1500.0, "base.rx": 0.3, "base.rz": 2.0, "tool[1].x": 40.0, "tool[1].z": 50.0, "tool[1].ry": 0.7}
 
 
@@ -273,7 +273,7 @@ def test_points_alone_will_do(tmp_path: Path) -> None:
     """An arm file with sigma_deg, measurements without orientations: as without sigma_deg."""
     arm, data = five_axes(tmp_path)
     points = replace(data, positions=data.positions[:, :3], orientations=None)
-    plain = replace(arm, chain=replace(arm.chain, angle_scale=None))
+    plain = replace(arm, chain=replace(arm.chain, instrument=Tracker()))
     np.testing.assert_array_equal(estimate(Model(arm), points).parameters, estimate(Model(plain), points).parameters)
     (tmp_path / "data.csv").write_text(measurement_text(data))
     with pytest.warns(UserWarning, match="orientations are used where the arm file gives measurement.sigma_mm and"):

@@ -21,6 +21,7 @@ from identification import (
     without_prior,
 )
 from identification.inspection.readings import data_warnings
+from identification.instruments import Tracker
 from identification.kinematics.frames import pose, rotation_about
 from identification.model.placed import minimal, placed_model
 from identification.replications import ModelTable, Replications, StudyFile, TruthTable, true_values
@@ -145,7 +146,7 @@ def test_sessions_of_a_spatial_arm() -> None:
     stand to one another as they were put. Without noise all of it is exact but for the prior's pull."""
     parts = {"a": in_space(0, "top"), "b": in_space(1, "top"), "c": in_space(2, "side")}
     data = pooled_sessions(parts)
-    arm = Arm(replace(CHAIN, angle_scale=300.0), sigma=1e-4)
+    arm = Arm(replace(CHAIN, instrument=Tracker(300.0)), sigma=1e-4)
     assert data_warnings(data, arm) == []
     model = placed_model(Model(with_sessions(arm, data)), data)
     found = estimate(minimal(model), data)

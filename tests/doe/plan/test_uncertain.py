@@ -13,6 +13,7 @@ from doe.bounds.column_generation import ContinuousSet, best_known_bound, column
 from doe.criteria import A, D
 from doe.plan.accuracy import missing_effects, robust_problem, with_choices, workspace
 from identification import Arm, Array, Conditions, DHRow, InputError, Model, chain_of
+from identification.instruments import Tracker
 from identification.workspace import KeepOutCircle
 
 LENGTHS = np.array([300.0, 200.0])
@@ -117,7 +118,7 @@ def test_the_best_of_all_plans_of_several_points() -> None:
     rows = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
     tools = {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}
     for angle_scale, each in ((None, 3), (200.0, 6)):
-        chain = replace(chain_of(rows), tools=tools, angle_scale=angle_scale)
+        chain = replace(chain_of(rows), tools=tools, instrument=Tracker(angle_scale))
         choices = generator.uniform(-2.0, 2.0, (8, 3))
         problem = DesignProblem.of(Model(Arm(chain, sigma=0.05)), choices=choices)
         case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))

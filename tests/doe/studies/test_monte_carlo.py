@@ -19,6 +19,7 @@ from doe.problem.postures import random_postures
 from doe.report.studies import monte_carlo_parts
 from doe.studies.monte_carlo import Study, pooled_rows, run_study
 from identification import Arm, Calibration, Conditions, DHRow, InputError, Model, Plan, chain_of, without_prior
+from identification.instruments import Tracker
 from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox
 from tests.refusals import refused
@@ -188,7 +189,7 @@ def test_intervals_hold_and_a_missing_effect_is_a_bias() -> None:
 SEVERAL = {"tools": {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}}
 
 
-@pytest.mark.parametrize("measured", [SEVERAL, SEVERAL | {"angle_scale": 100.0}])
+@pytest.mark.parametrize("measured", [SEVERAL, SEVERAL | {"instrument": Tracker(100.0)}])
 def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, Any]) -> None:
     """Expected deviations from (sum of J^T J)^-1 with J by central differences of the model's own positions and turned
     axes; the fits scatter by as much, and the intervals hold."""

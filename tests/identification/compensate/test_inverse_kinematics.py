@@ -17,6 +17,7 @@ import pytest
 from doe.problem.constraints import constraints_of
 from identification import Arm, Calibration, Model
 from identification.compensate import TOLERANCE, compensate
+from identification.instruments import Tracker
 from identification.workspace import KeepOutCircle, WorkspaceBox
 from tests.doe.six_axis import CHAIN
 
@@ -125,7 +126,7 @@ def scanned(target: np.ndarray, circle: KeepOutCircle) -> float:
 def test_poses_that_few_starts_lead_to_are_reached() -> None:
     """Poses of random postures can be reached, whatever 32 starts say: of 2,000 they missed these and others."""
     missed = [282, 498, 854, 979, 1936]
-    chain = replace(CHAIN, tools={"1": np.array([0.0, 0.0, 100.0])}, angle_scale=1000.0)
+    chain = replace(CHAIN, tools={"1": np.array([0.0, 0.0, 100.0])}, instrument=Tracker(1000.0))
     arm = replace(Arm(chain), calibration=Calibration({"base.x": 0.0}))
     postures = np.random.default_rng(11).uniform(-np.pi, np.pi, (2000, 6))[missed]
     model = Model(arm)

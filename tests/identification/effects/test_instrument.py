@@ -25,7 +25,7 @@ from identification import (
 from identification.effects import Chain, Scope, Setting, build
 from identification.effects.base import clock
 from identification.gap.blocks import hypotheses
-from identification.instruments import TRACKER, Distance, Instrument, Sphere
+from identification.instruments import TRACKER, Distance, Instrument, Sphere, Tracker
 from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
 from identification.kinematics.frames import pose
 from identification.measurements import condition_columns
@@ -135,20 +135,20 @@ SETTINGS = np.random.default_rng(4).uniform([-3.0, 0.0, -1.0], [3.0, 300.0, 1.0]
 
 
 @pytest.mark.parametrize(
-    ("tools", "angle_scale", "instrument"),
-    [(ONE, None, TRACKER), (TWO, None, TRACKER), (ONE, 500.0, TRACKER), (TWO, 500.0, TRACKER), (ONE, None, Distance())],
+    ("tools", "instrument"),
+    [(ONE, TRACKER), (TWO, TRACKER), (ONE, Tracker(500.0)), (TWO, Tracker(500.0)), (ONE, Distance())],
     ids=["a point", "two points", "a pose", "two poses", "a length"],
 )
 def test_outliers_have_their_size_and_share_and_point_anywhere(
-    tools: dict[str, np.ndarray], angle_scale: float | None, instrument: Instrument
+    tools: dict[str, np.ndarray], instrument: Instrument
 ) -> None:
     """Of the arm that slides: `size` standard deviations each, the mean of their directions zero and of the squares of
     each coordinate 1/3; orientations are not moved; a length is too long or too short."""
-    chain = KinematicChain(ELBOW, np.eye(4), tools=tools, angle_scale=angle_scale, instrument=instrument)
+    chain = KinematicChain(ELBOW, np.eye(4), tools=tools, instrument=instrument)
     arm = Arm(chain, sigma=0.1)
     noisy = arm.with_effects(EffectSpec("outliers", None, {"share": 0.5, "size": 20.0}))
     exact, far = (simulate(one, SETTINGS, np.random.default_rng(5), sigma=0.1) for one in (arm, noisy))
-    width = 1 if instrument is not TRACKER else 3
+    width = 3 if instrument.reads_positions else 1
     moved_by = (far.positions - exact.positions)[:, :width]
     off = (size := np.linalg.norm(moved_by, axis=1)) > 1e-9
     assert off.sum() == len(size) // 2
@@ -156,7 +156,7 @@ def test_outliers_have_their_size_and_share_and_point_anywhere(
     # 500 directions or more: standard errors of a mean .026 (of a sign .045), of a mean square .013
     np.testing.assert_allclose(moved_by[off].mean(axis=0) / 2.0, 0.0, atol=0.1 if width == 3 else 0.18)
     np.testing.assert_allclose((moved_by[off] ** 2).mean(axis=0) / 4.0, 1.0 / width, atol=0.05)
-    if angle_scale is not None:
+    if instrument.angle_scale is not None:
         np.testing.assert_array_equal(far.orientations, exact.orientations)
 
 

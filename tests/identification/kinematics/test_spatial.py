@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from identification import PRISMATIC, Array, InputError, Parameter, ParameterSet, vectorize
 from identification.files.urdf import read_urdf
+from identification.instruments import Tracker
 from identification.kinematics.chain import (
     MODIFIED,
     STANDARD,
@@ -119,7 +120,7 @@ def test_what_there_is_to_find() -> None:
 def test_frames_points_and_orientation_against_exponentials(chain: KinematicChain) -> None:
     """Of one chain with errors: `points` begins at the base, whose own pose it leaves out."""
     generator = np.random.default_rng(8)
-    posed = replace(chain, angle_scale=500.0)
+    posed = replace(chain, instrument=Tracker(500.0))
     names = posed.every_parameter.names
     assert len(names) == 6 + 6 + 7 * len(chain)
     values = dict(zip(names, generator.uniform(-0.3, 0.3, len(names)), strict=True))

@@ -14,7 +14,7 @@ from identification import PRISMATIC, Arm, Calibration, Conditions, EffectSpec, 
 from identification.arm import ErrorCurve
 from identification.effects import Chain, base, library
 from identification.effects.base import position_and_state, widths
-from identification.instruments import Distance
+from identification.instruments import Distance, Tracker
 from identification.kinematics.chain import DHRow, chain_of
 from identification.kinematics.frames import from_angles, pose, turned
 
@@ -59,7 +59,7 @@ def arms() -> list[Arm]:
     turned_base = replace(CHAIN, base=pose((500.0, 0.0, 80.0), from_angles((0.3, -0.2, 2.0))))
     return [
         Arm(CHAIN, gravity=GRAVITY, effects=SPECS),
-        Arm(replace(CHAIN, angle_scale=300.0), gravity=GRAVITY, effects=SPECS),
+        Arm(replace(CHAIN, instrument=Tracker(300.0)), gravity=GRAVITY, effects=SPECS),
         Arm(turned_base, gravity=GRAVITY, effects=(*SPECS[:6], *curves)),
     ]
 

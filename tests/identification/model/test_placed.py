@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from identification import PRISMATIC, Arm, Conditions, InputError, Measurements, Model
-from identification.instruments import Distance
+from identification.instruments import Distance, Tracker
 from identification.instruments.base import registered
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
 from identification.kinematics.frames import pose
@@ -96,7 +96,7 @@ SLIDING = replace(DHRow(0.0, QUARTER, 0.0), type=PRISMATIC, limits=(100.0, 600.0
         (replace(SIX, tools=OFF_AXIS), 27),
         (replace(SIX, tools=ON_AXIS), 25),  # the last joint's offset and one more turn the point about itself
         (replace(SIX, tools=THREE), 33),
-        (replace(SIX, tools=OFF_AXIS, angle_scale=300.0), 30),  # 4 for each axis, 6 of the frame
+        (replace(SIX, tools=OFF_AXIS, instrument=Tracker(300.0)), 30),  # 4 for each axis, 6 of the frame
         (chain_of([DHRow(0.0, QUARTER, 300.0), SLIDING, DHRow(80.0, 0.3, 50.0), DHRow(0.0, 0.0, 90.0)]), None),
     ],
     ids=["reflector", "on the last axis", "three reflectors", "a pose", "a sliding joint"],
