@@ -1,7 +1,8 @@
 """Plans that are (nearly) D-optimal AND can distinguish missing effects (doe/README.md, "Misidentification").
 
-Starting from the best plan, some runs of which are replaced by random postures, runs are swapped for postures that
-lower the probability of a wrong name, at the cost of as much D-efficiency as is allowed. The order of measurement
+Starting from the best plan, runs are swapped for postures that lower the probability of a wrong name, at the cost of as
+much D-efficiency as is allowed. A D-optimal plan stands in the corners of narrow limits or on regular steps, where many
+effects look alike: on two angles of a joint ripples of many orders are one column. The order of measurement
 matters to backlash and drift only: the best of many shuffles is kept. The bound on that probability follows from the
 information matrix M alone: with b the base parameters, e those of all effects, v a combination of one effect's
 parameters, `LAMBDA` long on a random plan of as many runs, and B a basis of the rival's,
@@ -229,8 +230,7 @@ def discrimination_design(
     if status is not Status.interrupted:
         allowed = problem.parameters * float(-np.log1p(-loss))
         try:
-            begin = state.begin(chosen, best.value - 0.75 * allowed, generator)
-            for postures in state.improved(begin, best.value - allowed, generator, budget, progress):
+            for postures in state.improved(chosen, best.value - allowed, generator, budget, progress):
                 chosen = postures
             status = Status.time_limit if budget.ended() else Status.local_optimum
         except KeyboardInterrupt:
@@ -289,20 +289,6 @@ class Swaps:
         cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
         reference = information_matrix(self.extended.scaled_jacobians(cloud)) / len(cloud)
         self.bound = MisidentificationBound(library.base, library.bases, library.weights, reference)
-
-    def begin(self, postures: Array, least: float, generator: Generator) -> Array:
-        """(m, n) the plan with as many random postures as a value of at least `least` allows.
-
-        A D-optimal plan stands in the corners of narrow limits or on regular steps, far from plans that distinguish
-        effects: on two angles of a joint ripples of many orders are one column, and on N equal steps of a turn k and
-        N - k periods are.
-        """
-        plan, problem = np.array(postures), self.problem
-        for row, drawn in zip(generator.permutation(len(plan)), pool_of(problem, len(plan), generator), strict=False):
-            trial = np.array(plan)
-            trial[row] = drawn
-            plan = trial if allowed_value(problem, trial) >= least else plan
-        return plan
 
     def wrong(self, postures: Array) -> float:
         """Bound on the mean probability of a wrong name that a plan leaves, see `MisidentificationBound.wrong`."""
