@@ -70,8 +70,8 @@ def fill(problem: DesignProblem, count: int, draw: Callable[[int], Array], gener
 
 
 def connected(problem: DesignProblem, postures: Array) -> Array:
-    """Where 1,000 random allowed postures leave a gap of half a radian in the angles of a joint, no move crosses it: those
-    of postures (k, n) on the side that has most of them. Where the tracker does not see, moves may pass."""
+    """Where 1,000 random allowed postures leave a gap of half a radian in the angles of a joint, no move crosses it:
+    those of postures (k, n) on the side that has most of them. Where the tracker does not see, moves may pass."""
     if not problem.constraints or any(each.kind == "line_of_sight" for each in problem.constraints):
         return postures
     drawn = problem.comparable(random_postures(problem, 1000, np.random.default_rng(0)))

@@ -306,8 +306,8 @@ class DesignProblem:
 
     @cached_property
     def steepness(self) -> Array:
-        """(k,) mean slope of each constraint [mm/rad] over random postures: those of a plan may all lie where it does not
-        vary, as the lowest height of an arm does not while its shoulder is lowest.
+        """(k,) mean slope of each constraint [mm/rad] over random postures: those of a plan may all lie where it
+        does not vary, as the lowest height of an arm while its shoulder is lowest.
 
         Less than a thousandth of the steepest is no wall, as the height of the base.
         """
