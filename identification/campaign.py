@@ -17,7 +17,7 @@ from identification.files.measurement import UNITS, Plan, load_measurements
 from identification.instruments import TRACKER
 from identification.measurements import MOST, Measurements
 from identification.reuse import same_drawing
-from identification.sessions import diagnosed, identified, share_fitted
+from identification.sessions import diagnosed, provenance_of, share_fitted
 from identification.validate import Validation, validate
 from identification.workflow import dh_lines
 
@@ -67,7 +67,7 @@ def campaign_document(
     # what each calibrated arm leaves of each set of measurements, those first that no arm says it was fitted to
     calibrated = {name: arm for name, arm in arms.items() if arm.calibration is not None}
     seen = {
-        rows: [name for name, arm in calibrated.items() if share_fitted(identified(arm), measured) >= MOST]
+        rows: [name for name, arm in calibrated.items() if share_fitted(provenance_of(arm), measured) >= MOST]
         for rows, measured in measurements.items()
     }
     tests = {

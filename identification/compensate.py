@@ -32,7 +32,7 @@ from identification.levenberg_marquardt import Index, levenberg_marquardt, newto
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.sessions import check_calibrated, extrapolated, familiar_range, identified, outside
+from identification.sessions import check_calibrated, extrapolated, familiar_range, outside, provenance_of
 from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition
 
@@ -98,7 +98,7 @@ def compensate(
         require(number == len(points), f"{name}: {number} rows for {len(points)} targets, allowed: as many")
     # where no posture gets to a target, as of an arm with fewer joints than coordinates, it counts as reached within
     # what one in a thousand of the calibration's own measurements may be off, by what the fit left and is unsure of
-    likely = math.hypot(*(identified(arm).get(key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
+    likely = math.hypot(*(provenance_of(arm).get(key) or 0.0 for key in ("rms_after_mm", "expected_tip_mm")))
     tolerance = max(TOLERANCE, float(likely * np.sqrt(chdtri(arm.dimension, 1e-3) / arm.dimension)))
     goals = np.pad(points, ((0, 0), (0, model.dimension - arm.dimension)))  # of poses three zeros more
     limits, familiar = (arm.lower, arm.upper), familiar_range(arm)
@@ -109,7 +109,7 @@ def compensate(
         where = where.afterwards(len(goals))
         assumed.append(f"{', '.join(once)}: the value at the end of the session of the identification is used")
     if where.temperature is None and (warm := [e.key for e in model.effects if "temperature" in e.needs]):
-        mean = identified(arm).get("mean_temperature_C")
+        mean = provenance_of(arm).get("mean_temperature_C")
         at = "" if mean is None else f", {float(mean):.1f} deg C"
         assumed.append(f"{', '.join(warm)}: taken at the mean temperature of the identification{at}")
     near = np.tile(np.add(*familiar) / 2.0, (len(goals), 1)) if nominal is None else nominal
@@ -269,7 +269,7 @@ class Compensation(Documented):
             "reached": int(np.count_nonzero(reached)),
             **{f"max_{key}": float(x[reached].max()) if reached.any() else None for key, x in self.misses.items()},
             "tolerance_mm": self.tolerance,
-            "model_rms_mm": identified(self.arm).get("rms_after_mm"),
+            "model_rms_mm": provenance_of(self.arm).get("rms_after_mm"),
             "unreachable": (np.flatnonzero(~reached) + 1).tolist(),
             "warnings": self.warnings,
             "commands_deg": commands,
@@ -280,7 +280,7 @@ class Compensation(Documented):
         """How many targets are reached and which are not, then joint commands for the first ones."""
         reached, near = self.reached, self.near
         verdict = f"{np.count_nonzero(reached)} of {len(self.targets)} targets reached by the calibrated model"
-        if (rms := identified(self.arm).get("rms_after_mm")) is not None:
+        if (rms := provenance_of(self.arm).get("rms_after_mm")) is not None:
             verdict += f" (RMS {rms:.4g} mm on its own measurements)"
         if self.angles is not None and reached.any():
             most = float(np.degrees(np.max(self.angles[reached])))

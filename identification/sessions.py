@@ -162,7 +162,7 @@ def start_at_base(model: Model, measurements: Measurements, conditions: Conditio
 
 
 # -- where a calibration comes from ------------------------------------------------------------------------------------
-def identified(arm: Arm) -> Mapping[str, Any]:
+def provenance_of(arm: Arm) -> Mapping[str, Any]:
     """What the arm's calibration says of the data it comes from."""
     return {} if arm.calibration is None else arm.calibration.provenance
 
@@ -186,7 +186,7 @@ def extrapolated(out: NDArray[np.bool_] | None, what: str) -> str | None:
 
 def outside(arm: Arm, postures: Array) -> NDArray[np.bool_] | None:
     """(m, n) True where a joint is outside the angles of the identification, whole turns aside; None: not known."""
-    if (limits := range_of(identified(arm), arm.joint_types)) is None:  # (2, n) [rad, mm]
+    if (limits := range_of(provenance_of(arm), arm.joint_types)) is None:  # (2, n) [rad, mm]
         return None
     (lower, upper), types = limits, Model(arm).joint_types
     q = turned_into(postures, lower, upper, types, READ)
@@ -200,14 +200,14 @@ def diagnosed(arm: Arm) -> bool:
     if arm.calibration is None:
         return False
     effects = {p.name for effect in Model(arm).effects if effect.name != "base_offset" for p in effect.parameters}
-    return identified(arm).get("source") == DIAGNOSED or not effects.isdisjoint(arm.calibration.values)
+    return provenance_of(arm).get("source") == DIAGNOSED or not effects.isdisjoint(arm.calibration.values)
 
 
 def without_prior_effects(arm: Arm) -> Arm:
     """The arm without the effects that a fit with the library's prior added to it: those of which its calibration has
     values and no covariance, as it has of others; the same arm where there are none."""
     calibration = arm.calibration
-    if calibration is None or not calibration.parameter_names or identified(arm).get("source") == DIAGNOSED:
+    if calibration is None or not calibration.parameter_names or provenance_of(arm).get("source") == DIAGNOSED:
         return arm
     held = calibration.effects.keys() - set(calibration.parameter_names)
     names = [{p.name for p in effect.parameters} for effect in Model(arm).effects]
@@ -230,7 +230,7 @@ def share_fitted(provenance: Mapping[str, Any], measurements: Measurements) -> f
 def familiar_range(arm: Arm) -> tuple[Array, Array]:
     """(n,) least and largest angles of the identification but for some room, moved by whole turns into the limits; the
     limits themselves where these are not known."""
-    if (ends := range_of(identified(arm), arm.joint_types)) is None:
+    if (ends := range_of(provenance_of(arm), arm.joint_types)) is None:
         return arm.lower, arm.upper
     middle = ends.mean(axis=0)
     # 2 % of a joint's range at either end are left for the corrections of a posture

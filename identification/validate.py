@@ -31,8 +31,8 @@ from identification.sessions import (
     SESSIONS,
     check_calibrated,
     extrapolated,
-    identified,
     outside,
+    provenance_of,
     share_fitted,
     start_at_base,
 )
@@ -140,7 +140,7 @@ class Validation(Documented):
             elif fresh and not len(tools) == 1 == len(names):
                 its = "its position was" if len(fresh) == 1 else "their positions were"
                 yield f"the calibration has no reflector {', '.join(fresh)}: {its} fitted to these rows"
-        if (own := share_fitted(identified(arm), measurements)) > 0.9:  # convention: a few others or left out rows
+        if (own := share_fitted(provenance_of(arm), measurements)) > 0.9:  # convention: a few others or left out rows
             yield shown.FITTED
         elif own > 0.0:
             yield f"about {100.0 * own:.0f} % of these rows are among those that the model was identified from"
@@ -218,8 +218,8 @@ def _refitted(
         require(fits, f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
     has_gravity, allowed = arm.gravity is not None, "allowed: an arm file with a [gravity] table"
     require("gravity" not in model.needs or has_gravity, f"gravity: an effect of the arm needs it, {allowed}")
-    conditions, mean = measurements.conditions, identified(origin).get("mean_temperature_C")
-    own = share_fitted(identified(origin), measurements) >= MOST
+    conditions, mean = measurements.conditions, provenance_of(origin).get("mean_temperature_C")
+    own = share_fitted(provenance_of(origin), measurements) >= MOST
     if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
         conditions = conditions.afterwards(len(measurements))
     if measurements.temperature is not None and mean is not None:

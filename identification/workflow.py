@@ -320,7 +320,7 @@ def identify_files(
     from identification.sessions import (
         SESSIONS,
         diagnosed,
-        identified,
+        provenance_of,
         with_sessions,
         without_prior_effects,
         without_sessions,
@@ -336,7 +336,7 @@ def identify_files(
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)
     keys |= {"servo_error": servo_errors} if servo_errors else {}
-    reference = identified(old or loaded).get("mean_temperature_C")
+    reference = provenance_of(old or loaded).get("mean_temperature_C")
     if reference is not None and (old or chosen or any(effect.values for effect in loaded.effects)):
         # where something is held, temperatures count from those that it was found at
         measurements = replace(measurements, reference=float(reference))

@@ -248,16 +248,16 @@ def estimate_batch(model: Model, plan: Measurements | ArrayLike, positions: Arra
             continue
         # from the closed form, by the chord method with one matrix for all, then one about where that led the others;
         # what neither brings to an end, by Levenberg-Marquardt
-        rest, x[part] = np.arange(len(measured))[part], starts(problem.rows(part))
+        rest, x[part] = np.arange(len(measured))[part], starts(problem.data_sets(part))
         for _ in range(2):
             usable = x[rest][np.all(np.isfinite(x[rest]), axis=1)]
             center = np.mean(usable, axis=0) if len(usable) else problem.start
             shared = np.concatenate([problem.rows_about(center)[1], problem.prior_rows])
-            x[rest], rss[rest], stationary = chord_steps(problem.rows(rest), shared, x[rest])
+            x[rest], rss[rest], stationary = chord_steps(problem.data_sets(rest), shared, x[rest])
             if not len(rest := rest[~stationary]):
                 break
         else:
-            each = problem.rows(rest).minimized(x[rest])
+            each = problem.data_sets(rest).minimized(x[rest])
             x[rest], rss[rest], status[rest] = each.parameters, each.rss, each.status
     rss -= np.sum((x @ problem.prior_rows.T) ** 2, axis=1)
     return Solution(x, rss, status)

@@ -201,7 +201,7 @@ class Problem:
 
     method = property(lambda self: "linear" if self.exact_form else "levenberg_marquardt")  # by which it is solved
 
-    def rows(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
+    def data_sets(self, index: Index | NDArray[np.bool_] | slice) -> Problem:
         """The problem of some of the data sets."""
         return replace(self, positions=self.positions[index])
 
@@ -242,7 +242,7 @@ class Problem:
 
     def linearize(self, parameters: Array, index: Index) -> tuple[Array, Array]:
         """(k, m d + r) weighted residuals of the data sets numbered (k,) and the (k, m d + r, p) weighted Jacobian."""
-        chosen = self if len(index) == len(self.positions) else self.rows(index)
+        chosen = self if len(index) == len(self.positions) else self.data_sets(index)
         position, jacobian = self.model.linearize(chosen.postures, parameters, chosen.conditions)
         residuals = self.root_weights * (chosen.positions - position)
         jacobian *= self.root_weights[:, :, None]  # in place: new memory takes as long as the product
