@@ -16,8 +16,8 @@ from identification.files.csv import read_table
 from identification.files.measurement import UNITS, Plan, load_measurements
 from identification.instruments import TRACKER
 from identification.measurements import MOST, Measurements
+from identification.provenance import diagnosed, provenance_of, share_fitted
 from identification.reuse import same_drawing
-from identification.sessions import diagnosed, provenance_of, share_fitted
 from identification.validate import Validation, validate
 from identification.workflow import dh_lines
 

@@ -32,7 +32,7 @@ from identification.levenberg_marquardt import Index, levenberg_marquardt, newto
 from identification.measurements import POINT, Conditions, directions_from_order, distances, past_from_order
 from identification.model import Model
 from identification.model.placed import in_own_frame
-from identification.sessions import check_calibrated, extrapolated, familiar_range, outside, provenance_of
+from identification.provenance import check_calibrated, extrapolated, familiar_range, outside, provenance_of
 from identification.simulate import SERVO, servo_shift
 from identification.workspace import PostureCondition
 

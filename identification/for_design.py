@@ -173,7 +173,7 @@ class ArmModel(Model):
     @property
     def complete(self) -> bool:
         """Whether nothing is missing: what the data of a diagnosed arm could show is in its model."""
-        from identification.sessions import diagnosed
+        from identification.provenance import diagnosed
 
         return diagnosed(self.arm)
 

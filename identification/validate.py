@@ -27,15 +27,8 @@ from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
-from identification.sessions import (
-    SESSIONS,
-    check_calibrated,
-    extrapolated,
-    outside,
-    provenance_of,
-    share_fitted,
-    start_at_base,
-)
+from identification.provenance import check_calibrated, extrapolated, outside, provenance_of, share_fitted
+from identification.sessions import SESSIONS, start_at_base
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis

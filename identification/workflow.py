@@ -317,14 +317,8 @@ def identify_files(
     from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
     from identification.model import Model
-    from identification.sessions import (
-        SESSIONS,
-        diagnosed,
-        provenance_of,
-        with_sessions,
-        without_prior_effects,
-        without_sessions,
-    )
+    from identification.provenance import diagnosed, provenance_of, without_prior_effects
+    from identification.sessions import SESSIONS, with_sessions, without_sessions
     from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 
@@ -536,7 +530,7 @@ def validate_files(model: Path, data: Path, *, refit: Literal["base", "offsets",
     """
     from identification.documents.identification import validation_actions
     from identification.files.arm import load_arm
-    from identification.sessions import check_calibrated
+    from identification.provenance import check_calibrated
     from identification.validate import validate
 
     arm = load_arm(model)
@@ -572,7 +566,7 @@ def compensate_files(
     from identification.files.arm import load_arm
     from identification.files.measurement import load_targets
     from identification.model import Model
-    from identification.sessions import check_calibrated
+    from identification.provenance import check_calibrated
 
     arm = load_arm(calibrated, package_dir)
     check_calibrated(arm, str(calibrated))
