@@ -92,8 +92,10 @@ def fit_facts(fit: Identification) -> dict[str, str | None]:
         sigma = f"{fit.sigma:.4g} {unit} per coordinate ({'given' if fit.sigma_known else 'estimated'})"
     if fit.p_value is not None:
         chi2 = f"{fit.chi2:.4g}, {p_value_in_words(fit.p_value)}"
-        if fit.scatter is not None and not np.isclose(fit.scatter, fit.sigma or 0.0):  # a prior's fit has no less
-            chi2 += f": the residuals scatter {number(fit.scatter, 5)} {unit}"
+        if (
+            fit.scatter is not None and fit.sigma and not np.isclose(fit.scatter, fit.sigma)
+        ):  # a prior's fit has no less
+            chi2 += f": the residuals scatter {fit.scatter / fit.sigma:.3g} times sigma_mm"
     if fit.rms_angles is not None:
         angles = "from {:.4g} to {:.4g} deg".format(*np.degrees(fit.rms_angles))
     return {
