@@ -93,11 +93,11 @@ def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
             axis.update_datalim(np.column_stack([x + along, y + upward]))  # whole arrows
             axis.autoscale_view()
             axis.set(aspect="equal", xlabel=f"{names[across]} [{unit}]", ylabel=f"{names[up]} [{unit}]")
-    if len(views) > 1:  # rows of one scale as high as what they show, and the figure as high as all of them
+    if dimension > 1:  # rows of one scale as high as what they show, and the figure as high as all of them
         boxes = [axis.dataLim for axis in grid[:, 0]]
         shares = [float(np.clip(box.height / box.width, 0.25, 1.5)) if box.width else 1.0 for box in boxes]
         grid[0, 0].get_gridspec().set_height_ratios(shares)
-        figure.set_figheight(0.2 + sum(0.5 + 0.44 * figure.get_figwidth() * share for share in shares))
+        figure.set_figheight(0.2 + sum(0.6 + 0.44 * figure.get_figwidth() * share for share in shares))
     return figure
 
 
