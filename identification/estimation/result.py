@@ -229,7 +229,8 @@ class Identification(Documented):
         if self.arm is None:
             return ()
         unknown = [name for name, estimable in zip(self.names, self.identifiable, strict=True) if not estimable]
-        return corrected_values(self.arm, self.calibration(), unknown, self.prior.factor(self.model.parameters))
+        before = self.prior.factor(self.model.parameters)[self.identifiable]
+        return corrected_values(self.arm, self.calibration(), unknown, before)
 
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""

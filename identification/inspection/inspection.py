@@ -7,7 +7,7 @@ what repeats scatter by; where neither is known, neither is the accuracy.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from identification.arrays import Array
 from identification.document import Document, Documented, Sheet, count_of, number, of_joints
 from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
-from identification.effects import build_all
 from identification.errors import InputError
 from identification.estimation import Identification, doubts, estimate
 from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
@@ -28,6 +27,7 @@ from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, rms_distance
 from identification.model import Model
+from identification.provenance import without_prior_effects
 from identification.running import Status
 from identification.sessions import with_sessions
 from identification.validate import drawing_residuals
@@ -74,12 +74,8 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     """Look at measurements of an arm: nothing is changed, nothing is believed. Effects of which the arm's calibration
     has values and no deviations, as those of the library that a prior held, are left out: without the prior no rows
     determine them. Raises `InputError` for another number of joints or coordinates than the arm has."""
-    held = set[str]()
-    if arm.calibration is not None and arm.calibration.covariance is not None:
-        held = {*arm.calibration.effects} - {*arm.calibration.parameter_names}
-        built = zip(arm.effects, build_all(arm.effects, arm.chain), strict=True)
-        free = [spec for spec, effect in built if not held & {p.name for p in effect.parameters}]
-        arm = replace(arm, effects=tuple(free))
+    whole, arm = arm, without_prior_effects(arm)
+    held = len(Model(whole).names) - len(Model(arm).names)
     readings = read_differently(arm, measurements)
     units, fit = data_warnings(measurements, arm) if readings.other_units else [], None
     if not units:
@@ -106,7 +102,7 @@ def inspect(arm: Arm, measurements: Measurements) -> Inspection:
     if len(np.unique(measurements.repeat_numbers)) == len(measurements):
         notes.append("no posture is repeated: the arm's repeatability is not known from these data")
     if held:
-        left_out = f"{len(held)} values of effects, which a prior held where they were identified, are left out"
+        left_out = f"{held} values of effects, which a prior held where they were identified, are left out"
         notes.append(f"{left_out}: for a fit to these rows take the arm file from before")
     notes += gap_notes(measurements)
     untested = {} if measurements.temperature is not None else {"temperature": "a column temperature_C"}

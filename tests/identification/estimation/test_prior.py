@@ -29,6 +29,7 @@ from identification import (
 from identification.arm import EffectSpec
 from identification.estimation.problem import Prior, Problem, contradicted, likeliest, likeliest_noise, released_drops
 from identification.gap.library_prior import library_prior
+from identification.inspection.inspection import inspect
 from tests import small_arm
 
 ARM = Arm([300.0, 200.0], sigma=0.1)
@@ -85,9 +86,16 @@ def test_joints_about_which_gravity_has_no_moment_are_no_reason_to_refuse() -> N
     rng = np.random.default_rng(6)
     truth = small_arm.small_arm(rng, compliance=np.array([0.0, 2e-4, 1e-4, 0.0, 0.0, 0.0]))
     arm = small_arm.drawn_arm().with_effects(EffectSpec("joint_compliance"))
-    found = estimate(Model(arm), small_arm.measured(truth, small_arm.random_postures(40, rng), rng))
+    data = small_arm.measured(truth, small_arm.random_postures(40, rng), rng)
+    found = estimate(Model(arm), data)
     assert (found.status, found.not_identifiable) == (Status.converged, ())
     assert {*found.names} - {*found.calibration().parameter_names} == {"joint_compliance.c1"}
+    without = replace(found, identifiable=found.identifiable & (np.arange(len(found.names)) > 0))  # of base.x
+    before, after = ({row.name: row.prior_std for row in fit.corrected_values} for fit in (found, without))
+    assert before.items() >= after.items()
+    assert before["zero of joint 3"] == pytest.approx(np.degrees(found.prior.deviations["joint_offset:3"]))
+    seen = inspect(found.calibrated_arm(), data)
+    assert any("joint_compliance" in words for words in seen.data["identifiable"]), seen
 
 
 def test_it_is_ridge_regression_where_the_noise_is_given() -> None:
