@@ -127,7 +127,7 @@ def remarks(design: Design) -> list[str]:
             why = f"under one payload, temperature, time and approach nothing depends on {', '.join(still)}"
         lines.append(f"no log det: {why}")
     better = "armcal design --repeats lets them be equal, which can be better"
-    if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs ends with, see `spread_out`
+    if design.solver == "random" and runs > LONG_PLAN:  # what a search of so many runs begins from
         lines.append(f"the plan is random: none was found that is better with {runs} postures {apart} apart; {better}")
     elif design.solver and not design.certified_optimal and runs > 1 and distance_to_keep(design.problem) > 0.0:
         lines.append(f"postures are kept {apart} apart; {better}")

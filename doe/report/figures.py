@@ -170,7 +170,7 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 1
             held = others.copy()
             held[:, joint] = value
             largest.append(d(held[problem.feasible(held)]).max(initial=0.0))
-        axis.plot(factor * values, largest, color=AFTER)
+        axis.plot(factor * values, [each or np.nan for each in largest], color=AFTER)  # none is allowed: no line
         axis.plot(factor * postures[:, joint], at_plan, ".", color="k", ms=5)
         axis.axhline(problem.parameters, color=BEFORE, lw=1, ls="--")
         axis.set(xlabel=f"$q_{joint + 1}$ [{unit}]")

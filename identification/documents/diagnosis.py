@@ -373,12 +373,12 @@ def excluded_by_kind(data: Data) -> list[list[str]]:
     rows = []
     for kind, sizes in kinds.items():
         joints, unit = sorted(int(joint) for joint, _ in sizes if joint), sizes[0][1]["unit"]
+        unit = "" if unit == "1" else f" {unit}"
         values = [np.inf if size["value"] is None else size["value"] for _, size in sizes]
         moved = max(np.inf if size["value"] is None else size["tip_mm"] or 0.0 for _, size in sizes)
-        ends = dict.fromkeys("invisible" if v == np.inf else f"{v:.3g}" for v in (min(values), max(values)))
-        span = " to ".join(ends) + ("" if unit == "1" or max(values) == np.inf else f" {unit}")
+        ends = dict.fromkeys("invisible" if v == np.inf else f"{v:.3g}{unit}" for v in (min(values), max(values)))
         listed = of_joints(joints).partition(" ")[2] if joints else "–"
-        rows.append((-moved, [kind, listed, span, number(moved, 3) if np.isfinite(moved) else "any"]))
+        rows.append((-moved, [kind, listed, " to ".join(ends), number(moved, 3) if np.isfinite(moved) else "any"]))
     return [row for _, row in sorted(rows, key=lambda pair: pair[0])]
 
 
