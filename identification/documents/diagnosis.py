@@ -253,7 +253,7 @@ def diagnosis_document(
     if data["curves"]:
         sections.append(Section("Error curves of joints", [curve_table(data), CURVES, picture("curves_figure")]))
     how = "Distances, without their sign: rows as points, RMS in groups of rows as lines."
-    sections.append(Section("Against time and torque", [how, picture("against_figure")], folded=True))
+    sections.append(Section("Against joints, time and torque", [how, picture("against_figure")], folded=True))
     alike = [[pair["effect"], pair["like"], f"{pair['likeness']:.3f}"] for pair in data["aliases"]]
     sizes = Sheet(("effect", "joints", "detectable from (90 % power)", "tip [mm]"), excluded_by_kind(data))
     shown: list[Part] = [sizes, SMALLER, Sheet(("effect", "looks like", "likeness"), alike, "Hard to distinguish")]
