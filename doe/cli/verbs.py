@@ -466,6 +466,7 @@ def compare_files(
         rows = compare(loaded, runs, [*available_solvers()] if solvers is None else solvers, **asked)
         shown, summed = comparison_parts(rows), summary(rows)
         if job.out is not None:
+            job.out.mkdir(exist_ok=True)  # where every run failed no rows are kept
             write_together({job.out / "summary.parquet": parquet(summed)}, force=True)
             shown.append(f"rows and summary written to {job.out}")
         data = {"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}

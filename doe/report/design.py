@@ -89,8 +89,8 @@ def design_facts(design: Design) -> Sheet:
     optimal = design.optimality_in_words or "not shown"
     optimal += ": the bound does not say that it is optimal" if design.optimality == BEST_KNOWN else ""
     if outside:
-        more = ", ..." * (len(outside) > 10)
-        optimal = f"no: outside joint limits or constraints in run {', '.join(map(str, outside[:10]))}{more}"
+        listed = ", ".join(map(str, outside[:10])) + ", ..." * (len(outside) > 10)
+        optimal = f"no: outside joint limits or constraints in run{'s' * (len(outside) != 1)} {listed}"
     return Sheet.facts(
         {
             "criterion": f"{kind}, {runs}, {links}",

@@ -128,6 +128,10 @@ def test_verb(tmp_path: Path) -> None:
     assert CliRunner().invoke(main.commands["compare"], [*options, "--resume"]).exit_code == 0
     nowhere = CliRunner().invoke(main.commands["compare"], [str(arm), "--runs", "4", "--resume"])
     assert (nowhere.exit_code, "needs --out" in nowhere.output) == (2, True)
+    box = '[[constraints]]\nkind = "workspace_box"\nx_mm = [900.0, 910.0]\ny_mm = [0.0, 10.0]\n'  # out of reach
+    arm.write_text(f"links_mm = [260.0, 180.0]\n{box}")
+    failed = CliRunner().invoke(main.commands["compare"], [*options[:-1], str(tmp_path / "new")])
+    assert (failed.exit_code, "no posture within the joint limits" in failed.output) == (0, True), failed.output
 
 
 @pytest.mark.usefixtures("in_this_process")
