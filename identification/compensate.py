@@ -355,13 +355,12 @@ class Task(NamedTuple):
 
     def searched(self) -> tuple[Array, Array]:
         """The best few postures (k, f, n) and their ranks (k, f): what `near` leads to; of goals not reached what
-        the seeds with the nearest tips do, and more of them for the goals missed by least, while it helps."""
+        the seeds with the nearest tips do, and more of them where constraints are missed."""
         k, n = self.near.shape
         postures, ranks = np.repeat(self.near[:, None], FEW, axis=1), np.full((k, FEW), np.inf)
         seeds = np.random.default_rng(0).uniform(self.lower, self.upper, (SEEDS, n))
-        for count, bad in ((1, 0.0), (NEAREST, NEAR), (8 * NEAREST, MISSED)):
+        for count, bad in ((1, 0.0), (NEAREST, NEAR), (4 * NEAREST, MISSED)):
             missed = np.flatnonzero(ranks[:, 0] >= bad)
-            missed = missed[np.argsort(ranks[missed, 0], kind="stable")]
             for rows in np.split(missed, range(AT_ONCE // count, len(missed), AT_ONCE // count)) if len(missed) else ():
                 part, starts = self.at(rows), self.near[rows, None]
                 if bad:
@@ -373,8 +372,6 @@ class Task(NamedTuple):
                 order = np.argsort(ranked, axis=1, kind="stable")[:, :FEW]
                 postures[rows] = np.take_along_axis(every, order[:, :, None], axis=1)
                 ranks[rows] = np.take_along_axis(ranked, order, axis=1)
-                if bad == MISSED and np.all(ranks[rows, 0] >= bad):
-                    break
         return postures, ranks
 
     def descended(self, starts: Array) -> tuple[Array, Array]:

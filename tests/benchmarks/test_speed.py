@@ -243,7 +243,7 @@ def commands() -> tuple[float, str]:
     free, quick = timed(lambda: compensate(arm, targets, constraints=()))
     held, seconds = timed(lambda: compensate(arm, targets, constraints=constraints))
     assert free.reached.all()
-    assert held.reached[:5000].mean() > 0.999  # of a redundant arm a few are searched for in vain
+    assert held.reached[:5000].all()
     assert min(c.margin(held.commands[held.reached]).min() for c in constraints) > -1e-6
     assert seconds < 15.0 * quick
     return seconds, f"10,000 targets, {np.count_nonzero(~held.reached):,} barred; without constraints {quick:.2f} s"
