@@ -22,7 +22,6 @@ from identification import Arm, Array, design_model, rms_distance
 BEFORE, AFTER, LIMIT = "#c44e52", "#2a6f97", "#888888"
 LINK, CELL, SIGHT = "#a9bccb", "#cdbfa8", "#2f8f5b"  # as in page.css
 DRAWN = 6000  # triangles of all bodies
-PLANE = "xy"
 WHOLE = np.iinfo(np.uint16).max  # largest whole number of a vertex
 
 
@@ -96,7 +95,7 @@ def draw_arm(axes: Any, arm: Arm, postures: Array) -> None:
 
 def draw_constraints(axes: Any, arm: Arm) -> None:
     """Workspace boxes, what to keep out of, the tracker and its cone; in space as far as the axes reach."""
-    cut = {} if arm.dimension == len(PLANE) else {"axlim_clip": True}
+    cut = {"axlim_clip": True} if axes.name == "3d" else {}
     for line, forbidden in outlines(arm):
         color = BEFORE if forbidden else LIMIT
         dense = np.concatenate([np.linspace(start, end, 20) for start, end in pairwise(line)])
