@@ -224,7 +224,8 @@ def discrimination_design(
         seconds = 2.0 * LONG_PLAN_SECONDS
     budget = Budget(1, None if seconds is None else began + seconds)
     half = None if seconds is None else seconds / 2.0
-    best = solve(problem, runs, solver, seed=seed, starts=starts, seconds=half, progress=progress)
+    # from searched postures: those of theory are at few angles, which hide effects
+    best = solve(problem, runs, solver or "exchange", seed=seed, starts=starts, seconds=half, progress=progress)
     generator, state = np.random.default_rng(seed), Swaps(problem, library)
     chosen, status = np.array(best.plan.postures), best.status
     if status is not Status.interrupted:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 from time import perf_counter
 from typing import Any
 
@@ -19,15 +20,16 @@ from threadpoolctl import threadpool_limits
 
 from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import best_known_bound, bound_that_holds, continuous_design
-from doe.bounds.planar_theorem import applies, chain_joints, closed_form_bound
+from doe.bounds.planar_theorem import applies, closed_form_bound
 from doe.design import Design
 from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
-from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints
+from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints, with_additions
 from doe.problem.postures import listed_candidates, random_postures
 from doe.problem.problem import DesignProblem
 from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
+from doe.solvers.planar_theory import Analytic, optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
 from identification import Array, InputError, JobError, Plan, Progress, Status, additions, spectrum
 
@@ -54,6 +56,7 @@ class Random:
 
 
 SOLVERS: dict[str, Solver] = {
+    "analytic": Analytic(),
     "exchange": Exchange(),
     "ipopt": Ipopt(),
     "random": Random(),
@@ -97,7 +100,7 @@ def solve(
 ) -> Design:
     """The best plan of `runs` measurements that the solver finds, with its certificate.
 
-    solver : settings object, or name; left out: exchange
+    solver : settings object, or name; left out: a plan from theory if that attains the bound, else exchange
     seed : the same seed gives the same plan, unless the time limit binds
     starts, seconds : budget; left out: the solver's own number of starts, fewer when many of them agree; no time limit
         up to 100 runs, 30 s for more. The bound is part of it: whichever of search and bound comes first ends at half
@@ -112,7 +115,7 @@ def solve(
         if solver not in available_solvers():
             raise InputError.unknown("solver: unknown name", solver, available_solvers())
         solver = available_solvers()[solver]
-    chosen = solver or SOLVERS["exchange"]
+    chosen = SOLVERS["exchange"] if solver is None else solver
     if problem.choices is not None and not isinstance(chosen, Exchange):
         raise InputError(f"solver: {chosen.name} cannot choose from a list of postures, allowed: exchange")
     check_runs(problem, runs)
@@ -138,7 +141,7 @@ def solve(
         best_bound = None if late else bound or best_known_bound(problem, runs, first.ended)
         budget = first if late else whole
         try:
-            for name, offer in _offers(problem, runs, chosen, seed, begin, budget):
+            for name, offer in _offers(problem, runs, chosen, solver is None, seed, begin, budget):
                 clipped, dice = problem.clip(offer.postures), np.random.default_rng([seed, runs])
                 postures = separated(problem, spread_free_joints(problem, clipped, dice))
                 value = allowed_value(problem, postures)
@@ -194,28 +197,37 @@ def solve(
 
 
 def _offers(
-    problem: DesignProblem, runs: int, solver: Solver, seed: int, begin: Array | None, budget: Budget
+    problem: DesignProblem,
+    runs: int,
+    solver: Solver,
+    theory_first: bool,
+    seed: int,
+    begin: Array | None,
+    budget: Budget,
 ) -> Iterator[tuple[str, Offer]]:
-    """Plans, each with the name of the solver that offers it: the plan to begin with, as it is and climbed from there,
-    then the solver's. Exchange begins from theory's plan, or with many runs, of which it may not come to an end, from a
-    random one."""
-    free, name, turn = problem.choices is None, solver.name, 2.0 * np.pi
-    if begin is None and free and isinstance(solver, Exchange):
-        dice, joints = np.random.default_rng([seed, runs]), list(chain_joints(problem)) if applies(problem) else []
-        if len(joints) < runs and joints and np.all((problem.upper - problem.lower)[joints] >= turn - 1e-9):
-            # without limits theta_j = 2 pi i f_j / m, f_j distinct (doe/README.md, "Information matrix"), shuffled
-            drawn = (np.diff(dice.choice(runs, len(joints) + 1, replace=False)) for _ in range(30))
-            # each joint at as many angles as can be: few angles hide effects
-            cycles = max(drawn, key=lambda each: int(np.min(runs // np.gcd(each, runs)))) / runs
-            begin = np.tile(problem.lower, (runs, 1))
-            begin[:, joints] += turn * ((np.outer(dice.permutation(runs), cycles) + dice.random(len(joints))) % 1.0)
-        elif runs > LONG_PLAN:  # where good postures are few, time may end before those of better plans are moved apart
-            begin, name = random_postures(problem, runs, dice), "random"
-    if begin is not None:
-        yield name, Offer(begin)
+    """Plans, each with the name of the solver that offers it: the plan to begin with, as it is and climbed from there;
+    where `theory_first` one from theory and, of many runs, one that is nearly so, and a random one with its climb, as
+    exchange may not come to an end; then the solver's."""
+    free, generator = problem.choices is None, np.random.default_rng(seed)
+    begins = [] if begin is None else [(solver.name, begin)]
+    if theory_first and free:
+        optimal = optimal_plans(problem, runs, np.random.default_rng(seed))
+        yield from (("analytic", Offer(plan, 1)) for plan in islice(optimal, 1))
+        if runs > LONG_PLAN:
+            # a plan from theory of a few runs less, and the postures that add most to it
+            for fewer in range(runs - 1, max(runs - 64, problem.fewest_runs) - 1, -1):
+                some = next(optimal_plans(problem, fewer, generator, 12), None)
+                if some is not None and (plan := with_additions(problem, some, runs - fewer, generator)) is not None:
+                    yield solver.name, Offer(plan, 1)
+                if some is not None or budget.ended():
+                    break
+            # where good postures are few, time may end before those of better plans are moved apart
+            begins.append(("random", random_postures(problem, runs, np.random.default_rng([seed, runs]))))
+    for name, plan in begins:
+        yield name, Offer(plan)
         if free and problem.searched_joints:
-            yield solver.name, Offer(PlanAscent(problem)(begin, stop=budget.ended))
-    yield from ((solver.name, offer) for offer in solver.offers(problem, runs, np.random.default_rng(seed), budget))
+            yield solver.name, Offer(PlanAscent(problem)(plan, stop=budget.ended))
+    yield from ((solver.name, offer) for offer in solver.offers(problem, runs, generator, budget))
 
 
 # -- refusals ----------------------------------------------------------------------------------------------------------

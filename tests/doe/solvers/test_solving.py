@@ -20,12 +20,13 @@ from tests.doe.arms import FIVE, FOUR, OFFSET, SIX, problem
 from tests.doe.bounds.test_planar_theorem import complex_log_det, factorial
 
 
-@pytest.mark.parametrize("solver", [None, "ipopt", "random"])
+@pytest.mark.parametrize("solver", [None, "exchange", "ipopt", "random", "analytic"])
 def test_same_seed_same_plan(solver: str | None) -> None:
+    runs = 8 if solver == "analytic" else 6
     told = list[str]()
     progress = Progress(lambda done, total, message: told.append(message))
-    plans = [solve(problem(FOUR), 6, solver, seed=s, starts=4, progress=progress).plan.postures for s in (3, 3, 4)]
-    assert solver == "random" or len(told) > 3 * 10  # while a start goes on, too
+    plans = [solve(problem(FOUR), runs, solver, seed=s, starts=4, progress=progress).plan.postures for s in (3, 3, 4)]
+    assert solver in ("random", "analytic") or len(told) > 3 * 10  # while a start goes on, too
     np.testing.assert_array_equal(plans[0], plans[1])
     assert not np.array_equal(plans[0], plans[2])
 

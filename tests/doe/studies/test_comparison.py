@@ -114,7 +114,7 @@ def test_solvers_run_in_their_own_processes(tmp_path: Path, request: pytest.Fixt
 def test_verb(tmp_path: Path) -> None:
     arm = tmp_path / "arm.toml"
     arm.write_text("links_mm = [260.0, 180.0]\n")
-    options = [str(arm), "--runs", "2,3", "--solvers", "exchange", "--repeats", "1", "--out", str(tmp_path / "out")]
+    options = [str(arm), "--runs", "2,3", "--solvers", "analytic", "--repeats", "1", "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main.commands["compare"], [*options, "--json"])
     assert done.exit_code == 0, done.output
     answer = json.loads(done.stdout)
@@ -139,7 +139,7 @@ def test_ctrl_c_after_the_last_row_says_that_rows_are_kept(tmp_path: Path, monke
     monkeypatch.setattr("doe.report.studies.comparison_parts", Mock(side_effect=KeyboardInterrupt))
     arm, out = tmp_path / "arm.toml", tmp_path / "out"
     arm.write_text("links_mm = [260.0, 180.0]\n")
-    options = [str(arm), "--runs", "3", "--solvers", "exchange", "--repeats", "1", "--out", str(out)]
+    options = [str(arm), "--runs", "3", "--solvers", "analytic", "--repeats", "1", "--out", str(out)]
     done = CliRunner().invoke(main.commands["compare"], options)
     assert (done.exit_code, f"finished rows are kept in {out}" in done.stderr) == (1, True)
     assert [file.name for file in out.iterdir()] == ["rows.parquet"]

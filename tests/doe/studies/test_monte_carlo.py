@@ -133,7 +133,7 @@ def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(
 
     def small(*runs: int) -> Study:
         arms = [ARM, Arm(LENGTHS[:2], sigma=0.1, name="two")]
-        return Study.of(arms, ["exchange", "random"], runs=[*runs], replications=150)
+        return Study.of(arms, ["analytic", "random"], runs=[*runs], replications=150)
 
     folder, alone = tmp_path / "out", run_study(small(4, 5), seed=1)
     first = run_study(small(4), folder, workers=2, seed=1)
@@ -150,14 +150,14 @@ def test_rows_depend_on_no_workers_and_an_extended_study_keeps_what_is_done(
 
 def test_cells_that_cannot_be_done_are_rows() -> None:
     limited = replace(ARM, lower=np.full(4, -1.0), upper=np.full(4, 1.0), name="limited")
-    plans = ["dft", "random", "exchange"]
+    plans = ["dft", "random", "analytic"]
     result = run_study(Study.of([ARM, limited], plans, runs=[3, 4], truths=[PAPER], replications=10))
     reason = {(r["arm"], r["plan"], r["runs"]): r["error"] for r in result["cells"].filter(status="failed").to_dicts()}
     few = {(arm, plan, 3) for arm in ("paper-4-link", "limited") for plan in plans}
-    assert set(reason) == few | {("limited", "dft", 4)}
+    assert set(reason) == few | {("limited", "dft", 4), ("limited", "analytic", 4)}
     assert "3 runs are too few for 4 links" in reason["paper-4-link", "dft", 3]
     assert "is outside the limits" in reason["limited", "dft", 4]
-    assert "no plan" in reason["limited", "exchange", 3]
+    assert "no plan" in reason["limited", "analytic", 4]
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
