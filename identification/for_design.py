@@ -30,7 +30,7 @@ from identification.arrays import Array
 from identification.errors import InputError
 from identification.kinematics.chain import BASE, TOOL, KinematicChain
 from identification.kinematics.frames import pose
-from identification.measurements import BY_ORDER, REMEMBERED, Conditions, Measurements
+from identification.measurements import BY_ORDER, POINT, REMEMBERED, Conditions, Measurements
 from identification.model import Model
 from identification.model.placed import PRACTICAL, led_to_contact, minimal, of_positions, tip_jacobian
 from identification.workspace import circle_across
@@ -163,11 +163,11 @@ class ArmModel(Model):
 
     def tip_jacobian(self, postures: ArrayLike) -> Array:
         """(k, P, c, p) derivative of the P measured points' positions at postures (k, n), whatever is read of them: x
-        and y, or x, y, z and of a measured frame its orientation [mm]."""
+        and y, or x, y and z [mm]."""
         if of_positions(self) is not self:  # something else is read
             return tip_jacobian(self, postures)[:, None]
         jacobian = self._of_each_point(self, np.atleast_2d(np.asarray(postures, dtype=float)), Conditions())
-        return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)
+        return jacobian.reshape(len(jacobian), self.points_read, self.arm.chain.coordinates, -1)[:, :, POINT]
 
     # -- what may be missing ---------------------------------------------------------------------------------------
     @property
@@ -192,7 +192,7 @@ class ArmModel(Model):
         model = ArmModel(arm, self.held)
 
         def beyond(poses: Array) -> float:
-            levers = of_positions(model).joint_levers(poses)
+            levers = of_positions(model).joint_levers(poses)[:, POINT]
             return float(np.mean(np.einsum("kdj,j->k", levers**2, missing.faster))) + levers.shape[1] * own_error**2
 
         return model, missing.prior.deviations, beyond

@@ -271,10 +271,9 @@ class TipErrors:
 
     @cached_property
     def _points(self) -> Array:
-        """(k, d, P) the same as `targets`, its squares a mean over the measured points, without orientations that are
-        measured too: they are no distance."""
+        """(k, d, P) the same as `targets`, its squares a mean over the measured points."""
         k, points, _, p = self.targets.shape
-        return np.asarray(self.targets[:, :, :3].reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
+        return np.asarray(self.targets.reshape(k, -1, p) / np.sqrt(points))  # coordinates of a point
 
     @cached_property
     def _weight(self) -> Array:

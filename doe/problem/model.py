@@ -60,8 +60,7 @@ class Offers(Protocol):
         tied_postures : limits (n,) twice, (n,) what counts as a radian, which (m, n) are feasible -> (N, n) of these
         plan_columns : (m, n) -> columns of names that a plan file has besides its postures
     Accuracy where the arm will work
-        tip_jacobian : (k, n) -> (k, P, c, p) derivative of the positions of P points [mm], their x, y and z first; else
-            what is measured
+        tip_jacobian : (k, n) -> (k, P, c, p) derivative of the positions of P points [mm]; else what is measured
     Models that may be wrong
         complete : whether nothing is missing in the model
         missing_effects : names or None, order of the fastest wave -> what the model may lack, for `with_effects`

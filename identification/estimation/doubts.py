@@ -251,7 +251,7 @@ def expected_tip(model: Model, parameters: Array, covariance: Array, postures: A
     The tip is the first measured point, in the frame of the measurements (of lengths: best registered again), under
     neutral conditions. What the model lacks is not in it.
     """
-    jacobian = tip_jacobian(model, postures, parameters)[:, POINT]
+    jacobian = tip_jacobian(model, postures, parameters)
     total = float(np.einsum("mdp,pq,mdq->", jacobian, covariance, jacobian, optimize=True))
     return float(np.sqrt(max(total, 0.0) / len(postures)))  # below zero by rounding, where data have no noise
 

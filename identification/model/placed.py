@@ -34,7 +34,7 @@ from identification.kinematics.chain import (
 )
 from identification.kinematics.frames import nearest_rotation
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import Conditions, Measurements
+from identification.measurements import POINT, Conditions, Measurements
 from identification.model.arm_model import Model
 
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
@@ -196,11 +196,11 @@ def of_positions(model: Model) -> Model:
 
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
     """(m, d, p) derivative of the measured point's position with respect to the parameters, in the frame of the
-    instrument; where readings do not say where the arm stands in it, of what no rigid motion of all m positions makes
+    instrument, without orientations, which are no distance; where readings do not say where the arm stands in it, of what no rigid motion of all m positions makes
     up for: the first use of its positions is to find that. Raises `InputError` for less than `FEWEST` postures."""
     whole = of_positions(model)
     if whole is model:
-        return model.linearize(postures, parameters)[1]
+        return model.linearize(postures, parameters)[1][:, POINT]
     free = [model.names.index(name) for name in whole.names]
     points, moved = whole.linearize(postures, None if parameters is None else np.asarray(parameters)[..., free])
     jacobian = np.zeros((*moved.shape[:-1], len(model.names)))  # how a length is read moves no point

@@ -133,10 +133,13 @@ def test_the_best_of_all_plans_of_several_points() -> None:
         known = [case.deviations.get(name, np.inf) for name in model.names]
         prior = np.diag((0.05 / (model.scales * known)) ** 2)
         of_each = np.einsum("mdp,mdq->mpq", columns, columns)
-        poses = of_each.mean(axis=0)  # I: over the list, which is the workspace
+        points = columns.reshape(8, 2, each, -1)[:, :, :3]  # I: of their positions, over the list, the workspace
+        poses = np.einsum("mkdp,mkdq->pq", points, points) / 8
         every = [np.trace(np.linalg.solve(of_each[list(four)].sum(axis=0) + prior, poses)) for four in FOURS]
         found = solve(case, 4, starts=20)
         assert -found.value / 4 == pytest.approx(min(every), rel=1e-5)
+        expected = 0.05 * np.sqrt(min(every) / 2)  # [mm] of one of the two points: orientations are no distance
+        assert (found.expected_error or {})["plan"] == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
