@@ -181,7 +181,7 @@ def design_files(
     out : Write the plan (CSV).
     """
     from doe.plan.accuracy import ExpectedTip, with_choices
-    from doe.plan.moves import APPROACH, drive
+    from doe.plan.moves import drive, with_approach
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
     from doe.solvers import solve
     from identification import load_arm
@@ -198,11 +198,10 @@ def design_files(
         loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     if approach != "any" and loaded.chain.instrument.contact:
         raise InputError(f"--approach: found {approach} for contacts, allowed: any, as what is touched is in the way")
-    signs = () if loaded.counting is None else loaded.counting.sign
+    counts = None if loaded.counting is None else loaded.counting.matrix
     progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
-    away = (approach != "any") * APPROACH * problem.joint_units  # room within the limits to come from there
-    problem = replace(problem, lower=problem.lower + away, upper=problem.upper - away)
+    problem = with_approach(problem, approach, counts)
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
     effort: dict[str, Any] = {"solver": solver, "starts": starts, "seconds": seconds, "seed": seed}
@@ -221,7 +220,7 @@ def design_files(
         progress(0, None, f"free moves, at most {max(end - process_time(), 0.0):.0f} s left")
         return process_time() > end
 
-    driven = drive(design.problem, design.plan, order, approach, signs, seed, late)
+    driven = drive(design.problem, design.plan, order, approach, counts, seed, late)
     design = replace(design, plan=driven.plan)
     expected = ExpectedTip.of(design.problem, design.plan.postures, seed)
     data["expected_tip"] = None if expected is None else expected.to_json()

@@ -230,13 +230,30 @@ def route(
     return order, steps, missing.tolist()
 
 
-def approaches(postures: Array, senses: Array, room: Room, generator: np.random.Generator, tries: int = 40) -> Array:
-    """(m, n) way-points from which each joint moves in its sense, (m, n) of +1 and -1, to postures (m, n); NaN of a
-    posture to which none leads, of so many, a ninth to 3 times as far as is usual."""
+def senses_of(approach: str, counts: Array) -> Array:
+    """(s, n) of +1 and -1: in which each joint comes to a posture, of `alternate` by turns; s is 0 of `any`."""
+    ways = {"any": [], "positive": [1.0], "negative": [-1.0], "alternate": [1.0, -1.0]}[approach]
+    return np.reshape(ways, (-1, 1)) * np.sign(np.diag(counts))
+
+
+def with_approach(problem: DesignProblem, approach: str, counts: Array | None = None) -> DesignProblem:
+    """The problem with room within the limits to come from there;  approach, counts : as of `drive`"""
+    senses = senses_of(approach, np.eye(problem.joints) if counts is None else counts)
+    lower, upper = (np.max(side, axis=0, initial=0.0) * APPROACH * problem.joint_units for side in (senses, -senses))
+    return replace(problem, lower=problem.lower + lower, upper=problem.upper - upper)
+
+
+def approaches(
+    postures: Array, senses: Array, counts: Array, room: Room, generator: np.random.Generator, tries: int = 40
+) -> Array:
+    """(m, n) way-points from which each joint moves in its sense, (m, n) of +1 and -1, to postures (m, n), and what the
+    controller shows of it with it (`counts`, as of `drive`); NaN of a posture to which none leads, of so many, a ninth
+    to 3 times as far as is usual."""
     m, n = postures.shape
     steps = APPROACH * 3.0 ** np.concatenate([np.zeros((1, m, n)), generator.uniform(-2.0, 1.0, (tries, m, n))])
-    begun = postures - senses * room.units * steps  # (tries + 1, m, n)
-    good = np.all((begun >= room.lower) & (begun <= room.upper), axis=2)
+    moves = senses * room.units * steps  # (tries + 1, m, n)
+    begun, shown = postures - moves, (moves @ counts.T) * senses * np.sign(np.diag(counts)) / room.units
+    good = np.all((begun >= room.lower) & (begun <= room.upper) & (shown > 0.1 * APPROACH), axis=2)
     good[good] = room.free(begun[good], np.broadcast_to(postures, begun.shape)[good])
     return np.where(good.any(axis=0)[:, None], begun[good.argmax(axis=0), np.arange(m)], np.nan)
 
@@ -261,7 +278,7 @@ def drive(
     plan: Plan,
     order: str | None = None,
     approach: str = "any",
-    signs: Sequence[int] = (),
+    counts: Array | None = None,
     seed: int = 0,
     stop: Stop = never,
 ) -> Drive:
@@ -269,7 +286,7 @@ def drive(
 
     order : `given`, `random` or `travel`, None: `travel`, where bodies are known, else as given
     approach : `any`, or the sense of the last motion of each joint: `positive`, `negative`, `alternate`
-    signs : (n) of each joint as the controller counts it, empty: as the model does
+    counts : (n, n) how much of each joint is in what the controller shows of it, None: as the model counts
     stop : asked now and then; where it ends the search, moves may be left that are not free
 
     Where postures are left that no free way leads to, or none from the side that is asked for, it says which.
@@ -281,10 +298,11 @@ def drive(
     room, given = room_of(problem.model, problem.constraints, 0.02), plan.postures
     turn = one_turn(problem, room, given) if solid else np.asarray
     postures = given = turn(given)[generator.permutation(rows) if order == "random" else rows]
-    senses = np.ones((len(plan), 1)) * np.array(signs or np.ones(problem.joints))
-    senses[(rows % 2 == 1) if approach == "alternate" else approach == "negative"] *= -1.0
+    counts = np.eye(problem.joints) if counts is None else counts
+    senses = senses_of(approach, counts)
     for attempt in range(1, ATTEMPTS + 1):
-        entries = None if approach == "any" else approaches(postures, senses, room, generator)
+        towards = None if approach == "any" else senses[rows % len(senses)]
+        entries = None if towards is None else approaches(postures, towards, counts, room, generator)
         sideways = [] if entries is None else np.flatnonzero(np.isnan(entries[:, 0])).tolist()
         last = attempt == ATTEMPTS or stop()
         if last or not sideways:  # what is left then is approached from anywhere

@@ -196,8 +196,9 @@ def of_positions(model: Model) -> Model:
 
 def tip_jacobian(model: Model, postures: ArrayLike, parameters: ArrayLike | None = None) -> Array:
     """(m, d, p) derivative of the measured point's position with respect to the parameters, in the frame of the
-    instrument, without orientations, which are no distance; where readings do not say where the arm stands in it, of what no rigid motion of all m positions makes
-    up for: the first use of its positions is to find that. Raises `InputError` for less than `FEWEST` postures."""
+    instrument, without orientations, which are no distance; where readings do not say where the arm stands in it, of
+    what no rigid motion of all m positions makes up for: the first use of its positions is to find that. Raises
+    `InputError` for less than `FEWEST` postures."""
     whole = of_positions(model)
     if whole is model:
         return model.linearize(postures, parameters)[1][:, POINT]

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from doe import DesignProblem
-from doe.plan.moves import APPROACH, MOVING, drive, one_turn, room_of
+from doe.plan.moves import MOVING, drive, one_turn, room_of, with_approach
 from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
+from identification.kinematics.counting import Counting
 from identification.workspace import Body, Cell, LineOfSight, WorkspaceBox
 from tests.doe.problem.test_clearance import cell_of
 from tests.doe.six_axis import SIX_AXIS
@@ -53,12 +54,6 @@ def test_a_wall_may_be_left_and_reached_again() -> None:
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
-def with_approach(problem: DesignProblem, approach: str) -> DesignProblem:
-    """The problem with room within the limits, as `armcal design --approach` has it."""
-    away = (approach != "any") * APPROACH * problem.joint_units
-    return replace(problem, lower=problem.lower + away, upper=problem.upper - away)
-
-
 def ball(name: str, joint: int, x: float, y: float, radius: float) -> Body:
     return Body(name, joint, np.array([x, y, 0.0, x, y, 0.0, radius]))
 
@@ -136,18 +131,25 @@ def test_runs_without_a_free_approach_are_named() -> None:
 
 @pytest.mark.parametrize("approach", ["positive", "negative", "alternate"])
 def test_joints_come_from_the_side_that_is_asked_for(approach: str) -> None:
-    """Without bodies and with them; one joint is counted the other way round."""
-    signs = (1, -1)
+    """Without bodies and with them, as the model counts and as the controller does: the other joint the other way round
+    and from where the first is."""
+    counts = Counting((1, -1), (0, 1), (0.0, 0.0)).matrix
+    signs = np.array([1, -1])
     for problem in (ring(), replace(ring(), constraints=())):
-        asked = with_approach(problem, approach)
+        asked = with_approach(problem, approach, counts)
         postures = np.random.default_rng(2).uniform(asked.lower, asked.upper, (40, 2))
         postures = postures[problem.feasible(postures) & (np.abs(postures[:, 0]) < 1.0)][:6]
         postures[0] = asked.lower * [0.3, 1.0]
-        found = drive(problem, Plan(postures), None, approach, signs)
+        postures[1] = asked.upper * [0.3, 1.0]
+        found = drive(problem, Plan(postures), None, approach, counts)
         assert found.data["moves"]["replaced"] == 0
         assert found.moves is not None
         assert found.moves.via is not None
-        come = np.sign(np.diff(found.moves.postures, axis=0)[~found.moves.via[1:]]) * signs
+        moves = np.diff(found.moves.postures, axis=0)[~found.moves.via[1:]]
+        come = np.sign(moves) * signs
+        shown = np.stack([moves[:, 0], -(moves[:, 1] + moves[:, 0])], axis=1)
+        np.testing.assert_array_equal(np.sign(shown), come)
+        assert np.degrees(np.abs(shown)).min() > 0.3
         assert np.all(come == come[:, :1])
         rows = [int(np.flatnonzero((postures == q).all(axis=1))[0]) for q in found.plan.postures]
         wanted = {"positive": [1] * 6, "negative": [-1] * 6, "alternate": [1 - 2 * (row % 2) for row in rows]}
@@ -188,14 +190,21 @@ def test_joints_are_turned_into_one_turn(effects: tuple[EffectSpec, ...], listed
     assert inside(problem, whole.moves.postures)
 
 
-def test_room_to_come_from_is_left_within_the_limits() -> None:
+@pytest.mark.parametrize(
+    ("approach", "below", "above"),
+    [
+        ("any", [0, 0], [0, 0]),
+        ("positive", [1, 0], [0, 1]),
+        ("negative", [0, 1], [1, 0]),
+        ("alternate", [1, 1], [1, 1]),
+    ],
+)
+def test_room_to_come_from_is_left_within_the_limits(approach: str, below: list[int], above: list[int]) -> None:
+    """And no more: of two joints, the other one counted the other way round, on the side that each comes from."""
     problem = ring()
-    away = np.full(2, APPROACH)
-    for approach, room in (("any", 0), ("positive", 1), ("negative", 1), ("alternate", 1)):
-        asked = with_approach(problem, approach)
-        np.testing.assert_allclose(
-            [asked.lower, asked.upper], [problem.lower + room * away, problem.upper - room * away]
-        )
+    asked, away = with_approach(problem, approach, np.diag([1, -1])), np.radians([3.0, 3.0])
+    np.testing.assert_allclose(asked.lower, problem.lower + below * away)
+    np.testing.assert_allclose(asked.upper, problem.upper - above * away)
 
 
 def test_orders_that_are_asked_for(arm: Arm) -> None:

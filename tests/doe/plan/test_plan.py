@@ -358,7 +358,7 @@ def test_every_joint_comes_from_its_side() -> None:
     postures = generator.uniform(-1.9, 1.9, (40, 2))
     postures = postures[np.all(room.margin(postures) >= 0.0, axis=1)][:12]
     senses = np.where(generator.random(postures.shape) < 0.5, -1.0, 1.0)
-    entries = approaches(postures, senses, room, generator)
+    entries = approaches(postures, senses, np.eye(2), room, generator)
     found = route(postures, room, entries)
     assert sampled(room, whole_way(postures, found)) >= 0.0
     steps = postures[found[0]] - np.array([way[-2] for way in found[1]])
@@ -369,7 +369,7 @@ def test_every_joint_comes_from_its_side() -> None:
 def test_no_side_is_left_at_a_limit_or_against_a_disc() -> None:
     postures = np.array([[-2.0, 1.0], [1.0, -1.0], [0.0, 0.0]])
     room = discs((-0.5, -0.5, 0.7))  # 7 mm below the last
-    up = approaches(postures, np.ones((3, 2)), room, np.random.default_rng(0))
+    up = approaches(postures, np.ones((3, 2)), np.eye(2), room, np.random.default_rng(0))
     assert np.isnan(up[:, 0]).tolist() == [True, False, True]
-    down = approaches(postures, -np.ones((3, 2)), room, np.random.default_rng(0))
+    down = approaches(postures, -np.ones((3, 2)), np.eye(2), room, np.random.default_rng(0))
     assert np.isnan(down[:, 0]).tolist() == [False, False, False]
