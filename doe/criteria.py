@@ -254,8 +254,8 @@ class InverseTrace(Criterion):
         """(p, p) W."""
 
     def value(self, information: Array) -> Array:
-        inverse, none = _finite_inverses(information)
-        return np.where(none, -np.inf, -np.sum(inverse * self.weight(information.shape[-1]), axis=(-2, -1)))
+        inverse, singular = inverses(information)
+        return np.where(singular, -np.inf, -np.sum(inverse * self.weight(information.shape[-1]), axis=(-2, -1)))
 
     def gradient(self, information: Array) -> Array:
         inverse = np.linalg.inv(information)
@@ -371,14 +371,13 @@ class PowerMean(Criterion):
     name, power = "power_mean", 1
 
     def value(self, information: Array) -> Array:
-        inverse, none = _finite_inverses(information)
-        return np.where(none, -np.inf, self._of(inverse))
+        inverse, singular = inverses(information)
+        return np.where(singular, -np.inf, self._of(inverse))
 
     def _of(self, inverse: Array) -> Array:
         scale = np.trace(inverse, axis1=-2, axis2=-1)
-        scaled = inverse / scale[..., None, None]
-        half = np.linalg.matrix_power(scaled, self.exponent // 2)
-        mean = np.mean(half * (half @ scaled if self.exponent % 2 else half), axis=(-2, -1)) * half.shape[-1]
+        power = np.linalg.matrix_power(inverse / scale[..., None, None], self.exponent)
+        mean = np.trace(power, axis1=-2, axis2=-1) / power.shape[-1]
         return np.asarray(mean ** (-1.0 / self.exponent) / scale)
 
     def gradient(self, information: Array) -> Array:
@@ -411,8 +410,8 @@ class E(Criterion):
         return PowerMean(32)
 
     def value(self, information: Array) -> Array:
-        inverse, none = _finite_inverses(information)
-        return np.where(none, -np.inf, 1.0 / np.linalg.eigvalsh(inverse)[..., -1])
+        inverse, singular = inverses(information)
+        return np.where(singular, -np.inf, 1.0 / np.linalg.eigvalsh(inverse)[..., -1])
 
     def gradient(self, information: Array) -> Array:
         vector = np.linalg.eigh(information)[1][..., 0]
@@ -447,18 +446,11 @@ def information_matrix(jacobian: Array, weights: Array | None = None) -> Array:
     return np.swapaxes(rows, -1, -2) @ rows
 
 
-def inverses(information: Array) -> Array:
-    """(..., p, p) inverses of information matrices of scaled parameters, infinite where `log_determinants` is -inf."""
-    p = information.shape[-1]
-    singular = np.isneginf(log_determinants(information))[..., None, None]
-    matrices = np.where(singular, np.eye(p), information)
+def inverses(information: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(..., p, p) inverses of information matrices of scaled parameters, the unit matrix where one is singular; and
+    (...) where that is, by `log_determinants`."""
+    singular = np.isneginf(log_determinants(information))
+    matrices = np.where(singular[..., None, None], np.eye(information.shape[-1]), information)
     lengths = np.sqrt(np.diagonal(matrices, axis1=-2, axis2=-1))
     inverse = np.linalg.inv(matrices / lengths[..., :, None] / lengths[..., None, :])
-    return np.where(singular, np.inf, inverse / lengths[..., :, None] / lengths[..., None, :])
-
-
-def _finite_inverses(information: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """(..., p, p) inverses, the unit matrix where M is singular; and (...) where it is."""
-    inverse = inverses(information)
-    none = np.isinf(inverse[..., 0, 0])
-    return np.where(none[..., None, None], np.eye(inverse.shape[-1]), inverse), none
+    return inverse / lengths[..., :, None] / lengths[..., None, :], singular

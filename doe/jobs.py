@@ -90,8 +90,7 @@ def parquet(frame: pl.DataFrame) -> bytes:
 
 def with_columns(frame: pl.DataFrame, types: Mapping[str, Any]) -> pl.DataFrame:
     """The frame with columns of these names and types; one that no row has is there, empty."""
-    empty = [pl.lit(None).alias(name) for name in types if name not in frame.columns]
-    return frame.with_columns(empty).cast(types)  # type: ignore[arg-type]
+    return pl.concat([frame, pl.DataFrame(schema=types)], how="diagonal_relaxed").cast(types)  # type: ignore[arg-type]
 
 
 # -- tasks -------------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ import numpy as np
 
 from doe.criteria import Criterion, InverseTrace, log_determinants
 from doe.problem.problem import PriorInformation, Stop, information_of_each, never
-from identification import Array, InputError, JobError
+from identification import Array, InputError, JobError, spectrum
 
 EXACT = 1e-14  # gap of the weights: rounding
 # of each solver, tried in turn: Clarabel fails on some programs with its own scaling of the rows, on others without it
@@ -141,11 +141,9 @@ def solve_program(
     n, p = posture_information.shape[:2]
     rows, columns = np.triu_indices(p)
     entries = (root @ posture_information @ root.T)[:, rows, columns]
-    # a basis of their span, and their coordinates in it, by the smaller of the two normal matrices
-    values, vectors = np.linalg.eigh(entries @ entries.T if n < len(rows) else entries.T @ entries)
-    seen = values > 1e-12 * values.max()  # of a product: below, too few digits are left
-    basis = vectors[:, seen] if n >= len(rows) else entries.T @ (vectors[:, seen] / np.sqrt(values[seen]))
-    coordinates = entries @ basis
+    span = spectrum(entries, np.ones(len(rows)))
+    directions = span.directions[:, : span.rank]
+    basis, coordinates = span.lengths[:, None] * directions, (entries / span.lengths) @ directions
     square = np.zeros((p, p, basis.shape[1]))
     square[rows, columns], square[columns, rows] = basis, basis
     weights, place = cp.Variable(n, nonneg=True), cp.Variable(basis.shape[1])

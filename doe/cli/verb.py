@@ -8,7 +8,6 @@ from __future__ import annotations
 import inspect
 import json
 import logging
-import math
 import os
 import re
 import shlex
@@ -388,7 +387,11 @@ def shown_progress(title: str, quiet: bool, interval: float = 10.0) -> Iterator[
 def shown(answer: Answer, as_json: bool) -> None:
     """The answer on standard output."""
     if as_json:
-        click.echo(json.dumps(plain(answer.data), allow_nan=False))
+        from pydantic_core import to_jsonable_python
+
+        # infinities and NaN are null
+        plain = to_jsonable_python(answer.data, inf_nan_mode="null", fallback=lambda array: array.tolist())
+        click.echo(json.dumps(plain, allow_nan=False))
         return
     from rich.console import Console
     from rich.segment import Segment, Segments
@@ -401,16 +404,3 @@ def shown(answer: Answer, as_json: bool) -> None:
         for s in console.render(answer.document)
     )
     console.print(Segments(segments), end="")
-
-
-def plain(value: Any) -> Any:
-    """The value in JSON types: arrays as lists, paths as strings, infinities and NaN as null."""
-    if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value

@@ -251,13 +251,13 @@ class TipErrors:
         problem, wide, p = self.problem, self.wide, self.problem.parameters
         sigma, noise = ((model.sigma or 0.0) ** 2 for model in (problem.model, wide.model))
         information = information_matrix(np.concatenate([wide.scaled_jacobians(postures), wide.kept_jacobians]))
-        posterior = inverses(information[:p, :p] + np.diag(problem.precisions))
+        posterior, singular = inverses(information[:p, :p] + np.diag(problem.precisions))
         errors = dict.fromkeys(("model_right", "effects_missing", "effects_missing_prior", "model_right_worst"), np.inf)
         if wide.missing and wanted == "effects_missing_prior":  # of many parameters: what takes the time
-            whole = inverses(information + np.diag(wide.precisions))  # infinite where not everything is identified
-            if np.isfinite(whole[0, 0]):
+            whole, unidentified = inverses(information + np.diag(wide.precisions))
+            if not unidentified:
                 errors[wanted] = float(np.sqrt(noise * np.sum(whole * self._weight) + wide.beyond))
-        if np.isinf(posterior[0, 0]) or spectrum(plan_jacobians(problem, postures), np.ones(p)).rank < p:
+        if singular or spectrum(plan_jacobians(problem, postures), np.ones(p)).rank < p:
             return errors
         right = sigma * np.einsum("kdp,kdp->k", self._points[..., :p] @ posterior, self._points[..., :p])
         errors |= {"model_right": float(np.sqrt(right.mean())), "model_right_worst": float(np.sqrt(right.max()))}

@@ -344,8 +344,7 @@ def relax_document(design: ApproximateDesign, compared: Sequence[Data] = (), run
     """
     where = "all postures" if design.candidates is None else f"{design.candidates} candidates"
     kind = design.problem.criterion.name
-    order = np.argsort(-design.plan.shares, kind="stable")
-    weighted = zip(design.plan.shares[order], design.plan.displayed[order], strict=True)
+    weighted = zip(design.plan.shares, design.plan.displayed, strict=True)
     of_runs = "" if runs is None else f", {runs} runs"
     least = 5e-6  # smaller weights would be printed as zero
     rows = [[f"{weight:.5f}", *(f"{angle:.2f}" for angle in q)] for weight, q in weighted if weight >= least]

@@ -213,7 +213,7 @@ def test_what_lacks_a_rank_is_worth_minus_infinity(
     information = information_matrix(jacobian) / m
     for name, phi in criteria(p).items():
         assert phi.value(information) == -np.inf, name
-    assert np.isinf(inverses(information)).all()
+    assert inverses(information)[1].all()
 
 
 @settings(max_examples=100, deadline=None)
