@@ -82,8 +82,7 @@ class Design:
             moved = np.where(rotary, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
             change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
             breaks = beyond(moved) if change < 1e-9 else breaks  # relative to what a whole parameter does: rounding
-        for constraint in problem.constraints:
-            breaks |= np.any(constraint.margin(q) < -fits, axis=1)
+        breaks |= np.any(problem.walls.values(q) < -fits, axis=1)
         return tuple((np.flatnonzero(breaks) + 1).tolist())
 
     @cached_property

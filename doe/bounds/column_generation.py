@@ -169,18 +169,13 @@ class ContinuousSet:
         kind, barrier = np.arange(len(q)) % 2, np.zeros(len(q))
 
         def height(postures: Array, rows: NDArray[np.intp]) -> Array:
-            values = self.sensitivities(postures, gradient)
-            if not problem.constraints:
-                return values
             margins = walls.values(postures)
             inside = np.all(margins > 0.0, axis=1) & problem.feasible(postures)
             logarithms = np.log(np.where(inside[:, None], margins, 1.0)).sum(axis=1)
-            return np.where(inside, values + barrier[rows] * logarithms, -np.inf)
+            return np.where(inside, self.sensitivities(postures, gradient) + barrier[rows] * logarithms, -np.inf)
 
         def slopes(postures: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
             slope, hessian = self.slopes(postures, gradient)
-            if not problem.constraints:
-                return slope, hessian
             margins, first = walls.first(postures)
             relative, each = first / margins[:, None], barrier[rows, None]
             bend = walls.bend(postures, 1.0 / margins) - relative @ np.swapaxes(relative, 1, 2)
@@ -415,7 +410,6 @@ def best_known_bound(problem: DesignProblem, runs: int, stop: Stop = never) -> B
     closed = closed_form_bound(problem)
     if closed is not None and not problem.constraints and problem.choices is None:
         return closed
-    closed = None if closed is None else replace(closed, unconstrained=bool(problem.constraints))
     if not problem.searched_joints:
         return Bound(problem.objective(np.tile(problem.lower, (runs, 1))), "continuous", rigorous=True)
     try:

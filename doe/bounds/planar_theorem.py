@@ -46,7 +46,9 @@ def closed_form_log_det(problem: DesignProblem) -> float:
 
 def closed_form_bound(problem: DesignProblem) -> Bound | None:
     """The theorem as a bound, None where it does not apply."""
-    return Bound(closed_form_log_det(problem), "closed_form", rigorous=True) if applies(problem) else None
+    if not applies(problem):
+        return None
+    return Bound(closed_form_log_det(problem), "closed_form", True, unconstrained=bool(problem.constraints))
 
 
 def pair_means(postures: Array, weights: Array | None = None) -> dict[str, complex]:

@@ -1,7 +1,7 @@
 """The verbs of `doe`: plans, before and after the measurements, the page of a campaign, studies, and the demo.
 
 Each is declared by its signature, its docstring and its example (doe/cli/verb.py); what they need is loaded when they
-are called, so that `armcal --help` answers at once.
+are called, much of it by the two packages' tables of contents, so that `armcal --help` answers at once.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 
+import doe
+import identification
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
 from identification import InputError, JobError, Progress
 from identification.document import Answer, Document, Sheet, in_a_sentence
@@ -62,8 +64,6 @@ def design_problem(
     """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     from doe.criteria import NAMES, criterion
     from doe.plan.accuracy import missing_effects, robust_problem, tip_jacobians
-    from doe.problem.problem import DesignProblem
-    from identification import Plan, design_model
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
     if wanted.missing is not None and not wanted.robust:
@@ -71,9 +71,9 @@ def design_problem(
     for option, value, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
         if value is not None and name in NAMES and name != needed:
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
-    model, restrictions = design_model(arm), dict[str, Any]()
+    model, restrictions = identification.design_model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
-        measured = Plan.load(keep, arm.joint_types, carried_out=True)
+        measured = identification.Plan.load(keep, arm.joint_types, carried_out=True)
         names = measured.cells.get(arm.chain.point_column)
         most = names and max(set(names), key=names.count)  # a run reads all reflectors: it counts with one of them
         rows = [row for row in range(len(measured)) if not names or names[row] == most]
@@ -81,11 +81,11 @@ def design_problem(
         if arm.sigma is not None and (sigma := measured.conditions["sigma"]) is not None:
             restrictions["kept_excess"] = sigma[rows] ** 2 - arm.sigma**2
     if candidates is not None:
-        choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
-        tell_of_candidates(candidates, DesignProblem.of(model, choices=choices), choices)
+        choices = restrictions["choices"] = identification.Plan.load(candidates, arm.joint_types).postures
+        tell_of_candidates(candidates, doe.DesignProblem.of(model, choices=choices), choices)
     if repeats:
         restrictions["minimum_distance"] = 0.0
-    problem = DesignProblem.of(model, **restrictions)
+    problem = doe.DesignProblem.of(model, **restrictions)
     if wanted.robust:
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
@@ -95,7 +95,8 @@ def design_problem(
             warnings.warn(f"--missing: the plan does not count {reasons}", UserWarning, stacklevel=2)
         problem = replace(robust_problem(problem, counted), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
-        poses = None if wanted.test_poses is None else Plan.load(wanted.test_poses, arm.joint_types).postures
+        path, types = wanted.test_poses, arm.joint_types
+        poses = None if path is None else identification.Plan.load(path, types).postures
         names = problem.model.parameters.names
         for word in wanted.subset or ():
             if word not in names:
@@ -183,12 +184,10 @@ def design_files(
     from doe.plan.accuracy import ExpectedTip, with_choices
     from doe.plan.moves import drive, with_approach
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
-    from doe.solvers import solve
-    from identification import load_arm
 
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    loaded = load_arm(arm, package_dir)
+    loaded = identification.load_arm(arm, package_dir)
     if clearance_mm is not None:
         if not 0.0 <= clearance_mm < math.inf:
             raise InputError(f"--clearance-mm: found {clearance_mm:g}, allowed: a number >= 0")
@@ -212,7 +211,7 @@ def design_files(
         chosen = discrimination_design(problem, loaded, runs, progress=progress, **effort)
         design, data, extra = chosen.design, chosen.to_json(), discriminating_parts(chosen)
     else:
-        design = solve(problem, runs, progress=progress, **effort)
+        design = doe.solve(problem, runs, progress=progress, **effort)
         extra = [*missing_lines(design)]
     end = process_time() + min(MOVES, seconds or MOVES)
 
@@ -258,31 +257,28 @@ def score_files(
     robust : The arm may have effects of the library that its file does not name.
     missing : Only these effects, for --robust: backlash,gear_ratio
     """
-    from doe.design import score_plan
     from doe.plan.accuracy import average_error, criterion_values, error_at_poses, observability, with_choices
     from doe.plan.moves import in_sentences, unproven
-    from doe.problem.problem import DesignProblem
     from doe.report.design import design_document
-    from identification import Plan, design_model, load_arm
 
-    loaded = load_arm(arm, package_dir)
-    judged = Plan.load(plan, loaded.joint_types)
+    loaded = identification.load_arm(arm, package_dir)
+    judged = identification.Plan.load(plan, loaded.joint_types)
     bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing))
     if robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
     if len(judged) < bounded.fewest_runs:
         need = f"at least {bounded.fewest_runs} for {bounded.parameters} parameters"
         raise InputError(f"{plan}: runs: found {len(judged)}, allowed: {need}")
-    design = score_plan(bounded, judged, seconds=seconds)
+    design = doe.score_plan(bounded, judged, seconds=seconds)
     if design.outside:
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
     sees = None
     try:
-        sees = design_model(loaded).detectability(judged)
+        sees = identification.design_model(loaded).detectability(judged)
         tables: list[Any] = [*sees.document().parts]
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         tables = [f"missing effects: {reason}"]
-    problem = DesignProblem.of(loaded)
+    problem = doe.DesignProblem.of(loaded)
     tip, weighted = replace(problem, criterion=average_error(problem)), (judged.postures, judged.weights)
     values = criterion_values(problem, *weighted)
     data = design.to_json() | {
@@ -291,7 +287,7 @@ def score_files(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    driven = Plan.load(plan, loaded.joint_types, vias=True).postures
+    driven = identification.Plan.load(plan, loaded.joint_types, vias=True).postures
     moves = None if judged.weights is not None else unproven(problem.constraints, driven)
     if moves is not None:
         data["moves"] = {"not_free": moves}
@@ -329,12 +325,10 @@ def advise_files(
     seconds : Time budget of all numbers of runs together [s].
     """
     from doe.advise import advise, with_scatter
-    from doe.problem.problem import DesignProblem
     from doe.report.design import advice_document
-    from identification import load_arm
 
-    loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
-    problem = DesignProblem.of(loaded)
+    loaded, given_sigma = with_scatter(identification.load_arm(arm, package_dir))
+    problem = doe.DesignProblem.of(loaded)
     fewest, ends = problem.fewest_runs, runs.split(":")
     if not 1 <= len(ends) <= 2 or not all(re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII) for part in ends):
         raise InputError(f"--runs: {runs!r}, allowed: A:B or A with whole numbers up to 999999, such as 4:40")
@@ -381,9 +375,8 @@ def relax_files(
     from doe.plan.accuracy import with_choices
     from doe.report.design import relax_document
     from doe.solvers.solving import cross_check
-    from identification import Plan, load_arm
 
-    loaded, robust = load_arm(arm, package_dir), criterion.robust
+    loaded, robust = identification.load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
     held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
@@ -398,7 +391,7 @@ def relax_files(
     if grid is not None and (candidates is not None or problem.choices is not None):
         raise InputError("--grid: found with a list of postures, allowed: without --candidates, and not for contacts")
     if candidates is not None:
-        places: Any = Plan.load(candidates, problem.model.joint_types).postures
+        places: Any = identification.Plan.load(candidates, problem.model.joint_types).postures
         tell_of_candidates(candidates, problem, places)
     elif problem.choices is not None:
         places = problem.choices
@@ -453,13 +446,12 @@ def compare_files(
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.studies.comparison import compare, summary
-    from identification import load_arm
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
     asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
     asked |= {"path": job.out and job.out / "rows.parquet", **job.how(seed, progress, 1)}
-    loaded = [load_arm(arm) for arm in arms]
+    loaded = [identification.load_arm(arm) for arm in arms]
     kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
     with interruptible(kept):
         rows = compare(loaded, runs, [*available_solvers()] if solvers is None else solvers, **asked)
@@ -498,10 +490,9 @@ def program_files(
     """
     from doe.plan.moves import in_sentences
     from doe.program.program import program
-    from identification import Plan, load_arm
 
-    loaded = load_arm(arm, package_dir)
-    file = Plan.load(plan, loaded.joint_types, vias=True)
+    loaded = identification.load_arm(arm, package_dir)
+    file = identification.Plan.load(plan, loaded.joint_types, vias=True)
     if file.weights is not None:
         raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
     options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
@@ -548,11 +539,9 @@ def discriminate_files(
     out : Write the next postures (CSV).
     """
     from doe.discrimination.t_optimal import discriminate
-    from doe.problem.problem import DesignProblem
     from doe.report.design import next_document
-    from identification import Plan, load_arm
 
-    loaded, masses = load_arm(arm, package_dir), None
+    loaded, masses = identification.load_arm(arm, package_dir), None
     if payloads is not None:
         try:
             masses = tuple(float(word) for word in payloads.split(","))
@@ -563,9 +552,10 @@ def discriminate_files(
         if loaded.gravity is None:
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     loaded.chain.refuse_contacts()
-    problem = DesignProblem.of(loaded)
-    measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]
-    if (postures := len(set(map(tuple, measured)))) < (fewest := problem.fewest_runs):
+    problem = doe.DesignProblem.of(loaded)
+    plans = [identification.Plan.load(path, loaded.joint_types, carried_out=True) for path in data]
+    measured = [tuple(q) for plan in plans for q in plan.postures.round(3)]
+    if (postures := len(set(measured))) < (fewest := problem.fewest_runs):
         counted = f"{len(measured)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")

@@ -97,11 +97,12 @@ class Walls(tuple[Constraint, ...]):
 
     def values(self, postures: Array) -> Array:
         """(m, k) margins."""
-        return np.concatenate([each.margin(postures) for each in self], axis=1)
+        return np.concatenate([np.empty((len(postures), 0)), *(each.margin(postures) for each in self)], axis=1)
 
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, n, k)."""
-        values, slopes = zip(*(each.first(postures) for each in self), strict=True)
+        none = np.empty((len(postures), 0)), np.empty((*postures.shape, 0))
+        values, slopes = zip(none, *(each.first(postures) for each in self), strict=True)
         return np.concatenate(values, axis=1), np.concatenate(slopes, axis=2)
 
     def slope(self, postures: Array, weights: Array) -> Array:
@@ -113,8 +114,8 @@ class Walls(tuple[Constraint, ...]):
         return np.sum([each.bend(postures, part) for each, part in self._weighted(weights)], axis=0)
 
     def _weighted(self, weights: Array) -> Iterator[tuple[Constraint, Array]]:
-        ends = np.cumsum([each.count for each in self])
-        return zip(self, np.split(weights, ends[:-1], axis=1), strict=True)
+        ends = np.cumsum([each.count for each in self], dtype=int)
+        return zip(self, np.split(weights, ends, axis=1)[:-1], strict=True)
 
 
 def constraints_of(model: Any) -> tuple[Constraint, ...]:

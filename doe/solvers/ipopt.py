@@ -69,7 +69,7 @@ class Climber:
         # IPOPT asks one by one
         self.rise = lru_cache(1)(lambda x: self.ascent.rise(self.postures(np.frombuffer(x))))
         self.margins = lru_cache(1)(lambda x: self.walls.values(self.postures(np.frombuffer(x))).ravel())
-        each = self.walls.values(problem.lower[None]).shape[1] if problem.constraints else 0
+        each = self.walls.values(problem.lower[None]).shape[1]
         size, rows = runs * len(self.joints), runs * each
         x, scalar, g = (ca.Sparsity.dense(length, 1) for length in (size, 1, rows))
         point, multipliers = {"x": x, "p": ca.Sparsity(0, 0)}, {"lam_f": scalar, "lam_g": g}
@@ -150,8 +150,7 @@ class Climber:
 
     # -- what CasADi asks for: of -f, which it minimises, and of g
     def _values(self, x: Array, *_: Array) -> list[Array]:
-        walls = self.margins(x.tobytes()) if self.problem.constraints else np.empty(0)
-        return [np.array([-self.rise(x.tobytes())[0]]), walls]
+        return [np.array([-self.rise(x.tobytes())[0]]), self.margins(x.tobytes())]
 
     def _gradient(self, x: Array, *_: Array) -> list[Array]:
         value, slopes = self.rise(x.tobytes())

@@ -112,9 +112,10 @@ def evaluated(problem: DesignProblem, runs: int, design: Design) -> Row:
     there, inside limits and constraints, of the value that the solver says, and not above the bound."""
     postures, bound, rounding = design.plan.postures, design.bound, 1e-9  # [rad], in a margin, in the value
     value = problem.objective(postures)
-    outside = [np.max(problem.lower - postures), np.max(postures - problem.upper)]
-    outside += [-np.min(constraint.margin(postures), initial=np.inf) for constraint in problem.constraints]
-    allowed = len(postures) == runs and design.plan.weights is None and max(outside) <= rounding
+    outside = np.concatenate(
+        [problem.lower - postures, postures - problem.upper, -problem.walls.values(postures)], axis=1
+    )
+    allowed = len(postures) == runs and design.plan.weights is None and outside.max() <= rounding
     claimed = abs(value - design.value) <= rounding and (bound is None or value <= bound.value + rounding)
     return {
         "outcome": design.status.name,
