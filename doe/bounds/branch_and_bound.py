@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple, Self
 
 import casadi as ca
@@ -188,8 +189,9 @@ def maximum(
 
 # -- is a sensitivity such a polynomial? -------------------------------------------------------------------------------
 Frequency = tuple[int, ...]
-Angle = tuple[Frequency, float]  # a whole combination of joint angles plus a constant [rad]
-Polynomial = dict[Frequency, complex]  # whole frequencies -> coefficient of exp(i f . q)
+Sum = dict[
+    int | Frequency, complex
+]  # joint j -> coefficient of q_j itself; whole frequencies f -> that of exp(i f . q)
 Jacobian = tuple[NDArray[np.int64], NDArray[np.complex128]]  # (R, n) f and (R, d, p) C of sum_f C_f exp(i f . q)
 
 
@@ -200,95 +202,75 @@ class NotTrigonometric(Exception):
 def trigonometric_jacobian(problem: DesignProblem) -> Jacobian | None:
     """B(q) as trigonometric polynomials, or None where it is not (a gear ratio, a sign of a torque)."""
     function, n = problem.scaled_jacobian_function, problem.joints
+    constant = (0,) * n
+
+    def add(x: Sum, y: Sum, sign: float = 1.0) -> Sum:
+        return {key: x.get(key, 0.0) + sign * y.get(key, 0.0) for key in x | y}
+
+    def multiply(x: Sum, y: Sum) -> Sum:
+        terms: Sum = {}
+        for (f, a), (g, b) in product(x.items(), y.items()):
+            if constant in (f, g):
+                key = g if f == constant else f
+            elif isinstance(f, int) or isinstance(g, int):
+                raise NotTrigonometric
+            else:
+                key = tuple(i + j for i, j in zip(f, g, strict=True))
+            terms[key] = terms.get(key, 0.0) + a * b
+        return terms
+
+    def wave(x: Sum, quarter: complex = 1.0) -> Sum:
+        """cos x, or with a `quarter` of a turn, -i, sin x."""
+        slopes = [x.get(j, 0.0) for j in range(n)]
+        # a fraction of an angle, as of a gear ratio known to be wrong, is not periodic
+        if x.keys() - {constant, *range(n)} or any(slope != int(slope.real) for slope in slopes):
+            raise NotTrigonometric
+        ahead, back = (tuple(int(sign * slope.real) for slope in slopes) for sign in (1, -1))
+        turn = complex(quarter * np.exp(1j * x.get(constant, 0.0)))
+        return add({ahead: turn / 2.0}, {back: turn.conjugate() / 2.0})
+
+    def divide(x: Sum, y: Sum) -> Sum:
+        if y.keys() - {constant}:
+            raise NotTrigonometric
+        return multiply(x, {constant: 1.0 / y[constant]})
+
+    operations: dict[int, Callable[..., Sum]] = {
+        ca.OP_ASSIGN: lambda x: x,
+        ca.OP_COS: wave,
+        ca.OP_SIN: lambda x: wave(x, -1j),
+        ca.OP_ADD: add,
+        ca.OP_SUB: lambda x, y: add(x, y, -1.0),
+        ca.OP_NEG: lambda x: add({}, x, -1.0),
+        ca.OP_TWICE: lambda x: add(x, x),
+        ca.OP_SQ: lambda x: multiply(x, x),
+        ca.OP_MUL: multiply,
+        ca.OP_DIV: divide,
+    }
     places = list(zip(*function.sparsity_out(0).get_triplet(), strict=True))
-    work: dict[int, Angle | Polynomial] = {}
-    entries: dict[tuple[int, int], Polynomial] = {}
+    work, entries = dict[int, Sum](), dict[tuple[int, int], Sum]()
     try:
         for k in range(function.n_instructions()):
             operation = function.instruction_id(k)
             sources, targets = function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_CONST:
-                work[targets[0]] = (0,) * n, function.instruction_constant(k)
+                work[targets[0]] = {constant: function.instruction_constant(k)}
             elif operation == ca.OP_INPUT:
-                work[targets[0]] = tuple(int(j == sources[1]) for j in range(n)), 0.0
+                work[targets[0]] = {sources[1]: 1.0}
             elif operation == ca.OP_OUTPUT:
-                entries[places[targets[1]]] = _polynomial(work[sources[0]])
-            elif operation in OPERATIONS:
-                work[targets[0]] = OPERATIONS[operation](*(work[s] for s in sources))
+                entries[places[targets[1]]] = work[sources[0]]
+            elif operation in operations:
+                work[targets[0]] = operations[operation](*(work[s] for s in sources))
             else:
                 return None
     except (NotTrigonometric, ZeroDivisionError):
         return None
-    frequencies = sorted({f for polynomial in entries.values() for f in polynomial})
-    if not frequencies or len(frequencies) > 400:  # beyond, a bound by branch and bound is out of reach
+    every = {f for entry in entries.values() for f in entry}
+    frequencies = sorted(f for f in every if not isinstance(f, int))
+    # beyond 400, a bound by branch and bound is out of reach
+    if not frequencies or len(frequencies) < len(every) or len(frequencies) > 400:
         return None
     coefficients = np.zeros((len(frequencies), problem.model.dimension, problem.parameters), dtype=complex)
-    slot = {frequency: k for k, frequency in enumerate(frequencies)}
-    for (row, column), polynomial in entries.items():
-        for frequency, value in polynomial.items():
-            coefficients[slot[frequency], row, column] = value
+    for (row, column), entry in entries.items():
+        for k, frequency in enumerate(frequencies):
+            coefficients[k, row, column] = entry.get(frequency, 0.0)
     return np.array(frequencies).reshape(-1, n), coefficients
-
-
-def _polynomial(value: Angle | Polynomial) -> Polynomial:
-    return value if isinstance(value, dict) else {value[0]: complex(_constant(value))}
-
-
-def _constant(value: Angle | Polynomial) -> float:
-    if isinstance(value, dict) or any(value[0]):
-        raise NotTrigonometric
-    return value[1]
-
-
-def _wave(x: Angle | Polynomial, quarter: complex = 1.0) -> Polynomial:
-    """cos x, or with a `quarter` of a turn, -i, sin x."""
-    if isinstance(x, dict):
-        raise NotTrigonometric
-    frequency, turn = x[0], quarter * np.exp(1j * x[1])
-    if not any(frequency):
-        return {frequency: complex(turn.real)}
-    return {frequency: complex(turn / 2.0), tuple(-f for f in frequency): complex(np.conj(turn) / 2.0)}
-
-
-def _scale(x: Angle | Polynomial, factor: float) -> Angle | Polynomial:
-    if isinstance(x, dict):
-        return {frequency: factor * value for frequency, value in x.items()}
-    scaled = [factor * f for f in x[0]]
-    if any(f != int(f) for f in scaled):
-        raise NotTrigonometric  # a fraction of an angle: a gear ratio known to be wrong, not periodic
-    return tuple(int(f) for f in scaled), factor * x[1]
-
-
-def _add(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
-    if not isinstance(x, dict) and not isinstance(y, dict):
-        return tuple(a + b for a, b in zip(x[0], y[0], strict=True)), x[1] + y[1]
-    total = dict(_polynomial(x))
-    for frequency, value in _polynomial(y).items():
-        total[frequency] = total.get(frequency, 0.0) + value
-    return total
-
-
-def _multiply(x: Angle | Polynomial, y: Angle | Polynomial) -> Angle | Polynomial:
-    for factor, other in ((x, y), (y, x)):
-        if not isinstance(factor, dict) and not any(factor[0]):
-            return _scale(other, factor[1])
-    product: Polynomial = {}
-    for f, a in _polynomial(x).items():
-        for g, b in _polynomial(y).items():
-            key = tuple(i + j for i, j in zip(f, g, strict=True))
-            product[key] = product.get(key, 0.0) + a * b
-    return product
-
-
-OPERATIONS: dict[int, Callable[..., Angle | Polynomial]] = {
-    ca.OP_ASSIGN: lambda x: x,
-    ca.OP_COS: _wave,
-    ca.OP_SIN: lambda x: _wave(x, -1j),
-    ca.OP_ADD: _add,
-    ca.OP_SUB: lambda x, y: _add(x, _scale(y, -1.0)),
-    ca.OP_NEG: lambda x: _scale(x, -1.0),
-    ca.OP_TWICE: lambda x: _scale(x, 2.0),
-    ca.OP_SQ: lambda x: _multiply(x, x),
-    ca.OP_MUL: _multiply,
-    ca.OP_DIV: lambda x, y: _scale(x, 1.0 / _constant(y)),
-}
