@@ -34,6 +34,8 @@ from identification.workflow import Folder, Written
 if TYPE_CHECKING:
     from identification.document import Document
 
+# parameters that are no options: a verb that names one is given it, as a test is given a fixture by pytest
+PROVIDED = ("seed", "progress", "page", "constraints", "moves")
 UPDATES = frozenset((verb, "--out", "ARM") for verb in ("identify", "diagnose"))  # --force may overwrite the arm file
 EVERYWHERE = {  # options that mean the same wherever they are
     "force": "Overwrite existing files.",
@@ -105,34 +107,6 @@ class JobOptions:
         return {"workers": where, "seed": seed, "progress": progress, **kept}
 
 
-# -- what a verb asks for by the name of a parameter, as a test asks pytest for a fixture ------------------------------
-def page(document: Document, read: Sequence[Path]) -> str:
-    """A document as a page, with the command as it was typed and the files that were read."""
-    from doe.report import page
-
-    context = click.get_current_context()
-    typed = shlex.join(("armcal", *(context.find_root().obj or ())))
-    return page.page(document, page.origin(typed, context.params["seed"], read))
-
-
-def constraints(model: Any) -> Any:
-    """What a posture of a model must satisfy besides the limits."""
-    from doe.problem.constraints import constraints_of
-
-    return constraints_of(model)
-
-
-def moves(kept: Any, postures: Any) -> tuple[list[Any], list[str]]:
-    """By these constraints, which moves of a plan may collide, and what is to be said of them."""
-    from doe.plan.moves import in_sentences, unproven
-
-    return (may_collide := unproven(kept, postures) or []), in_sentences(may_collide)
-
-
-# of `identification`, which does not know `doe`, verbs too: without the command line they have defaults of their own
-PROVIDED: dict[str, Callable[..., Any]] = {"page": page, "constraints": constraints, "moves": moves}
-
-
 # -- from a signature to a command -------------------------------------------------------------------------------------
 def command(function: Callable[..., Answer], example: str) -> click.Command:
     """Turn `function(argument, .., *, option, ..) -> Answer` into the click command of its example, `armcal NAME ...`.
@@ -143,15 +117,17 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
     for in the help (`NAMES`). The docstring's first line stands in `armcal --help`; lines `name : ..` say what an
     option is for, but for those of `EVERYWHERE`.
 
-    Adds --json, --seed, --quiet and the example. Parameters `seed`, `progress` and those of `PROVIDED` are no options
-    of the verb's own: a function that names one is given it.
+    Adds --json, --seed, --quiet and the example. Of `PROVIDED` are the seed, a callback for the verb's progress, what
+    makes a page of a document and of files that were read, and what `identification` has of `doe`, which it does not
+    know: what makes the constraints of a model, and what tells by these which moves may collide, with what is to be
+    said of them.
     """
     name, (text, _), groups = example.split()[1], documented(function), dict[str, Any]()
 
     def parameters_of(thing: Any) -> Iterator[click.Parameter]:
         hints, (_, helps) = get_type_hints(thing, include_extras=True), documented(thing)
         for each in inspect.signature(thing).parameters.values():
-            if each.name in ("seed", "progress", *PROVIDED):
+            if each.name in PROVIDED:
                 continue
             if is_dataclass(hint := hints[each.name]):
                 groups[each.name] = hint
@@ -167,13 +143,30 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
         declared("quiet", bool, False, "No progress and no warnings on standard error."),
     ]
 
+    def page(document: Document, read: Sequence[Path]) -> str:
+        from doe.report import page
+
+        context = click.get_current_context()
+        typed = shlex.join(("armcal", *(context.find_root().obj or ())))
+        return page.page(document, page.origin(typed, context.params["seed"], read))
+
+    def constraints(model: Any) -> Any:
+        from doe.problem.constraints import constraints_of
+
+        return constraints_of(model)
+
+    def moves(kept: Any, postures: Any) -> Any:
+        from doe.plan.moves import in_sentences, unproven
+
+        return (may_collide := unproven(kept, postures) or []), in_sentences(may_collide)
+
     def run(as_json: bool, quiet: bool, seed: int, **values: Any) -> None:
         for group, type_ in groups.items():
             values[group] = type_(**{one.name: values.pop(one.name) for one in fields(type_)})
         logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no news
         with warnings_as_lines(quiet), shown_progress(name, quiet) as progress:
-            given = {"seed": seed, "progress": progress, **PROVIDED}
-            values |= {key: given[key] for key in inspect.signature(function).parameters if key in given}
+            provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints, "moves": moves}
+            values |= {key: provided[key] for key in inspect.signature(function).parameters if key in provided}
             with errors_as_lines(), stoppable():
                 check_outputs(click.get_current_context())
                 answer = function(**values)

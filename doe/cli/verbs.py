@@ -1,7 +1,7 @@
 """The verbs of `doe`: plans, before and after the measurements, the page of a campaign, studies, and the demo.
 
 Each is declared by its signature, its docstring and its example (doe/cli/verb.py); what they need is loaded when they
-are called, much of it by the two packages' tables of contents, so that `armcal --help` answers at once.
+are called, so that `armcal --help` answers at once.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import click
 
 import doe
-import identification
 from doe.cli.verb import Count, JobOptions, Picture, Seconds, WholeNumbers, interruptible
 from identification import InputError, JobError, Progress
 from identification.document import Answer, Document, Sheet, in_a_sentence
@@ -64,6 +63,7 @@ def design_problem(
     """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
     from doe.criteria import NAMES, criterion
     from doe.plan.accuracy import missing_effects, robust_problem, tip_jacobians
+    from identification import Plan, design_model
 
     name = wanted.criterion or ("I" if wanted.robust else "D")
     if wanted.missing is not None and not wanted.robust:
@@ -71,9 +71,9 @@ def design_problem(
     for option, value, needed in (("--test-poses", wanted.test_poses, "I"), ("--subset", wanted.subset, "Ds")):
         if value is not None and name in NAMES and name != needed:
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
-    model, restrictions = identification.design_model(arm), dict[str, Any]()
+    model, restrictions = design_model(arm), dict[str, Any]()
     if keep is not None:  # measurements, or a plan carried out
-        measured = identification.Plan.load(keep, arm.joint_types, carried_out=True)
+        measured = Plan.load(keep, arm.joint_types, carried_out=True)
         names = measured.cells.get(arm.chain.point_column)
         most = names and max(set(names), key=names.count)  # a run reads all reflectors: it counts with one of them
         rows = [row for row in range(len(measured)) if not names or names[row] == most]
@@ -81,7 +81,7 @@ def design_problem(
         if arm.sigma is not None and (sigma := measured.conditions["sigma"]) is not None:
             restrictions["kept_excess"] = sigma[rows] ** 2 - arm.sigma**2
     if candidates is not None:
-        choices = restrictions["choices"] = identification.Plan.load(candidates, arm.joint_types).postures
+        choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
         tell_of_candidates(candidates, doe.DesignProblem.of(model, choices=choices), choices)
     if repeats:
         restrictions["minimum_distance"] = 0.0
@@ -95,8 +95,7 @@ def design_problem(
             warnings.warn(f"--missing: the plan does not count {reasons}", UserWarning, stacklevel=2)
         problem = replace(robust_problem(problem, counted), fit=fit)
     if not wanted.robust or name != "I" or wanted.test_poses is not None:
-        path, types = wanted.test_poses, arm.joint_types
-        poses = None if path is None else identification.Plan.load(path, types).postures
+        poses = None if wanted.test_poses is None else Plan.load(wanted.test_poses, arm.joint_types).postures
         names = problem.model.parameters.names
         for word in wanted.subset or ():
             if word not in names:
@@ -184,10 +183,11 @@ def design_files(
     from doe.plan.accuracy import ExpectedTip, with_choices
     from doe.plan.moves import drive, with_approach
     from doe.report.design import columns_beside, design_document, discriminating_parts, missing_lines
+    from identification import load_arm
 
     if criterion.robust and discriminating:
         raise InputError("--discriminating: found with --robust, allowed: one of them")
-    loaded = identification.load_arm(arm, package_dir)
+    loaded = load_arm(arm, package_dir)
     if clearance_mm is not None:
         if not 0.0 <= clearance_mm < math.inf:
             raise InputError(f"--clearance-mm: found {clearance_mm:g}, allowed: a number >= 0")
@@ -260,9 +260,10 @@ def score_files(
     from doe.plan.accuracy import average_error, criterion_values, error_at_poses, observability, with_choices
     from doe.plan.moves import in_sentences, unproven
     from doe.report.design import design_document
+    from identification import Plan, design_model, load_arm
 
-    loaded = identification.load_arm(arm, package_dir)
-    judged = identification.Plan.load(plan, loaded.joint_types)
+    loaded = load_arm(arm, package_dir)
+    judged = Plan.load(plan, loaded.joint_types)
     bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing))
     if robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
@@ -274,7 +275,7 @@ def score_files(
         warnings.warn(f"{plan}: {design.no_efficiency}", UserWarning, stacklevel=2)
     sees = None
     try:
-        sees = identification.design_model(loaded).detectability(judged)
+        sees = design_model(loaded).detectability(judged)
         tables: list[Any] = [*sees.document().parts]
     except InputError as reason:  # too few runs to test for effects: a property of the plan, not bad input
         tables = [f"missing effects: {reason}"]
@@ -287,7 +288,7 @@ def score_files(
         "criteria": values,
         "preflight": None if sees is None else sees.to_json(),
     }
-    driven = identification.Plan.load(plan, loaded.joint_types, vias=True).postures
+    driven = Plan.load(plan, loaded.joint_types, vias=True).postures
     moves = None if judged.weights is not None else unproven(problem.constraints, driven)
     if moves is not None:
         data["moves"] = {"not_free": moves}
@@ -326,8 +327,9 @@ def advise_files(
     """
     from doe.advise import advise, with_scatter
     from doe.report.design import advice_document
+    from identification import load_arm
 
-    loaded, given_sigma = with_scatter(identification.load_arm(arm, package_dir))
+    loaded, given_sigma = with_scatter(load_arm(arm, package_dir))
     problem = doe.DesignProblem.of(loaded)
     fewest, ends = problem.fewest_runs, runs.split(":")
     if not 1 <= len(ends) <= 2 or not all(re.fullmatch(r"\s*\d{1,6}\s*", part, re.ASCII) for part in ends):
@@ -375,8 +377,9 @@ def relax_files(
     from doe.plan.accuracy import with_choices
     from doe.report.design import relax_document
     from doe.solvers.solving import cross_check
+    from identification import Plan, load_arm
 
-    loaded, robust = identification.load_arm(arm, package_dir), criterion.robust
+    loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
     held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
@@ -391,7 +394,7 @@ def relax_files(
     if grid is not None and (candidates is not None or problem.choices is not None):
         raise InputError("--grid: found with a list of postures, allowed: without --candidates, and not for contacts")
     if candidates is not None:
-        places: Any = identification.Plan.load(candidates, problem.model.joint_types).postures
+        places: Any = Plan.load(candidates, problem.model.joint_types).postures
         tell_of_candidates(candidates, problem, places)
     elif problem.choices is not None:
         places = problem.choices
@@ -446,12 +449,13 @@ def compare_files(
     from doe.report.studies import comparison_parts
     from doe.solvers import available_solvers
     from doe.studies.comparison import compare, summary
+    from identification import load_arm
 
     if job.resume and job.out is None:
         raise InputError("--resume: needs --out, allowed: the folder of an earlier comparison")
     asked: dict[str, Any] = {"starts": starts or [None], "repeats": repeats, "seconds": seconds, "criteria": criteria}
     asked |= {"path": job.out and job.out / "rows.parquet", **job.how(seed, progress, 1)}
-    loaded = [identification.load_arm(arm) for arm in arms]
+    loaded = [load_arm(arm) for arm in arms]
     kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
     with interruptible(kept):
         rows = compare(loaded, runs, [*available_solvers()] if solvers is None else solvers, **asked)
@@ -490,9 +494,10 @@ def program_files(
     """
     from doe.plan.moves import in_sentences
     from doe.program.program import program
+    from identification import Plan, load_arm
 
-    loaded = identification.load_arm(arm, package_dir)
-    file = identification.Plan.load(plan, loaded.joint_types, vias=True)
+    loaded = load_arm(arm, package_dir)
+    file = Plan.load(plan, loaded.joint_types, vias=True)
     if file.weights is not None:
         raise InputError(f"{plan}: found weights, allowed: an exact plan, each row a measurement or a way-point")
     options: dict[str, Any] = {"speed": speed, "settle": settle, "name": out.stem, "template": template}
@@ -540,8 +545,9 @@ def discriminate_files(
     """
     from doe.discrimination.t_optimal import discriminate
     from doe.report.design import next_document
+    from identification import Plan, load_arm
 
-    loaded, masses = identification.load_arm(arm, package_dir), None
+    loaded, masses = load_arm(arm, package_dir), None
     if payloads is not None:
         try:
             masses = tuple(float(word) for word in payloads.split(","))
@@ -553,9 +559,8 @@ def discriminate_files(
             raise InputError(f"--payloads: {arm} has no [gravity] table, allowed: with one")
     loaded.chain.refuse_contacts()
     problem = doe.DesignProblem.of(loaded)
-    plans = [identification.Plan.load(path, loaded.joint_types, carried_out=True) for path in data]
-    measured = [tuple(q) for plan in plans for q in plan.postures.round(3)]
-    if (postures := len(set(measured))) < (fewest := problem.fewest_runs):
+    measured = [q for path in data for q in Plan.load(path, loaded.joint_types, carried_out=True).postures.round(3)]
+    if (postures := len(set(map(tuple, measured)))) < (fewest := problem.fewest_runs):
         counted = f"{len(measured)} rows of {postures} posture{'s' * (postures != 1)}"
         enough = f"at least {fewest}, which the arm's own parameters need; armcal design --keep {data[-1]} chooses more"
         raise InputError(f"{data[-1]}: {counted}, allowed: {enough}")
