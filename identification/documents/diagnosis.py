@@ -126,17 +126,19 @@ def gap_in_words(data: Data) -> str:
 
 def effects_in_words(labels: Sequence[str]) -> str:
     """`encoder disc off centre, once per turn (encoder_eccentricity:1)`; the first few, one kind is said once; of many
-    joints `backlash of joints 1 to 5`."""
+    joints `backlash of joints 1 to 5`, with many settings `transmission_ripple of joints 2 and 3, 12 in all`."""
     kinds: dict[str, list[str]] = {}
     for label in labels:
         kinds.setdefault(label.partition("[")[0].partition(":")[0], []).append(label)
     phrases = []
     for kind, alike in kinds.items():
-        joints = [label.removeprefix(f"{kind}:") for label in alike]
-        many = len(alike) > 2 and all(joint.isdigit() for joint in joints)
-        listed = f"{kind} of {of_joints(sorted(map(int, joints)))}" if many else ", ".join(alike)
+        joints = {label.partition("[")[0].removeprefix(kind).removeprefix(":") for label in alike}
+        listed = ", ".join(alike)
+        if len(alike) > 2 and ("" not in joints or len(alike) > MOST):
+            whose = f" of {of_joints(sorted(map(int, joints)))}" if "" not in joints else ""
+            listed = f"{kind}{whose}{f', {len(alike)} in all' if len(alike) > len(joints) else ''}"
         phrases.append(f"{library()[kind].summary} ({listed})" if kind in library() else listed)
-    return "; ".join([*phrases[:MOST], *([f"and {len(phrases) - MOST} more"] if len(phrases) > MOST else [])])
+    return "; ".join([*phrases[:MOST], *([f"and {len(phrases) - MOST} more kinds"] if len(phrases) > MOST else [])])
 
 
 def shrinks(data: Data) -> bool:
@@ -269,7 +271,7 @@ def diagnosis_document(
 def missing_parts(data: Data) -> list[Part]:
     """What is named, how likely it is, and its values; what is named beside an unknown effect."""
     tests, figures, estimates = tests_of(data), [], list[Part]()
-    several = len(data["candidates"]) > 1
+    several, spelt = len(data["candidates"]) > 1, len(data["effects"]) <= MOST
     for c in (list(data["candidates"]) or [data["named"]]) if data["effects"] else []:
         p = c["probability"]  # a small one is never rounded to zero
         chance = "its cause is unknown" if is_described(data) else "< 0.01" if p and p < 0.005 else number(p, 2)
@@ -293,7 +295,8 @@ def missing_parts(data: Data) -> list[Part]:
     other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in short)
     parts: list[Part] = [*findings(data), f"Probability{among}: {every}{f' (of that {other})' if other else ''}."]
     parts += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
-    return [*parts, Sheet(("effects", "probability", "-2 log odds", "F"), figures), *estimates]
+    parts += [Sheet(("effects", "probability", "-2 log odds", "F"), figures)] if several or spelt else []
+    return [*parts, *estimates]
 
 
 def gap_parts(data: Data, nominal: float | None = None) -> list[Part]:

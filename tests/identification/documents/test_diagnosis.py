@@ -20,6 +20,7 @@ from identification.documents.diagnosis import (
     gap_in_words,
     gap_parts,
 )
+from identification.effects import library
 
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
@@ -46,6 +47,11 @@ def said(verdict: str, *effects: str, confirmed: bool | None = None, sets: int =
         (["transmission_ripple:2[k=6]"], "gear ripple, k times per turn (transmission_ripple:2[k=6])"),
         (["of_a_plugin:1"], "of_a_plugin:1"),
         ([f"backlash:{j}" for j in (3, 1, 2)], "gear play, by direction of approach (backlash of joints 1 to 3)"),
+        (
+            [f"transmission_ripple:{j}[k={k}]" for j in (1, 2) for k in (6, 7)],
+            "gear ripple, k times per turn (transmission_ripple of joints 1 and 2, 4 in all)",
+        ),
+        ([f"base_step[at={t}]" for t in range(5)], f"{library()['base_step'].summary} (base_step, 5 in all)"),
     ],
 )
 def test_effects_are_said_in_words_with_their_names(labels: list[str], words: str) -> None:
