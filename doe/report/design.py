@@ -155,7 +155,8 @@ def accuracy(design: Design) -> list[Sheet | str]:
             elif parameter.name not in missing:
                 rows.append([f"{parameter.name} [{parameter.file_unit}]", number(std * parameter.to_file, 5)])
     condition = "if effects of typical size may be missing" if missing else "if the model is complete"
-    noise = f"{sigma:.4g} mm, an error of each posture included" if missing else f"{sigma:g} mm"
+    own = problem.fit == "library-prior"  # effects of --missing alone have none
+    noise = f"{sigma:.4g} mm" + ", an error of each posture included" * own
     noise += "" if design.plan.weights is None else f", {len(design.plan)} runs shared out by the weights"
     table = Sheet(headings, rows, f"Expected standard deviations {condition} (sigma = {noise})")
     held = "more that these postures hardly determine: the prior of [machining] holds them; --json has all"
@@ -327,7 +328,7 @@ def advice_sentence(advice: Advice) -> str:
         return efficient
     smallest = advice.smallest
     if smallest is None:
-        return f"No number of runs up to {max(advice.runs)} reaches {advice.target:g} mm. {efficient}"
+        return f"None of these plans, of up to {max(advice.runs)} runs, reaches {advice.target:g} mm. {efficient}"
     of, missing = "at the tip" if advice.of_tip else "in each length", ""
     for design, error in zip(advice.designs, advice.tip_errors, strict=False):
         if design is smallest and np.isfinite(lacks := error["effects_missing"]):
