@@ -70,7 +70,7 @@ class Bound:
     def words(self) -> str:
         """Of what it holds, and how surely: `closed form, all postures, proven`."""
         source = "closed form, " if self.source == "closed_form" else ""
-        cut = ", its search was cut by the time limit" if self.cut else ""
+        cut = ", its search was cut short" if self.cut else ""
         return f"{source}{self.postures}, {PROVEN if self.rigorous else NUMERICAL}{cut}"
 
     def __str__(self) -> str:

@@ -165,7 +165,7 @@ def solve(
         except KeyboardInterrupt:
             if best is None:
                 raise
-            status = Status.interrupted
+            status, whole = Status.interrupted, replace(whole, deadline=began)  # the user waits: no time for the bound
         if best is None:
             raise JobError(f"design: no plan that identifies all {p} parameters was found by {chosen.name}")
         best_bound = best_known_bound(problem, runs, whole.ended) if late else best_bound

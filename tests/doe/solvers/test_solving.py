@@ -127,6 +127,13 @@ def test_a_search_that_ends_early_has_the_best_so_far(
     assert (design.status, design.starts) == (status, starts)
     assert design.value == pytest.approx(complex_log_det(POOR))
     assert "bound" not in options or design.bound.source == "continuous"
+    many = problem(
+        FOUR, *(EffectSpec(name, j) for name in ("encoder_eccentricity", "gear_ratio") for j in (1, 2, 3, 4))
+    )
+    plan = np.random.default_rng(0).uniform(FOUR.lower, FOUR.upper, (12, 4))
+    bound = solve(many, 12, Scripted([Offer(plan, 1), KeyboardInterrupt()])).bound
+    assert bound is not None
+    assert bound.cut  # who stops the search does not wait for it
     with pytest.raises(KeyboardInterrupt):  # before the first plan there is none
         solve(problem(FOUR), 8, Scripted([KeyboardInterrupt()]))
 
