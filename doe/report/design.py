@@ -65,7 +65,9 @@ def design_verdict(design: Design) -> str:
         efficiency = "no bound: it is outside joint limits or constraints" if outside else efficiency
         return f"The plan of {runs} has {efficiency} ({criterion})."
     sentence = f"With the plan of {runs} (criterion {criterion}) expect an error of "
-    sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the workspace or --test-poses"
+    listed = design.problem.choices is not None and not design.problem.sampled
+    where = "candidates" if listed and not getattr(design.problem.model, "tied", False) else "workspace"
+    sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the {where} or --test-poses"
     sentence += f", if fitted by armcal identify --{design.plan.fit}" if design.plan.fit else ""
     if bound is None or error["bound"] is None or design.efficiency is None or outside:
         return f"{sentence}."  # no bound applies to a plan outside the limits

@@ -47,14 +47,14 @@ def planar_files(links: str) -> dict[str, str]:
     else:
         allowed = f"allowed: how many, 1 to {MAX_LINKS}, or lengths [mm], one with a point, 13.0, or 612,572.3,115.7"
         raise InputError(f"--links: found {links!r}, {allowed}")
-    title = f"a planar arm of {len(lengths)} links"
+    title = f"a planar arm of {len(lengths)} link{'s' * (len(lengths) != 1)}"
     return _files([REVOLUTE] * len(lengths), "", spatial=False, title=title, lengths=lengths, example=bool(example))
 
 
 def dh_files(joints: int, instrument: str = "") -> dict[str, str]:
     """Of a spatial arm from a Denavit-Hartenberg table that is to be filled in: file name -> text;  instrument : of
     `KINDS`, "": positions are measured"""
-    return _files([REVOLUTE] * joints, instrument, title=f"an arm of {joints} joints", example=True)
+    return _files([REVOLUTE] * joints, instrument, title=f"an arm of {joints} joint{'s' * (joints != 1)}", example=True)
 
 
 def urdf_files(path: PathLike, base: str | None = None, tip: str | None = None, instrument: str = "") -> dict[str, str]:
