@@ -420,24 +420,31 @@ def clearance_of(constraints: Sequence[Constraint]) -> Clearance | None:
 
 
 def room_of(model: Any, constraints: Sequence[Constraint], spare: float = 0.0) -> Room:
-    """What the moves of an arm with these constraints keep free; where nothing is known of any body, nothing.
+    """What the moves of an arm with these constraints keep free; where nothing is known of any body, they keep walls at
+    their ends.
 
     spare : share of the clearance, and of the distance of walls, that is kept besides
 
     Of the clearance that postures keep it is half, beyond which a body may be where it is not thought to be; and the
-    walls of the arm file to 10 mm, since many postures are on one. A line of sight may be blocked between measurements.
+    walls of the arm file to 10 mm, since many postures are on one. Limits of joints that are counted together are kept
+    all along a straight move where its ends keep them. A line of sight may be blocked between measurements.
     """
-    place, clearance = (model.lower, model.upper, joint_units(model)), clearance_of(constraints)
-    if clearance is None:
-        return Room(lambda q: np.empty((len(q), 0)), np.empty((0, len(model.lower))), *place)
-    walls, solid = [each for each in constraints if each.kind in KINDS], [SIGHT not in pair for pair in clearance.pairs]
-    kept, wall = (MOVING + spare) * clearance.asked[solid] - ROUNDING, (1.0 - spare) * WALL
+    clearance, n = clearance_of(constraints), len(model.lower)
+    at_ends = [*KINDS] if clearance is None else ["joint_limits"]
+    walls = [
+        (each, ROUNDING if each.kind in at_ends else (1.0 - spare) * WALL) for each in constraints if each.kind in KINDS
+    ]
+    # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
+    longest = np.where(turns(model), model.reach, 1.0) if walls else np.ones(n)
+    levers = [np.tile((each.kind not in at_ends) * longest, (each.count, 1)) for each, _ in walls]
+    bodies = list[Callable[[Array], Array]]()
+    if clearance is not None:
+        solid = [SIGHT not in pair for pair in clearance.pairs]
+        kept = (MOVING + spare) * clearance.asked[solid] - ROUNDING
+        bodies, levers = [lambda q: clearance.distance(q)[:, solid] - kept], [*levers, clearance.levers()[solid]]
 
     def margin(postures: Array) -> Array:
-        beside = [each.margin(postures) + wall for each in walls]
-        return np.concatenate([clearance.distance(postures)[:, solid] - kept, *beside], axis=1)
+        beside = [each.margin(postures) + slack for each, slack in walls]
+        return np.concatenate([np.empty((len(postures), 0)), *beside, *(each(postures) for each in bodies)], axis=1)
 
-    # links of walls are nowhere farther from the axis of any joint than the stretched arm is long
-    longest = np.where(turns(model), model.reach, 1.0)
-    count = margin(np.zeros((1, len(longest)))).shape[1] - sum(solid)
-    return Room(margin, np.concatenate([clearance.levers()[solid], np.tile(longest, (count, 1))]), *place)
+    return Room(margin, np.concatenate([np.empty((0, n)), *levers]), model.lower, model.upper, joint_units(model))

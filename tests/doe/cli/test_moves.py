@@ -112,6 +112,28 @@ def test_every_joint_from_one_side(folder: Folder) -> None:
     assert [row["direction2"] for row in rows_of(folder, "data.csv")] == [str(sign)] * 10
 
 
+@pytest.mark.parametrize("bodies", ["", POSTS])
+def test_way_points_keep_the_limits_of_joints_that_are_counted_together(folder: Folder, bodies: str) -> None:
+    """With bodies and without; where nothing is known of any, also the walls, as `program` demands."""
+    box = '\n[[constraints]]\nkind = "workspace_box"\nx_mm = [-400.0, 400.0]\ny_mm = [-50.0, 600.0]\n'
+    arm = ARM.replace("links_mm", "link_width_mm = 30.0\nlinks_mm") if bodies else ARM
+    folder.write("arm.toml", arm + "\n[joints]\ncoupled_to = [0, 0, 2, 0]\n" + box + bodies)
+    drawn = np.random.default_rng(0).uniform([-180.0, -120.0, -100.0, -90.0], [180.0, 120.0, 60.0, 90.0], (600, 4))
+    drawn[::2, 2] = np.clip(drawn[::2, 2] * 4.0, -97.0, 59.5)  # many near limits
+    lines = [",".join(map(str, row)) for row in drawn.round(3).tolist()]
+    folder.write("list.csv", "\n".join(["q1_deg,q2_deg,q3_deg,q4_deg", *lines, ""]))
+    folder.said(f"{DESIGN} --approach positive --out plan.csv --force")
+    columns = np.array([[float(row[f"q{j}_deg"]) for j in range(1, 5)] for row in rows_of(folder, "plan.csv")])
+    assert len(columns) >= 15
+    assert np.all((columns[:, 2] >= -100.0 - 1e-6) & (columns[:, 2] <= 60.0 + 1e-6))
+    turned = np.radians(np.cumsum(columns, axis=1) - columns[:, 1:2] * [0.0, 0.0, 1.0, 1.0])
+    tips = np.stack([np.cos(turned), np.sin(turned)]) @ [260.0, 180.0, 120.0, 100.0]
+    slack = 10.0 if bodies else 1e-6
+    assert np.all(np.abs(tips[0]) <= 400.0 + slack)
+    assert np.all((tips[1] >= -50.0 - slack) & (tips[1] <= 600.0 + slack))
+    folder.said("program arm.toml plan.csv --robot abb --out plan.mod")
+
+
 def test_what_is_said_without_moves_and_what_is_refused(folder: Folder) -> None:
     data = folder.said(f"{DESIGN} --out plan.csv --force")
     assert not {"moves", "travel_deg"} & set(data)
