@@ -51,7 +51,7 @@ def doubts(
     bad = [*(read if hidden else []), *bad, *flipped(model, x, identifiable)]
     others = [] if hidden else (read and far_zeros(model, x)) or read
     others += [*another_frame(model, measurements), *outside_limits(arm, measurements), *copied_rows(measurements)]
-    others += only_rounding(residual, measurements) if residual.size > x.size else []
+    others += only_rounding(residual, model, measurements) if residual.size > x.size else []
     return (*bad, *others), bool(bad)
 
 
@@ -117,16 +117,17 @@ def far_rows(residual: Array, outlier: NDArray[np.bool_], together: NDArray[np.b
     ]
 
 
-def rounding(measurements: Measurements) -> float:
+def rounding(model: Model, measurements: Measurements) -> float:
     """RMS distance [mm] that the sums of a fit to data without noise are rounded by, at most."""
-    return 1e-13 * float(np.max(np.abs(measurements.positions)))
+    return 1e-13 * max(model.reach, float(np.max(np.abs(measurements.positions))))
 
 
-def only_rounding(residual: Array, measurements: Measurements) -> list[str]:
-    """Residuals of the size of rounding: data without noise, for which standard deviations mean nothing."""
-    if (left := rms_distance(residual)) > rounding(measurements):
+def only_rounding(residual: Array, model: Model, measurements: Measurements) -> list[str]:
+    """Residuals of the size of rounding, as of data without noise, for which standard deviations mean nothing."""
+    if (left := rms_distance(residual)) > rounding(model, measurements):
         return []
-    return [f"the fit leaves {left:.2g} mm RMS, which is rounding: data without noise, deviations mean nothing"]
+    reason = "data without noise, or contacts that are made whatever the joints do; deviations mean nothing"
+    return [f"the fit leaves {left:.2g} mm RMS, which is rounding: {reason}"]
 
 
 def flipped(model: Model, parameters: Array, identifiable: NDArray[np.bool_]) -> list[str]:
@@ -165,7 +166,7 @@ def another_frame(model: Model, measurements: Measurements) -> list[str]:
     free = abs(left) ** 2  # sum of squares [mm^2] that is left, and that of a base which is held
     held = free + abs(beside_links) ** 2
     before, after = np.sqrt(held / m), np.sqrt(free / m)
-    if before <= rounding(measurements) or not worth_freeing(held, free, 2, spare, FALL**2):
+    if before <= rounding(model, measurements) or not worth_freeing(held, free, 2, spare, FALL**2):
         return []
     fall = f"the RMS falls from {before:.4g} to {after:.4g} mm where the position of the base is estimated, too"
     return [f'{OTHER_FRAME}: {fall}; add [[effects]] name = "base_offset" to the arm file']

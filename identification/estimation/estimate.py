@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.arrays import Array
 from identification.errors import InputError, JobError
-from identification.estimation.doubts import doubts, far_from_drawing, far_rows
+from identification.estimation.doubts import doubts, far_from_drawing, far_rows, only_rounding
 from identification.estimation.problem import (
     NO_PRIOR,
     Prior,
@@ -180,7 +180,7 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
     # rows that the model does not explain, where enough equations are left to tell
     used, held = problem.weights > 0.0, problem.prior_rows
     unexplained, (m, d, p) = np.zeros(len(after), dtype=bool), rows.jacobian.shape
-    if m * d - p + len(held) > p:
+    if m * d - p + len(held) > p and not only_rounding(after, model, data):
         columns, left = rows.jacobian.reshape(m * d, p), held @ (problem.prior_center - x)
         unexplained[used] = outlying(rows.residual, columns, held, left)
     structure = together(unexplained, data.postures, data.posture_numbers)

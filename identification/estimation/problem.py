@@ -311,9 +311,8 @@ def likeliest_noise(target: Array, effects: Array, spare: int, least: float, lar
         lowest = int(np.argmin(minus_log(grid)))
         low, high = grid[max(lowest - 1, 0)], grid[min(lowest + 1, 32)]
     first, middle, last = minus_log([low, 0.5 * (low + high), high])
-    bend = first - 2.0 * middle + last  # of a parabola, whose vertex rounding hardly moves
-    vertex = 0.5 * (low + high) + (0.25 * (high - low) * (first - last) / bend if bend > 0.0 else 0.0)
-    vertex = np.clip(vertex, low, high)
+    bend = max(first - 2.0 * middle + last, 1e-300)  # of a parabola, whose vertex rounding hardly moves; of none an end
+    vertex = np.clip(0.5 * (low + high) + 0.25 * (high - low) * (first - last) / bend, low, high)
     return float(minus_log(vertex)), float(np.exp(vertex))
 
 
@@ -338,7 +337,7 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     if spare == 0:
         return unit, (1.0, 1.0, 1.0)
     # in units of sigma, or of the scatter of a fit without the parameters that have a prior
-    least, largest = unit if has_sigma else unit / 1e3, unit if holds else 1e3 * unit
+    least, largest = unit if has_sigma else unit / 1e3, unit if holds else 1e6 * unit
 
     def fitted(widths: tuple[float, ...], share: float) -> tuple[float, float]:
         """-2 log of the likelihood, and the noise, from a share of the rows."""
@@ -350,7 +349,10 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
 
     # the likelihood is flat over a factor of two; joint zeros are set by hand: to 32 deg
     of_machining, of_zeros = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (1.0, 4.0, 16.0, 64.0)
-    several = [*product(of_machining if machined.any() else (1.0,), of_zeros if zeros.any() else (1.0,), (1.0,))]
+    # contacts that do not show the size of an arm fit one that is next to nothing best: the sizes stated hold it
+    instrument = problem.model.arm.chain.instrument if machined.any() else None
+    chosen = instrument is not None and not (instrument.contact and instrument.size_is_open[0])
+    several = [*product(of_machining, of_zeros if zeros.any() else (1.0,), (1.0,))] if chosen else [(1.0, 1.0, 1.0)]
     # of more equations, rows show the same misfits again, and widths are chosen as from so many
     share = min(1.0, 3000 / problem.equations)
     best = several[0] if len(several) == 1 else min(several, key=lambda widths: fitted(widths, share)[0])

@@ -224,7 +224,8 @@ def with_repeats_doubted(identified: Identification, measurements: Measurements)
     """The fit with a first doubt if its residuals scatter more than repeats of one posture: the same where nothing is
     repeated, and where chi2 says it already or the data have no noise."""
     left, known = identified.residuals_after, identified.scatter
-    if identified.misfit is not None or identified.dof <= 0 or known is None or only_rounding(left, measurements):
+    is_exact = bool(only_rounding(left, identified.model, measurements))
+    if identified.misfit is not None or identified.dof <= 0 or known is None or is_exact:
         return identified
     kept = ~np.isin(np.arange(len(left)) + 1, identified.outlier_rows)
     floor = noise_floor(left, measurements, kept, None).value

@@ -43,13 +43,17 @@ class Distance(Instrument):
         return frozenset(error_names(PLACE)[3:])
 
     def place(self, rows: Unplaced) -> Placement:
-        """From algebraic fits of lengths d, |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points; what the
-        lengths leave open of the base is along the arm's own axes."""
+        """From algebraic fits of lengths d, |a|^2 - d^2 = 2 a . c - (|c|^2), about the mean of the points; of points in
+        a plane |c|^2 alone says how far off it the center is, on one side or the other. What the lengths leave open of
+        the base is along the arm's own axes."""
         points, bases = rows.points, np.tile(np.eye(4), (len(rows.tools), 1, 1))
         middle = points.mean(axis=1, keepdims=True)
         around = (points - middle) / rows.reach
         columns = np.concatenate([2.0 * around, np.ones((*around.shape[:2], 1))], axis=2)
-        goals = np.sum(around**2, axis=2) - (rows.readings[:, 0] / rows.reach) ** 2
+        lengths = (rows.readings[:, 0] - self.readings(np.zeros(3), np.zeros(0))) / rows.reach
+        goals = np.sum(around**2, axis=2) - lengths**2
         solved = (np.linalg.pinv(columns, rcond=RANK_TOLERANCE) @ goals[..., None])[..., 0]
-        bases[:, :3, 3] = -middle[:, 0] - rows.reach * solved[:, :3]
+        normals = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][..., 0]  # of the least scatter
+        off = np.sqrt((-solved[:, 3] - np.sum(solved[:, :3] ** 2, axis=1)).clip(min=0.0))
+        bases[:, :3, 3] = -middle[:, 0] - rows.reach * (solved[:, :3] + normals * off[:, None])
         return self.searched(rows, bases)
