@@ -17,12 +17,12 @@ import numpy as np
 from doe.bounds.certificate import Bound
 from doe.bounds.column_generation import bound_that_holds, bounds_of_runs
 from doe.design import Design
-from doe.plan.accuracy import TipErrors
+from doe.plan.accuracy import ExpectedDeviations, TipErrors
 from doe.plan.spacing import with_additions
 from doe.problem.model import NEEDS_SIGMA
 from doe.problem.problem import DesignProblem
 from doe.solvers import solve
-from identification import Arm, Array, InputError, Plan, Progress, Status
+from identification import Arm, Array, InputError, Progress, Status
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,7 @@ def advise(
 
 def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) -> Array:
     """(k,) what falls with every run added: expected deviations, and errors of the tip if the model is right."""
-    design = Design(problem, Plan(postures, joint_types=problem.model.joint_types))
-    expected = design.deviations
+    expected = ExpectedDeviations.of(problem, postures)
     deviations = [np.inf, np.inf] if expected is None else [expected.largest("mm"), expected.largest("rad")]
     of_tip = {} if errors is None else errors.of_plan(postures)
     return np.array([*deviations, *(error for key, error in of_tip.items() if key.startswith("model_right"))])

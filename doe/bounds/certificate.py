@@ -23,10 +23,13 @@ SCOPES = {"closed_form": "all postures", "continuous": "all postures", "grid": "
 PROVEN, NUMERICAL = "proven", "numerical"
 
 
-def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike) -> Array:
-    """(m,) tr(G B^T B) of postures (m, n), with G the criterion's gradient at the design's information matrix."""
+def sensitivity(problem: DesignProblem, information: Array, postures: ArrayLike, runs: int | None = None) -> Array:
+    """(m,) tr(G F) of postures (m, n), with G the criterion's gradient at the design's information matrix.
+
+    runs : number of new runs, needed where the problem keeps measured postures
+    """
     gradient = problem.criterion.gradient(information)
-    return PriorInformation().sensitivities(problem.scaled_jacobians(postures), gradient)
+    return problem.prior.per_new_run(runs).sensitivities(problem.scaled_jacobians(postures), gradient)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ allows.
 are recomputed from the weights, whoever computed them; a solver's own numbers are not used.
 
 The best bound that is known for a problem: the certificate of one number of runs bounds all others too (doe/README.md,
-"Exact plans"). It is tight where it was made and loose by about the square of the change of log m elsewhere:
-certificates are added where the lowest is far above the designs that are known.
+"Exact plans"), tight where it was made and loose by about the square of the change of log m elsewhere.
 """
 
 from __future__ import annotations
@@ -370,8 +369,7 @@ def relax(
         chosen = listed_candidates(problem, np.asarray(candidates, dtype=float))
     try:
         if solver == "column_generation":
-            tolerance = 0.01 if problem.missing else 1e-9
-            return column_generation(problem, chosen, runs=runs, tolerance=tolerance, stop=stop)
+            return column_generation(problem, chosen, runs=runs, tolerance=0.01 if problem.missing else 1e-9, stop=stop)
         larger = "solver column_generation works at this size"
         if len(chosen) > LARGEST[solver]:
             allowed = f"up to {LARGEST[solver]}, where one big program still works"
@@ -483,8 +481,7 @@ def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = nev
         for m in np.unique(np.round(np.geomspace(min(runs), max(runs), steps))).astype(int)[::-1].tolist():
             if made and stop():
                 break
-            also = made[-1].plan.postures if made else None
-            made.append(best_design(problem, m, also=also, stop=stop))
+            made.append(best_design(problem, m, also=made[-1].plan.postures if made else None, stop=stop))
     except (JobError, np.linalg.LinAlgError):
         return dict.fromkeys(runs)
     tightest = {m: min(made, key=lambda one: one.upper_at(m)) for m in runs}

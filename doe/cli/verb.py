@@ -103,8 +103,7 @@ class JobOptions:
     def how(self, seed: int, progress: Progress, workers: int | None = None) -> dict[str, Any]:
         """Arguments of `doe.jobs.run_tasks`;  workers : where none are asked for, None: as many as there are cores"""
         where = self.workers or workers or os.cpu_count() or 1 if self.cluster is None else self.cluster
-        kept = {"resume": self.resume, "force": self.force}
-        return {"workers": where, "seed": seed, "progress": progress, **kept}
+        return {"workers": where, "seed": seed, "progress": progress, "resume": self.resume, "force": self.force}
 
 
 # -- from a signature to a command -------------------------------------------------------------------------------------

@@ -302,8 +302,7 @@ def score_files(
     lines.append(f"observability indices: {indices}")
     if getattr(problem.model, "needs", ()) and any(column is not None for column in judged.conditions.values()):
         lines.append("Payloads, temperatures and directions of the plan count in the following; above, all are alike.")
-    document = design_document(design).plus(*lines, *tables)
-    return with_collisions(Answer(data, document), problem, judged.postures)
+    return with_collisions(Answer(data, design_document(design).plus(*lines, *tables)), problem, judged.postures)
 
 
 @VERBS.declare("armcal advise arm.toml --runs 4:40 --target-mm 0.02")
@@ -464,8 +463,7 @@ def compare_files(
             job.out.mkdir(exist_ok=True)  # where every run failed no rows are kept
             write_together({job.out / "summary.parquet": parquet(summed)}, force=True)
             shown.append(f"rows and summary written to {job.out}")
-        data = {"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}
-        return Answer(data, Document(parts=shown))
+        return Answer({"rows": rows.drop("key").to_dicts(), "summary": summed.to_dicts()}, Document(parts=shown))
 
 
 @VERBS.declare("armcal program arm.toml plan.csv --robot ur --out plan.script")
@@ -703,5 +701,4 @@ def demo_files(
         write_together({out / "overview.png": picture, out / "report.html": text}, force=True)
         files = ", ".join(demo.data["files"])
         look = f"Look at {out / 'report.html'} in a browser, and at the files beside it: {files}"
-        answer = Answer(demo.data, document.plus(look))
-        return with_collisions(answer, demo.design.problem, demo.design.plan.postures)
+        return with_collisions(Answer(demo.data, document.plus(look)), demo.design.problem, demo.design.plan.postures)

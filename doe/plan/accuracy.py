@@ -9,9 +9,7 @@ units. Larger is better for each; 0 where the plan does not identify all paramet
 *Error of the tip* at test poses, where nothing was measured, with a correct model, and with effects of typical size
 missing from it: root mean square over poses and over arms that the prior may give.
 
-*Designs for an arm whose model may lack something* (doe/README.md, "Robust designs"): the parameters are those of the
-model and of all effects of the library, error curves among them; the latter have a normal prior of zero mean, and each
-posture has an error of its own, which is noise to all others.
+*Designs for an arm whose model may lack something*: doe/README.md, "Robust designs".
 """
 
 from __future__ import annotations
@@ -84,8 +82,7 @@ class ExpectedDeviations:
 
     def largest(self, unit: str) -> float:
         """Of a length [mm] or an angle [rad] of the arm's geometry; zero where none is estimated."""
-        chosen = [p.unit == unit and not p.of_effect for p in self.parameters]
-        return float(np.max(self.values[chosen], initial=0.0))
+        return float(np.max(self.values[[p.unit == unit and not p.of_effect for p in self.parameters]], initial=0.0))
 
 
 def error_at_poses(problem: DesignProblem, value: float, runs: int) -> float | None:

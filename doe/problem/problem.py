@@ -1,13 +1,10 @@
 """The design problem: exactly the mathematical ingredients, frozen. `doe.solvers` solves it.
 
-*What is known beforehand* is added to every information matrix: earlier measurements, typical sizes. Let K be the sum
-of B^T B of the k runs measured already. A parameter that is normal beforehand with the standard deviation d adds
-sigma^2 / (s d)^2 to the diagonal of K, s its scale, and no run. Then m new runs have the information per run
+What is known beforehand, K and k of doe/README.md, "Prior information", is added to every information matrix:
 
     M = (sum_i B_i^T B_i + K) / (m + k)
 
-and per new run, with K / m and k / m in place of K and k, weights that sum to one give the same M. It stays a convex
-mixture of the matrices F_i = (B_i^T B_i + K) / (1 + k), so that the equivalence theorem holds as it stands.
+With K / m and k / m in place of K and k, weights that sum to one give the same M.
 """
 
 from __future__ import annotations
@@ -38,7 +35,7 @@ def never() -> bool:
 
 @dataclass(frozen=True, eq=False)
 class PriorInformation:
-    """Information known before the new runs: K and k of the module's formula.
+    """Information known before the new runs: K and k of the formula.
 
     total : (p, p) sum of B^T B, positive semidefinite, or 0;  runs : how many runs it counts as, >= 0
     """

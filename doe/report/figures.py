@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -15,6 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from doe.bounds.certificate import sensitivity
 from doe.problem.model import PRISMATIC
 from doe.problem.problem import DesignProblem
 from identification import Arm, Array, design_model, rms_distance
@@ -151,19 +153,14 @@ def certificate_figure(problem: DesignProblem, postures: Array, samples: int = 1
     active, generator = problem.active_joints, np.random.default_rng(0)
     figure = Figure(figsize=(10.0, 2.9), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, len(active), sharey=True))
-    prior = problem.prior.per_new_run(len(postures))
-    gradient = problem.criterion.gradient(problem.information(postures))
+    d = partial(sensitivity, problem, problem.information(postures), runs=len(postures))
     cloud = generator.uniform(problem.lower, problem.upper, (samples, problem.joints))
     upper = generator.integers(0, 2, (min(samples, 4 * 2 ** len(active)), problem.joints)) == 1
     others = np.concatenate([cloud, np.where(upper, problem.upper, problem.lower), postures])
 
-    def d(somewhere: Array) -> Array:
-        return prior.sensitivities(problem.scaled_jacobians(somewhere), gradient)
-
     at_plan = d(postures)
     for axis, joint in zip(axes, active, strict=True):
-        sliding = problem.model.joint_types[joint] == PRISMATIC
-        unit, factor = ("mm", 1.0) if sliding else ("deg", np.degrees(1.0))
+        unit, factor = ("mm", 1.0) if problem.model.joint_types[joint] == PRISMATIC else ("deg", np.degrees(1.0))
         values, largest = np.linspace(problem.lower[joint], problem.upper[joint], steps), []
         for value in values:
             held = others.copy()

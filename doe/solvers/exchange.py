@@ -182,10 +182,17 @@ class Batch:
 
     def _exchange(self, starts: NDArray[np.intp], run: int) -> None:
         """Move one run of some starts to the best posture that differs in one joint."""
-        old = self.jacobians[starts, run]
+        problem, old, levels = self.problem, self.jacobians[starts, run], self.offered.shape[1]
         without = self.information[starts] - information_of_each(old)
-        postures = self._neighbors(self.plans[starts, run])
-        allowed = self._allowed(starts, postures, run)
+        joints = problem.searched_joints
+        postures = np.repeat(self.plans[starts, run][:, None], len(joints) * levels, axis=1)  # (s, c, n)
+        for k, joint in enumerate(joints):
+            postures[:, k * levels : (k + 1) * levels, joint] = self.offered[joint]
+        # those that satisfy the constraints and repeat no other run of their plan
+        allowed, distance = problem.feasible(postures), distance_to_keep(problem)
+        for start, row in enumerate(starts.tolist() if distance > 0.0 else []):
+            others = np.concatenate([np.delete(self.plans[row], run, axis=0), problem.kept])
+            allowed[start] &= gaps(problem, postures[start], others).min(axis=1, initial=np.inf) >= distance
         jacobians = np.concatenate([self._jacobians(postures), old[:, None]], axis=1)  # the posture itself comes last
         values = self.criterion.values_after_adding(without, jacobians)
         least = values[:, -1] + IMPROVEMENT
@@ -194,19 +201,3 @@ class Batch:
         best, at = np.argmax(values[rows], axis=1), starts[rows]
         self.plans[at, run], self.jacobians[at, run] = postures[rows, best], jacobians[rows, best]
         self.information[at] = without[rows] + information_of_each(self.jacobians[at, run])
-
-    def _neighbors(self, postures: Array) -> Array:
-        """(s, c, n) postures that differ from those given (s, n) in one joint, on the grid."""
-        levels, joints = self.offered.shape[1], self.problem.searched_joints
-        moved = np.repeat(postures[:, None], len(joints) * levels, axis=1)
-        for k, joint in enumerate(joints):
-            moved[:, k * levels : (k + 1) * levels, joint] = self.offered[joint]
-        return moved
-
-    def _allowed(self, starts: NDArray[np.intp], postures: Array, run: int) -> NDArray[np.bool_]:
-        """(s, c) True where a posture satisfies the constraints and repeats no other run of its plan."""
-        allowed, distance = self.problem.feasible(postures), distance_to_keep(self.problem)
-        for start, row in enumerate(starts.tolist() if distance > 0.0 else []):
-            others = np.concatenate([np.delete(self.plans[row], run, axis=0), self.problem.kept])
-            allowed[start] &= gaps(self.problem, postures[start], others).min(axis=1, initial=np.inf) >= distance
-        return allowed

@@ -154,9 +154,8 @@ def run_study(study: Study, folder: Path | None = None, **how: Any) -> dict[str,
 
 def make_plan(key: dict[str, Any], seed: np.random.SeedSequence, arm: Arm) -> list[Row]:
     """The plan of a key as one row."""
-    problem = DesignProblem.of(arm)
     number = int(seed.generate_state(1)[0])
-    design = solve(problem, key["runs"], key["plan"], seed=number, seconds=key["limit_s"])
+    design = solve(DesignProblem.of(arm), key["runs"], key["plan"], seed=number, seconds=key["limit_s"])
     return [{"postures_deg": design.plan.displayed.tolist(), "efficiency": design.efficiency}]
 
 
