@@ -22,7 +22,6 @@ from doe.bounds.certificate import ApproximateDesign, Bound
 from doe.bounds.column_generation import best_known_bound, bound_that_holds, continuous_design
 from doe.bounds.planar_theorem import applies, closed_form_bound
 from doe.design import Design
-from doe.plan.accuracy import plan_jacobians
 from doe.plan.ascent import PlanAscent
 from doe.plan.spacing import allowed_value, places_of_free_joint, separated, spread_free_joints, with_additions
 from doe.problem.postures import listed_candidates, random_postures
@@ -31,7 +30,7 @@ from doe.solvers.exchange import Exchange
 from doe.solvers.ipopt import Ipopt
 from doe.solvers.planar_theory import Analytic, optimal_plans
 from doe.solvers.solver import LONG_PLAN, LONG_PLAN_SECONDS, Budget, Offer, Solver
-from identification import Array, InputError, JobError, Plan, Progress, Status, additions, spectrum
+from identification import Array, InputError, JobError, Plan, Progress, Status, additions
 
 AGREEMENT = 10  # independent local searches that end at the best value
 NEUTRAL = "under one payload, temperature, time and approach no posture distinguishes"
@@ -182,8 +181,7 @@ def solve(
             many = np.random.default_rng(0).uniform(problem.lower, problem.upper, (4 * p, problem.joints))
         else:
             many = listed_candidates(problem, problem.choices)
-        seen, names = spectrum(plan_jacobians(problem, many), np.ones(p)), problem.model.parameters.names
-        aliases = seen.combinations(names, np.ones(p))
+        aliases = replace(design, plan=Plan(many)).not_identifiable
         if aliases and problem.choices is not None:
             raise JobError(f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan")
         reason = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
