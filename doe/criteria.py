@@ -98,7 +98,7 @@ class Criterion(ABC):
             return 0.0
         if self.power == 0:
             return float(np.exp((value - bound) / self.degree(parameters)))
-        return value / bound if self.power == 1 else bound / value
+        return float((value / bound) ** self.power)
 
     @property
     def smooth(self) -> Criterion:
@@ -151,12 +151,10 @@ class D(Criterion):
         return float(sum(sign * len(rows) for sign, rows in self.terms(parameters)))
 
     def value(self, information: Array) -> Array:
-        each = [
-            (sign, log_determinants(information[..., rows[:, None], rows]))
-            for sign, rows in self.terms(information.shape[-1])
-        ]
-        regular = np.all([np.isfinite(log_det) for _, log_det in each], axis=0)
-        return np.where(regular, sum(sign * np.where(regular, log_det, 0.0) for sign, log_det in each), -np.inf)
+        terms = self.terms(information.shape[-1])
+        with np.errstate(invalid="ignore"):  # none less none is NaN
+            total = sum(sign * log_determinants(information[..., rows[:, None], rows]) for sign, rows in terms)
+        return np.where(np.isfinite(total), total, -np.inf)
 
     def gradient(self, information: Array) -> Array:
         total = np.zeros_like(information)

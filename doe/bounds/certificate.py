@@ -103,7 +103,7 @@ class ApproximateDesign:
     rigorous: bool = False
     status: Status = Status.almost_solved
     solver_status: str = ""
-    solver: str = ""
+    solver: str = "column_generation"
     seconds: float = 0.0
     unconstrained: bool = False
 

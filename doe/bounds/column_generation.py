@@ -236,9 +236,8 @@ def column_generation(
     now = perf_counter()
     end = now + max(2.0, now - began)
     g = everything.sensitivities(design.gradient, lambda: perf_counter() > end and stop())
-    settings = {"candidates": len(candidates), "rigorous": True, "solver": "column_generation"}
-    solved, seconds = goal if rough else 10.0 * goal, perf_counter() - began
-    return design.certified(float(g.max()), solved, cut=stop(), seconds=seconds, **settings)
+    solved, which = goal if rough else 10.0 * goal, {"candidates": len(candidates), "rigorous": True}
+    return design.certified(float(g.max()), solved, cut=stop(), seconds=perf_counter() - began, **which)
 
 
 def continuous_design(
@@ -287,8 +286,8 @@ def continuous_design(
             largest = top.upper if top.proven else largest
             break
         start = np.concatenate([tried, top.posture[None]])
-    settings = {"rigorous": rigorous, "solver": "column_generation"}
-    return design.certified(float(largest), 10.0 * goal, cut=stop(), seconds=perf_counter() - began, **settings)
+    seconds = perf_counter() - began
+    return design.certified(float(largest), 10.0 * goal, cut=stop(), seconds=seconds, rigorous=rigorous)
 
 
 def generate_columns(

@@ -222,7 +222,7 @@ def discrimination_design(
     library = effects if isinstance(effects, EffectLibrary) else EffectLibrary.of(effects)
     if runs > LONG_PLAN and starts is None and seconds is None:
         seconds = 2.0 * LONG_PLAN_SECONDS
-    budget = Budget(1, None if seconds is None else began + seconds)
+    budget = Budget(1, began + (np.inf if seconds is None else seconds))
     half = None if seconds is None else seconds / 2.0
     # from searched postures: those of theory are at few angles, which hide effects
     best = solve(problem, runs, solver or "exchange", seed=seed, starts=starts, seconds=half, progress=progress)

@@ -42,8 +42,8 @@ def design_document(design: Design) -> Document:
     plan, beside = design.plan, columns_beside(design)
     if plan.weights is not None:
         beside["weight"] = [f"{share:.5f}" for share in plan.shares]
-    rows = [[str(run), *(f"{angle:.3f}" for angle in q)] for run, q in enumerate(plan.displayed, start=1)]
-    rows = [[*row, *more] for row, *more in zip(rows, *beside.values(), strict=True)]
+    numbered = enumerate(zip(plan.displayed, *beside.values(), strict=True), start=1)
+    rows = [[str(run), *(f"{angle:.3f}" for angle in q), *more] for run, (q, *more) in numbered]
     table = Sheet(["run", *posture_headings(plan), *beside], rows, "Plan", 24)
     parts = [design_facts(design), *remarks(design), table, *accuracy(design)]
     return Document("Plan", [design_verdict(design)], parts)

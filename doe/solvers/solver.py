@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from time import perf_counter
@@ -32,13 +33,13 @@ class Offer(NamedTuple):
 class Budget:
     """How long to search.
 
-    starts : number of starts, at most;  deadline : value of `perf_counter` at which to stop, None: no time limit
+    starts : number of starts, at most;  deadline : value of `perf_counter` at which to stop
     may_agree : stop before all starts are used when many independent ones came to the same best value
     tell : called whenever it is asked: a step of an arm with bodies takes seconds, and a start minutes
     """
 
     starts: int
-    deadline: float | None = None
+    deadline: float = math.inf
     may_agree: bool = True
     began: float = field(default_factory=perf_counter)
     tell: Callable[[], object] = lambda: None
@@ -46,21 +47,19 @@ class Budget:
     def ended(self) -> bool:
         """True once the time is up."""
         self.tell()
-        return self.deadline is not None and perf_counter() >= self.deadline
+        return perf_counter() >= self.deadline
 
     out_of_time = property(ended)
 
     def used(self, starts: int) -> float:
         """Starts used, or the fraction of the time limit used times the number of starts, whichever is more."""
-        if self.deadline is None:
-            return starts
         limit = max(self.deadline - self.began, 1e-9)
         return max(starts, self.starts * min(1.0, (perf_counter() - self.began) / limit))
 
     def part(self, share: float) -> Budget:
         """The same with that share of the time that is left."""
         now = perf_counter()
-        return self if self.deadline is None else replace(self, deadline=now + share * (self.deadline - now))
+        return replace(self, deadline=now + share * (self.deadline - now))
 
 
 class Solver(Protocol):

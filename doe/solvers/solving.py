@@ -126,8 +126,8 @@ def solve(
     reached = 1.0 - 1e-7  # efficiency from which searching on cannot matter
     status, p, same = Status.starts_finished, problem.parameters, 1e-7  # of criterion values
     with threadpool_limits(limits=1, user_api="blas"):  # matrices are small: more threads only wait for each other
-        limit = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None and seconds is None else seconds
-        deadline = None if limit is None else began + limit
+        usual = LONG_PLAN_SECONDS if runs > LONG_PLAN and starts is None else np.inf
+        deadline = began + (usual if seconds is None else seconds)
 
         def tell() -> None:
             first = not np.isfinite(best_value)
