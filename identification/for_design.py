@@ -206,18 +206,18 @@ class ArmModel(Model):
 
         arm = without_prior(self.arm)
         members = hypotheses(arm, frozenset()).members
-        usual = [b for b in members if b.effect and b.effect.prior == 1.0 and not b.effect.chosen and not b.through]
-        common = [(b, b.effect, b.spec) for b in usual if b.effect and b.spec]
-        shown = [each for each in common if not each[1].needs & BY_ORDER]
-        model = Model(arm.with_effects(*arm.effects, *(spec for _, _, spec in shown)))
+        usual = [(b, b.effect) for b in members if b.effect and b.effect.prior == 1.0 and not b.through]
+        common = [(block, effect) for block, effect in usual if not effect.chosen]
+        shown = [(block, effect) for block, effect in common if not effect.needs & BY_ORDER]
+        model = Model(arm.with_effects(*arm.effects, *(effect.spec for _, effect in shown)))
         base, bases = len(Model(arm).parameters), []
-        for block, effect, _ in shown:
+        for block, effect in shown:
             columns = [model.parameters.index(parameter.name) - base for parameter in effect.parameters]
             basis = np.zeros((len(model.parameters) - base, len(columns)))
             basis[columns, range(len(columns))] = model.scales[base:][columns]
             bases.append(basis.sum(axis=1, keepdims=True) if block.family else basis)
-        weights = np.array([block.weight for block, _, _ in shown])
-        by_rows = (spec for _, effect, spec in common if effect.needs & BY_ORDER)
+        weights = np.array([block.weight for block, _ in shown])
+        by_rows = (effect.spec for _, effect in common if effect.needs & BY_ORDER)
         ordered = Model(arm.with_effects(*arm.effects, *by_rows))
 
         def by_order(postures: Array) -> Array:

@@ -25,7 +25,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 import numpy as np
 
-from identification.arm import Arm, ErrorCurve, Gravity
+from identification.arm import Arm, EffectSpec, ErrorCurve, Gravity
 from identification.arrays import Array, slices
 from identification.errors import InputError
 from identification.kinematics.chain import NOTHING, KinematicChain, in_space
@@ -178,6 +178,7 @@ class Effect:
     link_length = property(lambda self: float(self.chain.levers[self.joint_index]))
     curve: ErrorCurve | None = None
     fixed: Mapping[str, float] = MappingProxyType({})  # values of parameters that stay as they are (`EffectSpec`)
+    spec = property(lambda self: EffectSpec(self.name, self.joint, self.fixed, self.curve))  # its entry in an arm file
 
     def __init_subclass__(cls) -> None:
         cls.family = cls.family or getattr(cls, "name", "")

@@ -54,9 +54,10 @@ def geometry(base: Fitted) -> PredictingModel:
     return PredictingModel(base.model, base.values, base.rows, covariance, base.sigma, max(base.freedom, 1), spread)
 
 
-def averaged(posterior: Posterior, rows: int) -> PredictingModel:
-    """The posterior's average as a model;  rows : number of coordinates that it is fitted to"""
-    whole, library, arm, g = posterior.whole, posterior.library, posterior.library.arm, len(posterior.whole.base)
+def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
+    """The posterior's average as a model;  coordinates : number of those that it is fitted to"""
+    whole, library, rows, g = posterior.whole, posterior.library, posterior.at.rows, len(posterior.whole.base)
+    arm = library.arm
     chances = defaultdict[str, float](float)
     for one in posterior.explanations:
         for block in one.blocks:
@@ -93,7 +94,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     mean, variance = posterior.shares @ np.array(means), float(posterior.shares @ noises)
     apart = np.array(means) - mean
     covariance = np.tensordot(posterior.shares, covariances, 1) + (apart.T * posterior.shares) @ apart
-    freedom = max(rows - round(used) - g, 1)
+    freedom = max(coordinates - round(used) - g, 1)
 
     # an error curve takes up all else that depends on its joint's angle alone: within the angles measured they may
     # cancel, and beyond them, where a curve does not hold, their sum is worth no more
@@ -104,9 +105,9 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         waves = {f"curve:{joint + 1}": partial(curve_waves, start=start, stop=stop)}
         of_curves.append(((joint, start, stop), waves | functions))
     absorbed = [label for _, functions in of_curves for label in functions]
-    members = [b for b in kept if b.spec is not None and b.listed and b.label not in absorbed]
-    specs = tuple(b.spec for b in members if b.spec is not None)
-    plain = Model(arm.with_effects(*arm.effects, *specs))
+    members = [b for b in kept if b.listed and b.label not in absorbed]
+    unlisted = [b.effect for b in kept if b.effect and b.effect.unlisted]
+    plain = library.model(members)
     renamed = library.renamed(plain)
     place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
     for block, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
@@ -115,10 +116,10 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
     curves = list[Curve]()
-    beside_curves = [b.label for b in kept if b.effect and b.effect.unlisted and b.effect.joint]  # off with the first
+    beside_curves = [effect.label for effect in unlisted if effect.joint]  # off with the first
     for (joint, start, stop), functions in of_curves:
         at = np.concatenate([places[label] for label in functions])
-        beside = beside_known(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
+        beside = conditional_covariance(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
         together = [*functions, *(beside_curves if not curves else ())]
         parts = np.sum([geometry_of[label] for label in together], axis=0).tolist()
@@ -128,7 +129,7 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         shifted |= {name: float(value) for name, value in along.items() if name in shifted}
         # the table goes through their sum at the angles measured, and as a random walk does where there are none: there
         # they, too, may add up that cancel elsewhere
-        commanded = posterior.at.rows.postures[:, joint]
+        commanded = rows.postures[:, joint]
         q = around(commanded, start, stop)
         for steps in (WAVES * 2**k for k in range(5)):  # eight a period of the fastest waves, as a rule
             angles = np.linspace(start, stop, 2 * steps + 1)
@@ -146,12 +147,11 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
         std = np.sqrt(np.maximum(np.sum((values_at @ beside) * values_at, axis=1), 0.0))
         curves.append(Curve(joint + 1, table, std))
     # errors of any form keep their values, as curves do: no fit without their prior should change them
-    fixed = [(b.label, b.spec, b.effect) for b in kept if b.spec and b.effect and b.effect.unlisted]
-    tables = list[EffectSpec]()
-    for label, spec, effect in fixed:
-        held = dict(zip((p.short for p in effect.parameters), mean[places[label]].tolist(), strict=True))
-        tables.append(replace(spec, values={**spec.values, **held}))
-    entries = (*specs, *tables, *(curve.spec for curve in curves))
+    entries = [b.effect.spec for b in members if b.effect]
+    for effect in unlisted:
+        fixed = zip((p.short for p in effect.parameters), mean[places[effect.label]].tolist(), strict=True)
+        entries.append(replace(effect.spec, values={**effect.spec.values, **dict(fixed)}))
+    entries += [curve.spec for curve in curves]
     model = Model(arm.with_effects(*arm.effects, *entries))
 
     # a file stores the covariance of parameters, not of curves: it is taken beside the curves as they are written, then
@@ -159,28 +159,25 @@ def averaged(posterior: Posterior, rows: int) -> PredictingModel:
     of_base, spread = np.flatnonzero(index < g), np.zeros((len(index), len(index)))
     normal = posterior.problems[posterior.best.noise].normal
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
-    jacobian = Fitted(model, values, posterior.at.rows).linearized[1]
-    given = [*absorbed, *(label for label, _, _ in fixed)]
-    known = np.concatenate([np.zeros(0, dtype=np.int64), *(places[name] for name in given)])
-    functions_of = [whole.columns[whole.numbers[name]] for name in given]
-    every, tall = (
-        [*index, *known],
-        np.concatenate([jacobian, *functions_of], axis=2).reshape(posterior.at.errors.size, -1),
-    )
-    gram = tall.T @ tall / len(jacobian)  # of a covariance C the mean square distance is the sum of gram * C
-    inside, beside = gram[: len(index), : len(index)], beside_known(covariance, index, known)
+    jacobian = Fitted(model, values, rows).linearized[1]
+    tabulated = [*absorbed, *(effect.label for effect in unlisted)]
+    conditioned = np.concatenate([index[:0], *(places[label] for label in tabulated)])
+    columns = np.concatenate([jacobian, *(whole.columns[whole.numbers[label]] for label in tabulated)], axis=2)
+    tall, every = columns.reshape(-1, columns.shape[2]), [*index, *conditioned]
+    gram = tall.T @ tall / len(columns)  # of a covariance C the mean square distance is the sum of gram * C
+    inside, beside = gram[: len(index), : len(index)], conditional_covariance(covariance, index, conditioned)
     spread /= max(float(np.sum(inside * spread)), 1e-300)
     more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
-    sigma = float(np.sqrt(variance))
-    written = PredictingModel(model, values, posterior.at.rows, beside, sigma, freedom, spread, entries, tuple(curves))
+    sigma, specs = float(np.sqrt(variance)), tuple(entries)
+    written = PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves))
     return written.allowing(more)
 
 
-def beside_known(covariance: Array, kept: Index, conditioned: Index) -> Array:
+def conditional_covariance(covariance: Array, kept: Index, conditioned: Index) -> Array:
     """Covariance of the parameters `kept` once those `conditioned` have their values.
 
-    Combinations of the known ones that hardly vary are taken as not known: what is there of them is rounding, which
-    their inverse would amplify.
+    Combinations of these that hardly vary are not conditioned on: what is there of them is rounding, which their
+    inverse would amplify.
     """
     sizes = np.sqrt(np.diag(covariance)[conditioned].clip(min=0.0))
     scale = np.where(sizes > 0.0, sizes, np.inf)

@@ -22,7 +22,7 @@ import numpy as np
 
 from identification.arm import Arm, EffectSpec, spline_table
 from identification.arrays import Array
-from identification.effects import Effect, Scope, build, build_all, of_dimension
+from identification.effects import Effect, Scope, build, of_dimension
 from identification.effects.base import OF_LOAD, ArmState, contribution, state_slices, widths
 from identification.effects.formulas import RARE
 from identification.gap.fit import Fitted, Rows
@@ -35,7 +35,6 @@ from identification.vectorized import Evaluate, vectorize
 
 RIPPLE, RIPPLE_ORDER = "transmission_ripple", "k"
 ORDERS = np.arange(3.0, 256.25, 0.25)  # periods per turn; derived: every wave between has a likeness of 0.97 with one
-PLACES = {"base_drift": "time", "base_rotation_drift": "time", "base_step": "time", "axes_skew": "workspace"}
 # numerical: expected square of a combination of columns at the block's largest size, below which it is left out
 FAINT = 0.03
 OUTSIDE = 0.02  # prior weight of everything outside the library at one place, beside an effect of the whole arm
@@ -49,20 +48,20 @@ class Block:
     """One thing that may be missing.
 
     label : unique, with scanned settings: `transmission_ripple:2[k=6]`
-    place : `joint:j`, `time`, `temperature`, `workspace`, `row:i` (from 0), or the effect's name
-    weight : prior weight: 1 for an effect of the whole arm, n^(-1/2) at each of n joints (between one for each joint
-        and one for all joints together), divided by the number of scanned settings, times the effect's own `prior`
-    effect, spec : None where an arm file has no such effect;  through : kind of effects that alone it shows through
+    place : `joint:j`; else the first word of its name: `time`, `temperature`, `workspace`, `row`
+    weight : in the prior of sets (identification/README.md, "One posterior")
+    effect : None where an arm file has no such effect;  through : kind of effects that alone it shows through
     span : of an error curve the joint (from 0) and its first and last angle [rad]
+    row : number from 0 of the single row that it shifts
     """
 
     label: str
     place: str
     weight: float
     effect: Effect | None = None
-    spec: EffectSpec | None = None
     through: str = ""
     span: tuple[int, float, float] | None = None
+    row: int | None = None
 
     @classmethod
     def of(cls, arm: Arm, spec: EffectSpec, weight: float, kinds: frozenset[str] = frozenset()) -> Block:
@@ -71,16 +70,15 @@ class Block:
         weight : of an effect that acts at all joints, less at one of them;  kinds : what the arm's effects need
         """
         effect = build(spec, arm.chain)
-        place = PLACES.get(spec.name, spec.name.partition("_")[0] if effect.unlisted else spec.name)
-        place = place if spec.joint is None else f"joint:{spec.joint}"
+        place = spec.name.partition("_")[0] if spec.joint is None else f"joint:{spec.joint}"
         weight *= OUTSIDE if effect.unlisted else 1.0
         through = "" if effect.through in kinds else effect.through
-        return cls(effect.label, place, weight / np.sqrt(arm.links if spec.joint else 1), effect, spec, through)
+        return cls(effect.label, place, weight / np.sqrt(arm.links if spec.joint else 1), effect, through)
 
     @property
     def key(self) -> str:
         """`name` or `name:joint` of an effect, without the scanned setting; else its place."""
-        return self.place if self.spec is None else self.spec.key
+        return self.place if self.effect is None else self.effect.place
 
     @cached_property
     def listed(self) -> bool:
@@ -91,11 +89,6 @@ class Block:
     def outside(self) -> bool:
         """Whether it is something outside the library, at a place."""
         return not self.listed and self.row is None
-
-    @cached_property
-    def row(self) -> int | None:
-        """Number from 0 of the single row that it shifts."""
-        return int(self.place[4:]) if self.place.startswith("row:") else None
 
     @cached_property
     def size(self) -> int:
@@ -135,7 +128,7 @@ class Library:
 
     def model(self, chosen: Sequence[Block]) -> Model:
         """Model of the arm with these effects."""
-        return Model(self.arm.with_effects(*self.arm.effects, *(b.spec for b in chosen if b.spec is not None)))
+        return Model(self.arm.with_effects(*self.arm.effects, *(b.effect.spec for b in chosen if b.effect)))
 
     def renamed(self, model: Model) -> dict[str, str]:
         """Name of each parameter of the arm's effects -> its name in a model with further effects: similar ones change
@@ -265,11 +258,11 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     available = set(BY_ORDER | (given & {"temperature"})) | arm.chain.instrument.offers
     available -= FOLLOWING if rows is not None and not rows.conditions.follow else set()
     available |= set() if arm.gravity is None else {"gravity"}
-    known, base = of_dimension(arm.dimension), Model(arm)
-    kinds, own = frozenset(base.needs), {effect.label for effect in build_all(arm.effects, arm.chain)}
+    classes, base = of_dimension(arm.dimension), Model(arm)
+    kinds, modeled = frozenset(base.needs), {effect.label for effect in base.effects}
     unseen = frozenset[int]() if rows is None else untested_joints(Fitted(base, base.values, rows))
     members, unlisted, skipped = list[Block](), list[Block](), dict[str, str]()
-    for name, cls in known.items():
+    for name, cls in classes.items():
         if cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
             continue  # does not act on the mean, is no fault of the arm, or cannot be told from the base parameters
         if "distance" in cls.needs - available or (cls.of_positions and not arm.chain.instrument.reads_positions):
@@ -278,8 +271,8 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
         if missing := sorted(cls.needs - available):
             reasons[name] = f"needs {', '.join(missing)}"
             continue
-        modeled = cls.per_joint == "none" or any(each.startswith(f"{name}.") for each in base.names)  # of every joint
-        joints = () if modeled else range(cls.first_joint, arm.links + 1)
+        whole = cls.per_joint == "none" or any(each.startswith(f"{name}.") for each in base.names)
+        joints = () if whole else range(cls.first_joint, arm.links + 1)
         for joint in (*([] if cls.per_joint == "required" else [None]), *joints):
             spec = EffectSpec(name, joint)
             slides = joint is not None and arm.joint_types[joint - 1] == PRISMATIC
@@ -290,14 +283,12 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
             scans = [setting.scan(scope) for setting in cls.settings.values()]
             specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-            added = unlisted if cls.unlisted else members
-            before = len(added)
-            for one in specs:
-                block = Block.of(arm, one, cls.prior / max(len(specs), 1), kinds)
-                added += [block] if block.label not in own else []
-            if len(added) == before:
+            blocks = [Block.of(arm, each, cls.prior / len(specs), kinds) for each in specs]
+            blocks = [block for block in blocks if block.label not in modeled]
+            (unlisted if cls.unlisted else members).extend(blocks)
+            if not blocks:
                 reasons[spec.key] = "already in the arm's model"
-    aliases = {name: cls.alias for name, cls in known.items() if cls.alias is not None}
+    aliases = {name: cls.alias for name, cls in classes.items() if cls.alias is not None}
     return Library(arm, tuple(members), tuple(unlisted), skipped, aliases)
 
 
@@ -416,7 +407,7 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
             blocks.append(Block(f"curve:{j + 1}", f"joint:{j + 1}", OUTSIDE / np.sqrt(len(joints)), span=(j, *span)))
     for k in wrong:
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
-        blocks.append(Block(f"row:{k}", f"row:{k}", 0.0))
+        blocks.append(Block(f"row:{k}", "row", 0.0, row=k))
     target = rows.whiten(y)
     u, back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
     left = target - u @ (u.T @ target)
@@ -424,17 +415,16 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
     tables, taken = [np.zeros((0, len(u)))] * len(blocks), [np.zeros((0, u.shape[1]))] * len(blocks)
     for width in np.unique(sizes):
         alike = np.flatnonzero(sizes == width)
-        for some in map(
-            np.ndarray.tolist, np.array_split(alike, max(len(alike) * width // 256, 1))
-        ):  # of more than can be held at once
-            white = np.ascontiguousarray(rows.whiten(np.concatenate([columns[k] for k in some], axis=2)).T)
+        parts = np.array_split(alike, max(len(alike) * width // 256, 1))  # as many as can be held at once
+        for part in map(np.ndarray.tolist, parts):
+            white = np.ascontiguousarray(rows.whiten(np.concatenate([columns[k] for k in part], axis=2)).T)
             inside = white @ u
-            rest = (white - inside @ u.T).reshape(len(some), width, -1)
-            before = np.einsum("pn,pn->p", white, white).reshape(len(some), width).sum(axis=1)
-            turns = _roots(rest @ rest.transpose(0, 2, 1), before, len(rows), [blocks[k] for k in some])
+            rest = (white - inside @ u.T).reshape(len(part), width, -1)
+            before = np.einsum("pn,pn->p", white, white).reshape(len(part), width).sum(axis=1)
+            turns = _roots(rest @ rest.transpose(0, 2, 1), before, len(rows), [blocks[k] for k in part])
             seen, back_turned = np.any(turns != 0.0, axis=1), turns.transpose(0, 2, 1)
-            rest, inside = back_turned @ rest, back_turned @ inside.reshape(len(some), width, -1)
-            for i, k in enumerate(some):
+            rest, inside = back_turned @ rest, back_turned @ inside.reshape(len(part), width, -1)
+            for i, k in enumerate(part):
                 roots[k], tables[k], taken[k] = turns[i][:, seen[i]], rest[i][seen[i]], inside[i][seen[i]]
     shown = [k for k, root in enumerate(roots) if root.size]
     blocks, columns, roots = [blocks[k] for k in shown], [columns[k] for k in shown], [roots[k] for k in shown]

@@ -78,29 +78,32 @@ def library_prior(
     every = hypotheses(arm, given)
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
-    members = [(b.key, b.effect, b.spec) for b in every.members if b.effect is not None and b.spec is not None]
-    settings = Counter(key for key, _, _ in members)
-    whole = {e.name for _, e, _ in members if e.joint is None}  # then not at single joints besides
+    effects = [b.effect for b in every.members if b.effect]
+    settings = Counter(effect.place for effect in effects)
+    whole = {effect.name for effect in effects if effect.joint is None}  # then not at single joints besides
     added, deviations, faster = list[EffectSpec](), list[float](), np.zeros(arm.links)
-    for key, effect, spec in members:
+    for effect in effects:
         wanted = effect.prior == 1.0 if names is None else effect.name in names  # the rare ones only by name
         if not wanted or (effect.joint is not None and effect.name in whole):
             continue
         if missing := sorted((effect.needs - given) & {"time", "directions", "past", "temperature"}):
-            left_out[key] = f"needs {', '.join(missing)}"
+            left_out[effect.place] = f"needs {', '.join(missing)}"
         elif any(p.typical is None for p in effect.parameters):
-            left_out[key] = "no typical size"
+            left_out[effect.place] = "no typical size"
         elif effect.joint in with_curve and slope_by_angle(effect, (effect.joint or 0) - 1, every.base):
-            left_out[key] = "its joint has an error curve"
+            left_out[effect.place] = "its joint has an error curve"
         else:
             wave = effect.chosen[RIPPLE_ORDER] if effect.name == RIPPLE else 0.0
             # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
-            curve, share = 1e-3 / wave if wave and names is None else 0.0, np.sqrt(effect.prior / settings[key])
+            curve, share = (
+                1e-3 / wave if wave and names is None else 0.0,
+                np.sqrt(effect.prior / settings[effect.place]),
+            )
             each = [float(np.hypot((p.typical or 0.0) * share, curve)) for p in effect.parameters]
             if wave > fastest:
                 faster[effect.joint_index] += each[0] ** 2
             else:
-                added.append(spec)
+                added.append(effect.spec)
                 deviations += each
     if not added and not faster.any():
         raise InputError("effects: none of the library's is left for the prior, allowed: at least one")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from identification import Arm, Array, EffectSpec, Measurements, Model
 from identification.arm import ErrorCurve
-from identification.gap.average import averaged, beside_known, shape_and_waves
+from identification.gap.average import averaged, conditional_covariance, shape_and_waves
 from identification.gap.blocks import around, hypotheses, measured_range
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES, Key
@@ -102,15 +102,15 @@ def test_rounding_in_what_hardly_varies_is_not_amplified() -> None:
     sizes = 10.0 ** rng.uniform(-6.0, 0.0, 40)
     covariance = (root @ root.T + 1e-12 * rng.normal(size=(40, 40))) * np.outer(sizes, sizes)
     scale = np.outer(sizes[kept], sizes[kept])
-    beside = beside_known(covariance, kept, np.arange(3, 40)) / scale
+    beside = conditional_covariance(covariance, kept, np.arange(3, 40)) / scale
     np.testing.assert_allclose(beside, 0.0, atol=1e-9)  # all are known then
     few, known = (root @ root.T)[:9, :9], np.arange(3, 9)
     expected = few[:3, :3] - few[:3, 3:] @ np.linalg.inv(few[3:, 3:]) @ few[3:, :3]
-    np.testing.assert_allclose(beside_known(covariance, kept, known) / scale, expected, rtol=1e-6)
-    np.testing.assert_allclose(beside_known(covariance, kept, known[:0]) / scale, few[:3, :3], atol=1e-11)
+    np.testing.assert_allclose(conditional_covariance(covariance, kept, known) / scale, expected, rtol=1e-6)
+    np.testing.assert_allclose(conditional_covariance(covariance, kept, known[:0]) / scale, few[:3, :3], atol=1e-11)
     # what is left of a parameter that never varies, rounding alone, is neither a variance nor a covariance
     covariance[:2, :2] = [[-1e-29, 2e-24], [2e-24, 1.0]]
-    np.testing.assert_array_equal(beside_known(covariance, kept, known[:0])[0], 0.0)
+    np.testing.assert_array_equal(conditional_covariance(covariance, kept, known[:0])[0], 0.0)
 
 
 # -- names of curves ---------------------------------------------------------------------------------------------------

@@ -109,8 +109,8 @@ def test_columns_of_every_effect_are_derivatives_by_its_parameters() -> None:
     found = library.columns(Fitted(library.base, library.base.parameters.vector(BASE), rows()), blocks)
     of_name: dict[str, list[tuple[EffectSpec, Array]]] = {}
     for block, columns in zip(blocks, found, strict=True):
-        if block.spec is not None and block.spec.joint in (None, 3):
-            of_name.setdefault(block.key, []).append((block.spec, columns))
+        if block.effect is not None and block.effect.joint in (None, 3):
+            of_name.setdefault(block.key, []).append((block.effect.spec, columns))
     assert {"transmission_ripple:3", "joint_compliance", "joint_compliance:3", "axes_skew", "lag:3"} < set(of_name)
     for spec, columns in (each[k] for each in of_name.values() for k in {0, len(each) - 1}):
         model = Model(ARM.with_effects(*ARM.effects, spec))
@@ -138,7 +138,7 @@ def test_every_effect_at_every_joint_with_values_of_settings_and_their_weights()
     bare = hypotheses(Arm([300.0, 200.0, 150.0]), frozenset(), rows())
     assert (bare.skipped["thermal_growth"], bare.skipped["link_bending"]) == ("needs temperature", "needs gravity")
     assert "length_offset" not in bare.skipped  # nothing that these data lack: they are of another instrument
-    values = {name: [dict(b.spec.values) for b in blocks if b.spec is not None] for name, blocks in of.items()}
+    values = {name: [dict(b.effect.spec.values) for b in blocks if b.effect] for name, blocks in of.items()}
     assert [each["rate"] for each in values["breathing"]] == [1.5, 3.5, 7.25]
     assert [each["terms"] for each in values["series"]] == [2, 3] * 3
     assert len(of["transmission_ripple"]) == 3 * (64 - 3 + 1)

@@ -111,7 +111,7 @@ def test_a_joint_that_moves_nothing_is_not_looked_at() -> None:
     nothing = planar.parameters.vector({"length_error:1": -300.0, "length_error:2": -200.0})  # a fit that is nonsense
     assert untested_joints(Fitted(planar, nothing, rows_in_plane)) == frozenset()
     found = hypotheses(arm, frozenset(), rows)
-    of_angles = [b.spec.joint for b in found.members if b.spec and hasattr(b.effect, "joint_angles")]
+    of_angles = [b.effect.joint for b in found.members if b.effect and hasattr(b.effect, "joint_angles")]
     assert set(of_angles) == {1, 2, 3, 4, 5}
     assert any(b.key == "link_step:6" for b in found.members)  # what lies beyond the joint still grows
     assert found.skipped["backlash:6"] == "the joint slides, or hardly moves the measured point"
