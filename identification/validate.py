@@ -288,7 +288,7 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         test = next((test for test in diagnosis.cross_validation if test.transfer == "other postures"), None)
         if test is None:
             return diagnosis
-        after, before = (test.after, test.largest_after), (test.before, test.largest_before)
+        after, before = (test.after_mm, test.max_after_mm), (test.before_mm, test.max_before_mm)
         p_value = 1.0 if test.p_shrinks is None else test.p_shrinks
         return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])

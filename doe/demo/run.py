@@ -236,7 +236,7 @@ def demo_document(demo: Demo) -> Document:
         ("Do the same with the files there, step by step:", "armcal identify arm.toml data.csv --out mine.toml"),
         ("Start with a robot of your own:", "armcal init --urdf robot.urdf --out cell"),
     ]
-    average = f", {test.after:.3f} mm where the diagnosis averages over all that may be missing" if test else ""
+    average = f", {test.after_mm:.3f} mm where the diagnosis averages over all that may be missing" if test else ""
     last = f"with {' + '.join(diagnosis.effects)}" if diagnosis.effects else "nothing named"
     summary = (
         f"A plan of {len(design.plan)} runs ({how_good(design)}). The RMS error on 200 fresh postures falls "

@@ -395,7 +395,7 @@ def next_document(diagnosis: Diagnosis, result: NextPostures) -> Document:
     """The rivals, the chance, the postures, and what to do before their rows can be appended: measurements without a
     payload column mean the arm's own payload."""
     columns = {"run": np.arange(1, len(result.plan) + 1), **result.plan.columns, **result.columns}
-    arm, measured = diagnosis.arm, diagnosis.residuals.conditions
+    arm, measured = diagnosis.arm, diagnosis.measurements.conditions
     rows = [[f"{value:g}" for value in row] for row in zip(*columns.values(), strict=True)]
     notes = []
     if "payload_kg" in columns and measured.payload is None and arm.gravity is not None:

@@ -104,10 +104,9 @@ def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
 # -- diagnoses, without outlier rows, which would set the scale --------------------------------------------------------
 def kept_rows(diagnosis: Diagnosis) -> tuple[NDArray[np.int64], Array, Pairs]:
     """Numbers of the rows that are no outliers, their postures (m, n) [rad], and what is left of them (m, d) [mm]."""
-    left, outliers = diagnosis.residuals, np.array(diagnosis.outlier_rows, dtype=int) - 1
-    kept = np.delete(np.arange(len(left.before)), outliers)
-    postures = np.column_stack([q for name, q in left.against.items() if name.startswith("joint ")])
-    return kept, postures[kept], [(left.before[kept], "before"), (left.after[kept], "after")]
+    kept = np.delete(np.arange(len(diagnosis.measurements)), np.array(diagnosis.outlier_rows, dtype=int) - 1)
+    pairs = [(diagnosis.residuals_before[kept], "before"), (diagnosis.residuals_after[kept], "after")]
+    return kept, diagnosis.measurements.postures[kept], pairs
 
 
 def signed_of(diagnosis: Diagnosis) -> Sequence[Figure | str]:
@@ -116,23 +115,30 @@ def signed_of(diagnosis: Diagnosis) -> Sequence[Figure | str]:
     named = diagnosis.effects or diagnosis.curves
     last = "the model with what is named" if named else "the model, of which nothing is named"
     pairs = [(before, "the model without what is named"), (after, last)]
-    return signed_figures(diagnosis.arm, postures, pairs, diagnosis.residuals.conditions.rows(kept))
+    return signed_figures(diagnosis.arm, postures, pairs, diagnosis.measurements.conditions.rows(kept))
 
 
 def gap_figure(diagnosis: Diagnosis) -> Figure:
     """Residual arrows over the workspace, before and after."""
     kept, _, pairs = kept_rows(diagnosis)
-    return workspace_arrows(diagnosis.extended_arm(), diagnosis.residuals.positions[kept], pairs)
+    return workspace_arrows(diagnosis.extended_arm(), diagnosis.measurements.positions[kept], pairs)
 
 
 def against_figure(diagnosis: Diagnosis) -> Figure:
-    """Residual distances before and after, against each joint, time, torque."""
-    kept, _, pairs = kept_rows(diagnosis)
+    """Residual distances before and after, against each joint, time, and torque and temperature where known."""
+    kept, postures, pairs = kept_rows(diagnosis)
     apart = [(distances(residuals), name) for residuals, name in pairs]
+    arm, measurements, conditions = diagnosis.arm, diagnosis.measurements, diagnosis.measurements.conditions.rows(kept)
+    against: dict[str, Array] = {f"joint {j} [rad]": q for j, q in enumerate(postures.T, start=1)}
+    against["time"] = np.zeros(len(kept)) if conditions.time is None else conditions.time
+    if arm.gravity is not None:
+        torques = Model(arm).torques(postures, conditions)
+        against |= {f"torque {j} [N m]": torque for j, torque in enumerate(torques.T, start=1)}
+    if measurements.temperature is not None:
+        against["temperature [C]"] = measurements.temperature[kept]
 
     def draw(axis: Axes, name: str) -> None:
-        values = diagnosis.residuals.against[name][kept]
-        x = np.degrees(values) if "[rad]" in name else values
+        x = np.degrees(against[name]) if "[rad]" in name else against[name]
         dots(axis, x, apart)
         # and the RMS in up to twelve groups of rows
         groups = np.array_split(np.argsort(x, kind="stable"), min(12, max(1, len(x) // 4)))
@@ -142,7 +148,7 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
         residual = f"residual [{reading_unit(diagnosis.arm)}]"
         axis.set(xlabel=name.replace("[rad]", "[deg]"), ylabel=residual, ylim=(0, None))
 
-    return panels([*diagnosis.residuals.against], 3, 2.3, draw, sharey=True)
+    return panels([*against], 3, 2.3, draw, sharey=True)
 
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,31 +44,31 @@ class Confirmation:
 
     transfer : origin of these rows: `other postures`, `a later time`, `another session` ..
     by : `holdout` or `cross-validation`;  rows, groups : number of rows and of independent groups
-    before, after : RMS distance [mm] of base and tested model in these rows;  predicted : expected value of `after`
-    largest_before, largest_after : distances [mm] of the row that is farthest off
     p_shrinks, p_exceeds : one-sided p-values of "the gap does not shrink" and of "the gap is as predicted"
     shrinks, as_predicted : conclusions; None where the rows are too few
-    named : False if no effect was named, so that no gap has to shrink
     file : that the rows come from, where only its order numbers tell that they are another session; else None
+    before_mm, after_mm : RMS distance of base and tested model in these rows;  predicted_mm : expected `after_mm`
+    max_before_mm, max_after_mm : distances of the row that is farthest off
     refitted : what was fitted to these rows first, since they are of another set-up: `base`, `reflector C`
+    named : False if no effect was named, so that no gap has to shrink
     """
 
     transfer: str
     by: str
     rows: int
     groups: int
-    before: float
-    after: float
-    predicted: float
-    largest_before: float
-    largest_after: float
     p_shrinks: float | None
     p_exceeds: float
     shrinks: bool | None
     as_predicted: bool | None
-    named: bool = True
-    file: str | None = None
-    refitted: tuple[str, ...] = ()
+    file: str | None
+    before_mm: float
+    after_mm: float
+    predicted_mm: float
+    max_before_mm: float
+    max_after_mm: float
+    refitted: tuple[str, ...]
+    named: bool
 
     @property
     def confirmed(self) -> bool | None:
@@ -79,10 +79,7 @@ class Confirmation:
 
     def to_json(self) -> dict[str, object]:
         """Key `confirmation`, and an entry of `cross_validation` (identification/files/README.md, "JSON keys")."""
-        lengths = {"before_mm": self.before, "after_mm": self.after, "predicted_mm": self.predicted}
-        lengths |= {"max_before_mm": self.largest_before, "max_after_mm": self.largest_after}
-        names = ("transfer", "by", "rows", "groups", "p_shrinks", "p_exceeds", "shrinks", "as_predicted", "file")
-        entry = {name: getattr(self, name) for name in names} | lengths
+        entry = {name: value for name, value in vars(self).items() if name not in ("refitted", "named")}
         return entry | {"confirmed": self.confirmed, "refitted": [*self.refitted]}
 
 
@@ -96,6 +93,8 @@ def confirm(
     by: str = "holdout",
     level: float = LEVEL,
     named: bool = True,
+    file: str | None = None,
+    refitted: tuple[str, ...] = (),
 ) -> Confirmation:
     """Test whether the gap shrinks and whether it exceeds the prediction, each one-sided at half of `level`.
 
@@ -117,26 +116,16 @@ def confirm(
     elif named:
         sure = gain.value <= 0.0 and np.sqrt(moved) > -2.0 * sigma * ndtri(level / 2.0)
         shrinks = False if sure or gain._replace(value=-gain.value).p_above() <= level / 2.0 else None
-    exceeds = excess.p_above() <= level / 2.0
     # whether a test at `LEVEL` would detect a true mean of the size predicted with power `POWER`
     quantiles = stdtrit(excess.freedom, 1.0 - LEVEL / 2.0) + stdtrit(excess.freedom, POWER)
     detects = excess.variance < np.inf and predicted.value >= quantiles * np.sqrt(excess.variance)
-    return Confirmation(
-        transfer=transfer,
-        by=by,
-        rows=m,
-        groups=min(int(groups.max()) + 1 for groups in by_groups),
-        before=float(np.sqrt(np.mean(squares))),
-        after=float(np.sqrt(np.mean(left))),
-        predicted=float(np.sqrt(predicted.value)),
-        largest_before=float(np.sqrt(squares.max())),
-        largest_after=float(np.sqrt(left.max())),
-        p_shrinks=gain.p_above() if named else None,
-        p_exceeds=excess.p_above(),
-        shrinks=shrinks,
-        as_predicted=False if exceeds else (True if detects else None),
-        named=named,
-    )
+    exceeds, groups = excess.p_above(), min(int(groups.max()) + 1 for groups in by_groups)
+    answers: dict[str, Any] = {"p_shrinks": gain.p_above() if named else None, "p_exceeds": exceeds, "shrinks": shrinks}
+    answers["as_predicted"] = False if exceeds <= level / 2.0 else True if detects else None
+    squared = {"before": np.mean(squares), "after": np.mean(left), "predicted": predicted.value}
+    squared |= {"max_before": squares.max(), "max_after": left.max()}
+    answers |= {f"{name}_mm": float(np.sqrt(square)) for name, square in squared.items()}
+    return Confirmation(transfer, by, m, groups, **answers, file=file, refitted=refitted, named=named)
 
 
 class Gap(NamedTuple):
@@ -293,9 +282,9 @@ class HeldOut:
         scale = more * len(squares) * model.model.dimension / max(model.freedom, 1)
         predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
         sigma = float(np.sqrt(scale * left.value / after.shape[1]))
-        result = confirm(before, after, predicted, sigma, groups_of(self.rows), self.transfer, named=named)
-        file = self.rows.provenance.get("file") if self.transfer == SESSION else None
-        return replace(result, file=file, refitted=refitted)
+        file, groups = self.rows.provenance.get("file") if self.transfer == SESSION else None, groups_of(self.rows)
+        how = self.transfer, "holdout", LEVEL, named, file, refitted
+        return confirm(before, after, predicted, sigma, groups, *how)
 
 
 # -- each part of the rows predicted from the others -------------------------------------------------------------------

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 
 from identification.arm import Arm
-from identification.arrays import rows_in_words
+from identification.arrays import readonly, rows_in_words
 from identification.documents.diagnosis import untested
 from identification.errors import InputError
 from identification.estimation.doubts import (
@@ -30,7 +29,7 @@ from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fitted, Rows, determined, fit
 from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
-from identification.gap.result import Candidate, Diagnosis, Residuals, as_calibration, probabilities
+from identification.gap.result import Candidate, Diagnosis, as_calibration, probabilities
 from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
 from identification.measurements import Measurements, rms_distance
@@ -132,12 +131,12 @@ def diagnose(
 
     # tests on other rows
     tests = cross_validation(posterior, measurements, kept, generator, something, more)
-    if tests[0].shrinks is False and tests[0].after > tests[0].before:  # the geometry is better, by more than chance
+    if tests[0].shrinks is False and tests[0].after_mm > tests[0].before_mm:  # by more than chance
         alone, predicting, after = True, geometry(base), before
     confirmation = None
     if held_out is not None:
         confirmation = held_out.test(base, predicting, measurements, kept, something, more)
-    figures = () if confirmation is None else (confirmation.before, confirmation.after, confirmation.predicted)
+    figures = () if confirmation is None else (confirmation.before_mm, confirmation.after_mm, confirmation.predicted_mm)
 
     # what these rows show
     sigma = library.arm.sigma if measurements.sigma is None else measurements.sigma[kept]
@@ -157,6 +156,9 @@ def diagnose(
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
     result = Diagnosis(
         arm=library.arm,
+        measurements=measurements,
+        residuals_before=readonly(before),
+        residuals_after=readonly(after),
         verdict=likely.verdict,
         candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
@@ -169,10 +171,8 @@ def diagnose(
         unexplained_rows=tuple(numbers[far].tolist()),
         gap=Gap(rms_distance(before[kept]), rms_distance(after[kept]), floor, *figures),
         detectability=sees,
-        residuals=Residuals.of(library.arm, measurements, before, after),
         sigma=fitted.sigma,
         probabilities=likely,
-        data=MappingProxyType({k: v for k, v in measurements.origin.items() if k != "rows"}),
         misfit=over_sigma,
         confirmation=confirmation,
         cross_validation=tests,

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
-from identification.arrays import Array, readonly
+from identification.arrays import Array
 from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
 from identification.documents.identification import unit_key
@@ -41,68 +41,65 @@ Names = tuple[str, ...]
 # -- probabilities and verdict -----------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Probabilities:
-    """Posterior probabilities of all explanations, with sum 1.
+    """Posterior probabilities of all explanations, and the verdict that follows from them.
 
-    none : nothing is missing;  sets : sorted keys of a set of effects -> its probability
+    explanations : sorted keys of a set of effects, () of nothing missing, None of something outside the library -> its
+        probability, with sum 1
     places : place -> probability of something outside the library there, as part of the likeliest explanation
     titles : sorted keys -> title with the most probable settings, `base_offset + transmission_ripple:2[k=17]`
-    outside : something outside the library
     """
 
-    none: float
-    sets: Mapping[Names, float]
+    explanations: Mapping[Names | None, float]
     places: Mapping[str, float]
     titles: Mapping[Names, str] = field(default_factory=dict)
-    outside: float = 0.0
 
     def title(self, names: Names | None) -> str:
-        """Title of an explanation: of a set of effects by its sorted keys, () of nothing, None of something outside."""
+        """Title of an explanation."""
         return "unknown" if names is None else self.titles.get(names) or " + ".join(names) or "none"
 
-    def of(self, keys: Iterable[str]) -> float:
-        """Probability that exactly the effects with these keys are missing."""
-        names = tuple(sorted(keys))
-        return self.sets.get(names, 0.0) if names else self.none
+    def of(self, keys: Iterable[str] | None) -> float:
+        """Probability of an explanation; of effects by their keys in any order."""
+        return self.explanations.get(None if keys is None else tuple(sorted(keys)), 0.0)
 
     @property
     def credible(self) -> dict[Names | None, float]:
         """Credible set: explanations with a total probability of about `CREDIBLE`, most probable first.
 
         The last one is included if more than half of its probability is needed, so that over many data sets the set
-        contains the truth about as often as stated. () is nothing missing, None something outside the library.
+        contains the truth about as often as stated.
         """
-        every: list[tuple[Names | None, float]] = [((), self.none), *self.sets.items(), (None, self.outside)]
-        credible_sets: dict[Names | None, float] = {}
-        for names, p in sorted(every, key=lambda pair: -pair[1]):
-            if credible_sets and sum(credible_sets.values()) + 0.5 * p >= CREDIBLE:
+        credible_set: dict[Names | None, float] = {}
+        for names, p in sorted(self.explanations.items(), key=lambda pair: -pair[1]):
+            if credible_set and sum(credible_set.values()) + 0.5 * p >= CREDIBLE:
                 break
-            credible_sets[names] = p
-        return credible_sets
+            credible_set[names] = p
+        return credible_set
 
     @cached_property
-    def ranked(self) -> list[Names]:
-        """Sets of names, likeliest first."""
-        return sorted(self.sets, key=lambda names: (round(self.sets[names], 9), names), reverse=True)
+    def sets(self) -> dict[Names, float]:
+        """Sets of effects and their probabilities, likeliest first."""
+        pairs = ((names, p) for names, p in self.explanations.items() if names)
+        return dict(sorted(pairs, key=lambda pair: (round(pair[1], 9), pair[0]), reverse=True))
 
     @property
     def best(self) -> Names:
-        """The likeliest set of names, empty without any."""
-        return self.ranked[0] if self.ranked else ()
+        """The likeliest set of effects, empty without any."""
+        return next(iter(self.sets), ())
 
     @property
     def verdict(self) -> str:
         """`none`, `named`, `ambiguous` or `unknown`."""
-        totals = {"none": self.none, "named": sum(self.sets.values()), "unknown": self.outside}
+        totals = {"none": self.of(()), "named": sum(self.sets.values()), "unknown": self.of(None)}
         likeliest = max(totals, key=lambda kind: round(totals[kind], 9))
         return "ambiguous" if likeliest == "named" and self.sets[self.best] < 0.5 else likeliest
 
     @property
     def rivals(self) -> list[Names]:
-        """Candidates: sets of names that are not much less likely than the likeliest, this first."""
+        """Candidates: sets of effects that are not much less likely than the likeliest, this first."""
         if self.verdict not in ("named", "ambiguous"):
             return []
         many = sum(p >= LEVEL * self.sets[self.best] for p in self.sets.values())
-        return self.ranked[: max(2 if self.verdict == "ambiguous" else 1, min(MOST, many))]
+        return [*self.sets][: max(2 if self.verdict == "ambiguous" else 1, min(MOST, many))]
 
     @property
     def place(self) -> str | None:
@@ -111,21 +108,20 @@ class Probabilities:
 
     def not_none(self, p: float) -> Probabilities:
         """Where noise cannot leave so much with more than probability p: nothing is as much less likely."""
-        return replace(self, none=self.none * p, outside=self.outside + self.none * (1.0 - p))
+        nothing: dict[Names | None, float] = {(): self.of(()) * p, None: self.of(None) + self.of(()) * (1.0 - p)}
+        return replace(self, explanations={**self.explanations, **nothing})
 
 
 def probabilities(posterior: Posterior) -> Probabilities:
     """Probabilities of explanations, noise models and settings summed over."""
     totals, places, titles = defaultdict[Names | None, float](float), defaultdict[str, float](float), dict[Names, str]()
     for one in posterior.explanations:
-        names = one.names
-        totals[None if one.outside else names] += one.probability
+        totals[None if one.outside else one.names] += one.probability
         for place in {block.place for block in one.outside}:
             places[place] += one.probability
         if not one.outside:
-            titles.setdefault(names, " + ".join(b.label for b in one.effects))
-    none, outside = totals.pop((), 0.0), totals.pop(None, 0.0)
-    return Probabilities(none, {n: p for n, p in totals.items() if n}, dict(places), titles, outside)
+            titles.setdefault(one.names, " + ".join(b.label for b in one.effects))
+    return Probabilities(totals, places, titles)
 
 
 # -- estimates of named effects ----------------------------------------------------------------------------------------
@@ -237,30 +233,6 @@ def as_calibration(fitted: Fitted, covariance: Array, freedom: Array, postures: 
 
 
 # -- everything together -----------------------------------------------------------------------------------------------
-class Residuals(NamedTuple):
-    """Residuals (m, d) [mm] of base and named model in all rows, and quantities (m,) to plot them against, by name."""
-
-    before: Array
-    after: Array
-    against: Mapping[str, Array]
-    positions: Array
-    conditions: Conditions
-
-    @classmethod
-    def of(cls, arm: Arm, measurements: Measurements, before: Array, after: Array) -> Residuals:
-        """Against the angle of each joint, time, and torque and temperature where they are known."""
-        conditions, m = measurements.conditions, len(measurements)
-        against: dict[str, Array] = {f"joint {j + 1} [rad]": q for j, q in enumerate(measurements.postures.T)}
-        against["time"] = np.zeros(m) if conditions.time is None else conditions.time
-        if arm.gravity is not None:
-            torques = Model(arm).torques(measurements.postures, conditions)
-            against |= {f"torque {j + 1} [N m]": torque for j, torque in enumerate(torques.T)}
-        if measurements.temperature is not None:
-            against["temperature [C]"] = measurements.temperature
-        shown = MappingProxyType({name: readonly(values) for name, values in against.items()})
-        return cls(readonly(before), readonly(after), shown, measurements.positions, conditions)
-
-
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Documented):
     """Whether model and data disagree, where, which effect is missing, and the gap with that effect in the model.
@@ -268,6 +240,7 @@ class Diagnosis(Documented):
     verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
     candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry
         alone where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
+    measurements, residuals_before, residuals_after : all rows, and (m, d) [mm] what base and predicting model leave
     scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
     unexplained_rows : of rows that the best set does not explain either, but that come together and stay in
     gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
@@ -277,10 +250,12 @@ class Diagnosis(Documented):
     replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
     offered : the extended model beside the geometry alone, None where it was not judged (`validate.judged`)
-    data : `file` and `sha256` of the rows, if known
     """
 
     arm: Arm
+    measurements: Measurements
+    residuals_before: Array
+    residuals_after: Array
     verdict: str
     candidates: tuple[Candidate, ...]
     named: Candidate
@@ -292,7 +267,6 @@ class Diagnosis(Documented):
     outlier_rows: tuple[int, ...]
     gap: Gap
     detectability: Detectability
-    residuals: Residuals
     sigma: float
     probabilities: Probabilities
     misfit: Misfit | None = None
@@ -302,7 +276,6 @@ class Diagnosis(Documented):
     warnings: tuple[str, ...] = ()
     replication: tuple[Replication, ...] = ()
     curves: tuple[Curve, ...] = ()
-    data: Mapping[str, Any] = field(default_factory=dict)
     unexplained_rows: tuple[int, ...] = ()
     offered: Mapping[str, Any] | None = None
 
@@ -325,9 +298,9 @@ class Diagnosis(Documented):
     def probability(self) -> dict[str, float]:
         """Probability of `none`, of each candidate (by title), of `unknown`, something outside the library, and of
         `other sets` of effects, with sum 1."""
-        shares = {"none": self.probabilities.none}
+        shares = {"none": self.probabilities.of(())}
         shares |= {c.title: self.probabilities.of(c.keys) for c in self.candidates if self.verdict != "unknown"}
-        shares["unknown"] = self.probabilities.outside
+        shares["unknown"] = self.probabilities.of(None)
         rest = 1.0 - sum(shares.values())
         return shares | ({"other sets": rest} if rest > 1e-9 else {})
 
@@ -347,7 +320,8 @@ class Diagnosis(Documented):
         """The arm with the effects of the predicting model (or of `candidate`) added, calibrated by it: all estimates,
         with the verdict, its rivals and its confirmation as provenance."""
         chosen, chain = candidate or self.predicting, self.arm.chain
-        entries: dict[str, Any] = {**self.data, "verdict": self.verdict, "sentence": self.sentence}
+        entries: dict[str, Any] = {name: value for name, value in self.measurements.origin.items() if name != "rows"}
+        entries |= {"verdict": self.verdict, "sentence": self.sentence}
         better = None if self.offered is None else self.offered["better"]
         optional = {"confirmed": self.confirmed, "better_than_geometry": better, **self.gap.to_json()}
         entries |= {name: value for name, value in optional.items() if value is not None}
@@ -407,7 +381,7 @@ class Diagnosis(Documented):
             "confirmation": self.confirmation and self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
             "misfit": self.misfit and self.misfit._asdict() | {"significant": self.misfit.significant},
-            "rows": len(self.residuals.before),
+            "rows": len(self.measurements),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,
             "predicting": [spec.key for spec in self.predicting.specs],

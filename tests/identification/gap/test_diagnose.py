@@ -201,7 +201,7 @@ def test_a_sigma_of_the_rows_decides_that_something_is_missing() -> None:
     stated = diagnose(ARM, replace(measured(None), sigma=np.full(60, 0.005)))
     assert (stated.verdict, stated.where, stated.effects) == ("unknown", None, ())
     assert stated.misfit is not None
-    assert stated.probabilities.none <= stated.misfit.p_value < 1e-3
+    assert stated.probabilities.of(()) <= stated.misfit.p_value < 1e-3
 
 
 def test_outliers_are_listed_and_left_out_and_many_far_rows_are_structure() -> None:

@@ -27,7 +27,7 @@ def drawn(rng: np.random.Generator) -> Probabilities:
     for name, p in zip(names, shares[3:], strict=True):
         sets[name] = sets.get(name, 0.0) + float(p)
     places = {"joint:1": float(shares[1]), "time": float(shares[2])}
-    return Probabilities(float(shares[0]), sets, places, {}, float(shares[1] + shares[2]))
+    return Probabilities({(): float(shares[0]), **sets, None: float(shares[1] + shares[2])}, places)
 
 
 def test_verdict_and_probabilities_never_contradict_each_other() -> None:
@@ -35,7 +35,7 @@ def test_verdict_and_probabilities_never_contradict_each_other() -> None:
     for _ in range(1000):
         found = drawn(rng)
         library = sum(found.sets.values())
-        totals = {"none": found.none, "unknown": found.outside, "library": library}
+        totals = {"none": found.of(()), "unknown": found.of(None), "library": library}
         verdict = found.verdict
         seen.add(verdict)
         said = {"named": "library", "ambiguous": "library"}.get(verdict, verdict)
@@ -55,8 +55,8 @@ def test_verdict_and_probabilities_never_contradict_each_other() -> None:
             assert found.places[found.place or ""] == max(found.places.values())
         p = float(rng.choice([1e-3, 1e-9, 0.0]))  # that noise leaves so much
         guarded = found.not_none(p)
-        assert guarded.none == pytest.approx(p * found.none)
-        assert guarded.none + guarded.outside + sum(guarded.sets.values()) == pytest.approx(1.0)
+        assert guarded.of(()) == pytest.approx(p * found.of(()))
+        assert sum(guarded.explanations.values()) == pytest.approx(1.0)
         assert guarded.verdict != "none"
         shares = list(found.credible.values())
         assert shares == sorted(shares, reverse=True)

@@ -314,9 +314,9 @@ def test_without_a_hold_out_other_postures_say_it() -> None:
     test = next(test for test in found.cross_validation if test.transfer == "other postures")
     assert found.offered is not None
     assert (found.offered["by"], found.offered["better"]) == ("cross-validation", True)
-    assert (found.offered["rms_mm"], found.offered["rms_geometry_mm"]) == (test.after, test.before)
-    assert test.largest_before > test.before
-    assert test.to_json()["max_after_mm"] == test.largest_after
+    assert (found.offered["rms_mm"], found.offered["rms_geometry_mm"]) == (test.after_mm, test.before_mm)
+    assert test.max_before_mm > test.before_mm
+    assert test.to_json()["max_after_mm"] == test.max_after_mm
 
 
 def test_geometry_and_largest_error_of_residuals_by_hand() -> None:
