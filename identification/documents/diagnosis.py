@@ -228,7 +228,7 @@ def diagnosis_document(
         return Pictures(draw)
 
     data, named = diagnosis.to_json(), diagnosis.named
-    reliance = [f"95 % intervals: {named.reliance}."] if data["effects"] else []
+    reliance = [f"95 % intervals: {named.uncertainty.sentence}."] if data["effects"] else []
     sections = [Section("What is missing", [*missing_parts(data), *reliance])]
     if data["replication"]:
         sessions = []

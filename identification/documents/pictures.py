@@ -153,7 +153,7 @@ def against_figure(diagnosis: Diagnosis) -> Figure:
 
 def curves_figure(diagnosis: Diagnosis) -> Figure:
     """Error curves with 95 % bands, and what up to 200 groups of rows say along the lever arm, as angles."""
-    half = quantile_95(min(diagnosis.named.freedom, default=np.inf))
+    half = quantile_95(np.min(diagnosis.named.uncertainty.freedom, initial=np.inf))
     _, postures, (_, (after, _)) = kept_rows(diagnosis)
     levers = Model(diagnosis.arm).joint_levers(postures)
 

@@ -1,18 +1,13 @@
 """Whether an effect is the same in every session: one of the robot returns, one of a set-up does not.
 
-Of one effect with the values t in one session and o in the others there are four explanations, equally likely
-beforehand, beside everything else that is named; the effect's columns times the indicator of the session, and of the
-others, are blocks of `likelihood`:
-
-    same        t = o (1 + SAME e),  e ~ N(0, 1)        apart       t and o independent
-    elsewhere   t = 0                                   here        o = 0
+The four explanations of its values t in one session and o in the others (identification/README.md, "Several sessions")
+are sets of blocks of `likelihood`: the effect's columns times the indicator of the session, and of the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp, softmax
@@ -22,94 +17,62 @@ from identification.gap.fit import Fitted
 from identification.gap.likelihood import SIZES, Index, Products, orthonormal
 from identification.gap.search import CREDIBLE
 from identification.information import PRODUCT_TOLERANCE, VISIBLE
-from identification.kinematics.parameters import Parameter
 
 SAME = 0.1  # relative difference of values that are the same; convention: temperature and load differ by session
 
 
-class InSession(NamedTuple):
-    """An effect in one session.
-
-    values, deviations : in this session, if it is independent of the others, with standard deviations [unit of files]
-    probability : that they are the same as in the others;  replicates : None: undecided
-    """
-
-    session: str
-    values: tuple[float, ...] = ()
-    deviations: tuple[float, ...] = ()
-    probability: float = 0.25
-    replicates: bool | None = None
-
-
-@dataclass(frozen=True)
-class Replication:
-    """One named effect across sessions."""
-
-    effect: str
-    parameters: tuple[Parameter, ...]
-    sessions: tuple[InSession, ...]
-
-    @property
-    def replicates(self) -> bool | None:
-        """False if the effect fails to replicate in one session, True if it does in each; None: undecided."""
-        answers = {session.replicates for session in self.sessions}
-        return False if False in answers else True if answers == {True} else None
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `replication` (identification/files/README.md, "JSON keys")."""
-        sessions = []
-        for s in self.sessions:
-            figures = zip(self.parameters, s.values, s.deviations, strict=False)
-            listed = [{"name": p.name, "unit": p.file_unit, "value": v, "std": d} for p, v, d in figures]
-            said = {"session": s.session, "replicates": s.replicates, "probability": s.probability}
-            sessions.append({**said, "parameters": listed})
-        return {"effect": self.effect, "replicates": self.replicates, "sessions": sessions}
-
-
-def replications(fitted: Fitted, names: Sequence[str], labels: Sequence[str]) -> tuple[Replication, ...]:
-    """Replication of named effects across sessions; empty for a single session.
+def replications(fitted: Fitted, names: Sequence[str], labels: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Entries of `replication` (identification/files/README.md, "JSON keys"), of named effects; none of one session.
 
     fitted : with these effects;  names : of the sessions in the order of their numbers;  labels : of the effects
     """
     rows, model = fitted.rows, fitted.model
     session = rows.conditions.session
     if session is None or np.ptp(session) == 0.0:
-        return ()
+        return
     jacobian, scaled = fitted.linearized[1] / model.scales, fitted.values * model.scales
     table = np.concatenate([jacobian, fitted.errors[:, :, None]], axis=2)
     grams = []
     for number in np.unique(session):
         white = rows.whiten(np.concatenate([table, table * (session == number)[:, None, None]], axis=2))
         grams.append(white.T @ white)
-    replicated = []
     for effect in (e for e in model.effects if e.label in labels):
-        parameters = tuple(x for x in effect.parameters if x.name in model.names)
-        own = np.array([model.names.index(x.name) for x in parameters], dtype=np.int64)
+        parameters = [p for p in effect.parameters if p.name in model.names]
+        columns = np.array([model.names.index(p.name) for p in parameters], dtype=np.int64)
         target = np.zeros(len(grams[0]))  # what is to be explained: the fit has the effect
-        target[[*own, jacobian.shape[2]]] = [*scaled[own], 1.0]
-        units = np.array([x.to_file for x in parameters]) / model.scales[own]
-        sessions = [in_session(name, gram, target, own, units, fitted) for name, gram in zip(names, grams, strict=True)]
-        replicated.append(Replication(effect.label, parameters, tuple(sessions)))
-    return tuple(replicated)
+        target[[*columns, jacobian.shape[2]]] = [*scaled[columns], 1.0]
+        units, sessions = np.array([p.to_file for p in parameters]) / model.scales[columns], []
+        for name, gram in zip(names, grams, strict=True):
+            same, answer, figures = in_session(gram, target, columns, units, fitted)
+            listed = zip(parameters, figures.tolist(), strict=False)
+            values = [{"name": p.name, "unit": p.file_unit, "value": v, "std": d} for p, (v, d) in listed]
+            sessions.append({"session": name, "replicates": answer, "probability": same, "parameters": values})
+        answers = {session["replicates"] for session in sessions}
+        whole = False if False in answers else True if answers == {True} else None
+        yield {"effect": effect.label, "replicates": whole, "sessions": sessions}
 
 
-def in_session(name: str, gram: Array, target: Array, own: Index, units: Array, fitted: Fitted) -> InSession:
-    """An effect in one session, from the products (2 n, 2 n) of n whitened columns and of their parts in the session.
+def in_session(
+    gram: Array, target: Array, columns: Index, units: Array, fitted: Fitted
+) -> tuple[float, bool | None, Array]:
+    """An effect in one session, from the products (2 n, 2 n) of n whitened columns and of their parts in the session:
+    probability that its values are those of the others, whether it replicates (None: undecided), and (w, 2) its values
+    there if they are independent of the others, with standard deviations [units of files]; none: nothing shows it
 
-    target : (2 n,) combination to be explained;  own : of the effect among the n, before the last, the residuals
+    target : (2 n,) combination to be explained;  columns : of the effect among the n, before the last, the residuals
     units : (w,) from its parameters to those of files
     """
-    width, n = len(own), len(gram) // 2
+    width, n = len(columns), len(gram) // 2
     asked = np.zeros((len(gram), 1 + 2 * width))  # what is to be explained, the effect, its part in the session
     asked[:, 0] = target
-    asked[[*own, *(own + n)], np.arange(1, 1 + 2 * width)] = 1.0
-    rest = np.setdiff1d(np.arange(n - 1), own)
+    asked[[*columns, *(columns + n)], np.arange(1, 1 + 2 * width)] = 1.0
+    rest = np.setdiff1d(np.arange(n - 1), columns)
     basis = orthonormal(gram[np.ix_(rest, rest)], PRODUCT_TOLERANCE)
     across = asked.T @ gram[:, rest] @ basis
     left = asked.T @ gram @ asked - across @ across.T
     both, here = np.split(np.eye(1 + 2 * width)[:, 1:], 2, axis=1)
-    if np.trace(both.T @ left @ both) <= VISIBLE * np.trace(gram[np.ix_(own, own)]):  # nothing that the rest has not
-        return InSession(name)
+    if np.trace(both.T @ left @ both) <= VISIBLE * np.trace(gram[np.ix_(columns, columns)]):  # as the rest is
+        return 0.25, None, np.zeros((0, 2))
     root = orthonormal(both.T @ left @ both)  # the prior covariance of an effect is the inverse of its information
     width = root.shape[1]
     root = root / np.sqrt(max(width, 1))
@@ -127,4 +90,4 @@ def in_session(name: str, gram: Array, target: Array, own: Index, units: Array, 
     apiece = products.state([(0, int(inside)), (1, int(elsewhere))])
     turn = root * units[:, None]
     deviations = np.sqrt(np.diag(turn @ apiece.covariance[:width, :width] @ turn.T) * apiece.variance)
-    return InSession(name, tuple((turn @ apiece.mean[:width]).tolist()), tuple(deviations.tolist()), same, answer)
+    return same, answer, np.column_stack([turn @ apiece.mean[:width], deviations])

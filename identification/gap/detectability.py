@@ -133,51 +133,51 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
     products : of the problem, beside rows that are left out;  sigma : of one whitened coordinate [mm]
     """
     sizes, widths = np.array([column.shape[2] for column in problem.columns]), products.widths
-    # of each block that can be seen in all combinations of its parameters: the least length of a unit of them [mm],
+    # of each effect that can be seen in all combinations of its parameters: the least length of a unit of them [mm],
     # projected off the base model, as a fraction and beside the longest before, and how far a unit moves the tip
-    seen = dict[int, tuple[float, float, float, float]]()
+    least, fraction, longest, far = np.zeros((4, len(problem.blocks)))
+    listed = np.array([block.listed for block in problem.blocks], dtype=bool)
     for width in np.unique(sizes):
-        alike = [k for k in np.flatnonzero((sizes == width) & (widths == width)).tolist() if problem.blocks[k].listed]
+        alike = np.flatnonzero(listed & (sizes == width) & (widths == width)).tolist()
         if alike:
             back = np.linalg.inv(np.array([problem.roots[k] for k in alike]))  # to the coefficients of the columns
-            places = products.starts[alike][:, None] + np.arange(width)
-            grams = back.transpose(0, 2, 1) @ products.gram[places[:, :, None], places[:, None, :]] @ back
+            numbers = products.starts[alike][:, None] + np.arange(width)
+            grams = back.transpose(0, 2, 1) @ products.gram[numbers[:, :, None], numbers[:, None, :]] @ back
             moving = np.concatenate([problem.columns[k] for k in alike], axis=2)
             lengths = np.maximum(np.linalg.norm(rows.whiten(moving), axis=0), 1e-150).reshape(-1, width)
             units = grams / (lengths[:, :, None] * lengths[:, None, :])
-            least, fraction = (np.sqrt(np.maximum(np.linalg.eigvalsh(each)[:, 0], 0.0)) for each in (grams, units))
-            far = np.linalg.norm(moving, axis=(0, 1)).reshape(-1, width).max(axis=1) / np.sqrt(len(rows))
-            seen |= dict(zip(alike, np.column_stack([least, fraction, lengths.max(axis=1), far]).tolist(), strict=True))
+            squares = [np.maximum(np.linalg.eigvalsh(each)[:, 0], 0.0) for each in (grams, units)]
+            least[alike], fraction[alike] = np.sqrt(squares)
+            longest[alike] = lengths.max(axis=1)
+            far[alike] = np.linalg.norm(moving, axis=(0, 1)).reshape(-1, width).max(axis=1) / np.sqrt(len(rows))
 
-    plain: list[tuple[str, float, Index]] = []
+    detectable, plain = dict[str, Size](), dict[str, int | None]()
     level = LEVEL / sum(member.weight for member in library.members)
-    detectable: dict[str, Size] = {}
     for block in library.members:
         if block.effect is None or block.through:
             continue
-        parameter, count, number = block.effect.parameters[0], block.size, problem.numbers.get(block.label, -1)
-        size, places = Size(None, parameter.file_unit), products.places([number] if number >= 0 else [])
-        least, fraction, longest, far = seen.get(number, (0.0, 0.0, 1.0, 0.0))
-        if count < products.freedom and least > VISIBLE * longest:
-            one_sided = bool(products.signs[number])
-            needed = detectable_lambda(count, products.freedom - count, level * block.weight, one_sided) * sigma / least
+        parameter, k, spare = (
+            block.effect.parameters[0],
+            problem.numbers.get(block.label),
+            products.freedom - block.size,
+        )
+        size, spare = Size(None, parameter.file_unit), products.freedom - block.size
+        if k is not None and spare > 0 and least[k] > VISIBLE * longest[k]:
+            one_sided = bool(products.signs[k])
+            needed = detectable_lambda(block.size, spare, level * block.weight, one_sided) * sigma / least[k]
             # an effect that moves the tip farther is seen without a test, and is not linear
-            if needed * far <= 0.1 * library.base.reach:
-                size = Size(float(needed * parameter.to_file), parameter.file_unit, float(needed * far))
+            if needed * far[k] <= 0.1 * library.base.reach:
+                size = Size(float(needed * parameter.to_file), parameter.file_unit, float(needed * far[k]))
         # of several settings the one that is hardest to see
         both = detectable.get(block.key, size), size
         detectable[block.key] = max(both, key=lambda one: np.inf if one.value is None else one.value)
         if not block.effect.chosen:
-            plain.append((block.key, fraction, places))
-    return Detectability(
-        tuple(key for key, _, _ in plain),
-        readonly(np.array([fraction for _, fraction, _ in plain])),
-        readonly(likenesses(problem.products.gram, [places for _, _, places in plain])),
-        detectable,
-        products.freedom,
-        library.skipped,
-        library.aliases,
-    )
+            plain[block.key] = k
+    fractions = readonly([0.0 if k is None else fraction[k] for k in plain.values()])
+    columns = [products.places([] if k is None else [k]) for k in plain.values()]
+    likeness = readonly(likenesses(problem.products.gram, columns))
+    about = library.skipped, library.aliases
+    return Detectability(tuple(plain), fractions, likeness, detectable, products.freedom, *about)
 
 
 @lru_cache(4096)  # hundreds of hypotheses share a few cases

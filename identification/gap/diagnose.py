@@ -162,7 +162,7 @@ def diagnose(
         verdict=likely.verdict,
         candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
-        predicting=replace(named, specs=predicting.specs, calibration=average, freedom=tuple(freedom.tolist())),
+        predicting=replace(named, specs=predicting.specs, calibration=average),
         aliases=look_alikes(whole, sees, {label for one in candidates for label in one.effects}),
         where=place,
         shape=shape,
@@ -185,7 +185,7 @@ def diagnose(
             *(f"hold-out: {one}" for one in ([] if holdout is None else lacking(predicting.model, holdout))),
             *copies,
         ),
-        replication=replications(fitted, measurements.session_names, named.effects),
+        replication=tuple(replications(fitted, measurements.session_names, named.effects)),
         curves=curves,
     )
     result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted, alone)))

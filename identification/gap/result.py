@@ -21,8 +21,7 @@ from identification.documents import diagnosis as words
 from identification.documents.identification import unit_key
 from identification.errors import InputError
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
-from identification.estimation.uncertainty import WhiteRows, freedom_kept, limits_95, uncertainty
-from identification.gap.across_sessions import Replication
+from identification.estimation.uncertainty import Uncertainty, WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.average import Curve
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
@@ -145,8 +144,7 @@ class Candidate:
     specs : entries of an arm file in the same order (settings, no estimates)
     calibration : all estimates with their covariance;  parameters : those of the effects, for people
     limits_95 : name of a parameter of base or effects -> its 95 % interval [API units], cut at physical bounds
-    freedom : degrees of freedom of each variance in that covariance
-    intervals, reliance : basis of the 95 % intervals, as a keyword of `estimation.uncertainty` and in words
+    uncertainty : of these estimates, the basis of the 95 % intervals
     f : F statistic of the set against the base model
     probability : that exactly these effects are missing, None where it is not that of these names
     delta_bic : -2 log odds to the best set
@@ -158,9 +156,7 @@ class Candidate:
     calibration: Calibration
     parameters: tuple[Estimate, ...]
     limits_95: Mapping[str, tuple[float, float]]
-    freedom: tuple[float, ...] = ()
-    intervals: str = "scatter"
-    reliance: str = "from the scatter of the residuals"
+    uncertainty: Uncertainty
     f: float = 0.0
     probability: float | None = None
     delta_bic: float = 0.0
@@ -193,9 +189,7 @@ class Candidate:
             as_calibration(fitted, sure.covariance, sure.freedom, rows.postures),
             tuple(Estimate(p.name, p.file_unit, *(row * p.to_file).tolist()) for p, row in figures if p.name in names),
             dict(zip(model.names, map(tuple, limits.tolist()), strict=True)),
-            tuple(sure.freedom.tolist()),
-            sure.kind,
-            sure.sentence,
+            sure,
         )
 
     @property
@@ -210,13 +204,14 @@ class Candidate:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
-        entry = {name: getattr(self, name) for name in ("probability", "delta_bic", "f", "intervals")}
+        entry = {name: getattr(self, name) for name in ("probability", "delta_bic", "f")}
         owners, settings = {p.name.rpartition(".")[0] for p in self.parameters}, dict[str, float]()
         for label, spec in zip(self.effects, self.specs, strict=True):
             # `transmission_ripple:2.k` -> 17: under the name that the effect's parameters have
             owner = label if label in owners else spec.key
             settings |= {f"{owner}.{name}": value for name, value in spec.values.items()}
         return entry | {
+            "intervals": self.uncertainty.kind,
             "effects": list(self.effects),
             "classes": list(self.classes),
             "p_adjusted": 1.0 - (self.probability or 0.0),
@@ -247,7 +242,7 @@ class Diagnosis(Documented):
     detectability : smallest detectable sizes in these data
     misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
     cross_validation : for other postures, and for another interval of time
-    replication : each named effect in each of several sessions;  curves : error curves of joints in the best set
+    replication : entries of that key, each named effect in each of several sessions;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
     offered : the extended model beside the geometry alone, None where it was not judged (`validate.judged`)
     """
@@ -274,7 +269,7 @@ class Diagnosis(Documented):
     cross_validation: tuple[Confirmation, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    replication: tuple[Replication, ...] = ()
+    replication: tuple[Mapping[str, Any], ...] = ()
     curves: tuple[Curve, ...] = ()
     unexplained_rows: tuple[int, ...] = ()
     offered: Mapping[str, Any] | None = None
@@ -372,7 +367,7 @@ class Diagnosis(Documented):
             "other_sets": [{"effects": likely.title(n).split(" + "), "probability": p} for n, p in others.items()],
             "classes": list(self.named.classes),
             "aliases": [{"effect": a, "like": b, "likeness": c} for a, b, c in self.aliases],
-            "replication": [effect.to_json() for effect in self.replication],
+            "replication": list(self.replication),
             "curves": [curve.to_json() for curve in self.curves],
             "scatter": [{"finding": f.name, "p": f.p, "size": f.size} for f in self.scatter],
             "excluded": {name: size._asdict() for name, size in self.excluded.items()},

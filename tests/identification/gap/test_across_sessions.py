@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.linalg import null_space
@@ -9,7 +11,7 @@ from scipy.special import logsumexp, softmax
 
 from identification import Arm, EffectSpec, Measurements, Model
 from identification.documents.diagnosis import findings
-from identification.gap.across_sessions import SAME, Replication, replications
+from identification.gap.across_sessions import SAME, replications
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES
 from identification.sessions import pooled_sessions, with_sessions
@@ -29,7 +31,7 @@ def session(number: int, size: complex, m: int = 60) -> Measurements:
     return Measurements(q, np.column_stack([z.real, z.imag]) + generator.normal(0.0, SIGMA, (m, 2)))
 
 
-def replication(*parts: Measurements) -> tuple[Replication, Measurements]:
+def replication(*parts: Measurements) -> tuple[dict[str, Any], Measurements]:
     data = pooled_sessions({f"day {k + 1}": part for k, part in enumerate(parts)})
     arm = with_sessions(Arm(LENGTHS), data)
     spec = EffectSpec("transmission_ripple", 2, {"k": K})
@@ -55,13 +57,14 @@ def test_what_returns_and_what_does_not(
     sizes: tuple[complex, ...], answer: bool, each: tuple[bool | None, ...]
 ) -> None:
     one, _ = replication(*(session(k, size) for k, size in enumerate(sizes)))
-    assert one.replicates is answer
-    assert tuple(s.replicates for s in one.sessions) == each
-    for there, size in zip(one.sessions, sizes, strict=True):
-        errors = (np.radians(there.values) - [size.real, size.imag]) / np.radians(there.deviations)
+    assert one["replicates"] is answer
+    assert tuple(s["replicates"] for s in one["sessions"]) == each
+    for there, size in zip(one["sessions"], sizes, strict=True):
+        values, deviations = np.radians([[p["value"], p["std"]] for p in there["parameters"]]).T
+        errors = (values - [size.real, size.imag]) / deviations
         assert np.all(np.abs(errors) < 5.0)
-    told = {"shape": None, "misfit": None, "replication": [one.to_json()]}
-    assert findings(told) == [f"{'Replicates' if answer else 'Does not replicate'} across sessions: {one.effect}."]
+    told = {"shape": None, "misfit": None, "replication": [one]}
+    assert findings(told) == [f"{'Replicates' if answer else 'Does not replicate'} across sessions: {one['effect']}."]
 
 
 def log_likelihood(y: np.ndarray, blocks: list[np.ndarray], sizes: tuple[float, ...]) -> float:
@@ -95,5 +98,5 @@ def test_the_probability_is_that_of_dense_algebra() -> None:
     ]
     expected = softmax([logsumexp(table) - np.log(len(table)) for table in tables])[0]
     assert 0.1 < expected < 0.9
-    assert one.sessions[0].replicates is None  # nine rows leave it open
-    assert one.sessions[0].probability == pytest.approx(expected, rel=0.01)  # linearized at the drawing
+    assert one["sessions"][0]["replicates"] is None  # nine rows leave it open
+    assert one["sessions"][0]["probability"] == pytest.approx(expected, rel=0.01)  # linearized at the drawing

@@ -70,7 +70,7 @@ def compared(found: Diagnosis, other: Identification, auto: Identification) -> N
     np.testing.assert_allclose(calibration.covariance / np.outer(auto.std, auto.std), correlations, atol=1e-7)
     assert found.sigma == pytest.approx(other.sigma, **SAME)
     rows = {row["name"]: row for row in auto.to_json()["parameters"]}
-    assert found.named.intervals == auto.uncertainty.kind
+    assert found.named.uncertainty.kind == auto.uncertainty.kind
     for shown in found.named.parameters:
         row = rows[shown.name]
         for key in ("value", "low_95", "high_95"):
