@@ -311,10 +311,10 @@ def identify_files(
     from identification.documents import identification as shown
     from identification.estimation.doubts import left_out_rms
     from identification.estimation.problem import Prior
+    from identification.estimation.repeats import with_repeats_doubted
     from identification.estimation.result import corrected_geometry
     from identification.files.arm import corrected_urdf, load_arm
     from identification.gap.library_prior import library_prior
-    from identification.gap.noise import with_repeats_doubted
     from identification.measurements import rms_distance
     from identification.model import Model
     from identification.provenance import diagnosed, provenance_of, without_prior_effects

@@ -34,7 +34,9 @@ FAR = 0.05  # of the reach, or a radian: residuals of another arm, frame or unit
 FALL = 2.0  # of the RMS, when the position of the base is added: the data are in another frame
 OTHER_FRAME = "the data are in another frame than the arm"
 OVERSHOOT = np.radians(0.01)  # what an angle that was read back differs from the one commanded
-SPARE = 4  # degrees of freedom
+# derived: degrees of freedom below which nothing is tested, and no standard deviation reported, since it would be
+# uncertain by more than 35 %. At the level 0.005 an effect of one parameter needs lambda = 11 with 4, 22 with 3
+SPARE = 4
 UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier than such an arm
 FEW = "too few measurements"  # the beginning of that sentence
 

@@ -21,13 +21,13 @@ from identification.arrays import Array, slices
 from identification.effects.base import widths
 from identification.errors import InputError
 from identification.estimation.doubts import FALL
+from identification.estimation.repeats import NoiseFloor
 from identification.estimation.uncertainty import GROUPS, Groups, Mean, groups_of, mean_of
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.average import PredictingModel
 from identification.gap.detectability import POWER
 from identification.gap.fit import Fitted
 from identification.gap.likelihood import mixed
-from identification.gap.noise import NoiseFloor
 from identification.gap.search import MOST, Posterior
 from identification.information import ALONE, column_space
 from identification.instruments.base import registered

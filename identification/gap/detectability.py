@@ -20,11 +20,11 @@ from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents.diagnosis import detectability_document
 from identification.errors import InputError
+from identification.estimation.doubts import SPARE
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.gap.blocks import Library, Linearized, hypotheses, linearized
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import Index, Products, orthonormal
-from identification.gap.noise import SPARE
 from identification.information import VISIBLE
 from identification.measurements import Conditions, Measurements
 from identification.model import Model

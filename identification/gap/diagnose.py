@@ -21,6 +21,7 @@ from identification.estimation.doubts import (
     outside_limits,
 )
 from identification.estimation.problem import check_measurements
+from identification.estimation.repeats import Finding, misfit, noise_floor, repeat_finding
 from identification.estimation.uncertainty import outlying, together
 from identification.gap.across_sessions import replications
 from identification.gap.average import averaged, geometry
@@ -28,7 +29,6 @@ from identification.gap.blocks import hypotheses
 from identification.gap.confirmation import Gap, HeldOut, cross_validation
 from identification.gap.detectability import assess, look_alikes, require_spare
 from identification.gap.fit import Fitted, Rows, determined, fit
-from identification.gap.noise import Finding, misfit, noise_floor, repeat_finding
 from identification.gap.result import Candidate, Diagnosis, as_calibration, probabilities
 from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.inspection.readings import gap_notes

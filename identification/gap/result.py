@@ -20,13 +20,13 @@ from identification.document import Document, Documented, html
 from identification.documents import diagnosis as words
 from identification.documents.identification import unit_key
 from identification.errors import InputError
+from identification.estimation.repeats import Finding, Misfit
 from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import Uncertainty, WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.average import Curve
 from identification.gap.confirmation import Confirmation, Gap
 from identification.gap.detectability import Detectability, Size
 from identification.gap.fit import Fitted
-from identification.gap.noise import Finding, Misfit
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
 from identification.kinematics.chain import CorrectedGeometry
@@ -242,7 +242,7 @@ class Diagnosis(Documented):
     detectability : smallest detectable sizes in these data
     misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
     cross_validation : for other postures, and for another interval of time
-    replication : entries of that key, each named effect in each of several sessions;  curves : error curves of joints in the best set
+    replication : entries of that key, one for each named effect;  curves : error curves of joints in the best set
     warnings : doubts about data and fit, to be read before the verdict;  notes : remarks
     offered : the extended model beside the geometry alone, None where it was not judged (`validate.judged`)
     """
@@ -375,7 +375,7 @@ class Diagnosis(Documented):
             "offered": self.offered,
             "confirmation": self.confirmation and self.confirmation.to_json(),
             "cross_validation": [test.to_json() for test in self.cross_validation],
-            "misfit": self.misfit and self.misfit._asdict() | {"significant": self.misfit.significant},
+            "misfit": self.misfit and self.misfit._asdict(),
             "rows": len(self.measurements),
             "sigma_mm": self.sigma,
             "degrees_of_freedom": self.detectability.freedom,

@@ -19,7 +19,7 @@ from identification.documents.identification import DRAWN as DRAWING_IN_WORDS
 from identification.documents.identification import MISFIT
 from identification.errors import InputError
 from identification.estimation import Identification, doubts, estimate
-from identification.gap.noise import NoiseFloor, noise_floor, with_repeats_doubted
+from identification.estimation.repeats import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import DRAWN, Reading, Readings, data_warnings, gap_notes, read_differently
 from identification.kinematics.chain import BASE
 from identification.kinematics.counting import in_columns

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from identification import Arm, DHRow, Measurements, Model, chain_of, estimate
+from identification.estimation.repeats import NoiseFloor
 from identification.gap.library_prior import library_prior
-from identification.gap.noise import NoiseFloor
 from identification.inspection.inspection import inspect, other_frame, sufficiency
 from identification.inspection.readings import read_differently
 from identification.kinematics.chain import BASE
