@@ -111,11 +111,8 @@ def diagnose(
     if (p := min([1.0, *trusted, *(finding.p for finding in repeats)])) < 1e-3:
         likely = likely.not_none(p)
     unknown, something = likely.verdict == "unknown", likely.verdict != "none"
-    known = [one for one in posterior.explanations if not one.outside]
-    sets = [next(one for one in known if one.names == names) for names in likely.rivals]
-    if not sets and unknown and likely.place is not None:
-        sets = [next(one for one in posterior.explanations if one.outside)]
-    sets = sets or [next(one for one in known if not one.effects)]
+    likeliest = {one.named: one for one in reversed(posterior.explanations)}
+    sets = [likeliest[names] for names in likely.rivals] or [likeliest.get(None if unknown else ()) or likeliest[()]]
     fits, candidates = [], list[Candidate]()
     for one in sets:
         noise = posterior.noises[one.noise]
@@ -123,7 +120,7 @@ def diagnose(
         made = Candidate.of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
         made = replace(made, f=products.f_of([whole.numbers[block.label] for block in one.effects]))
         if not unknown:
-            share, highest = (max(likely.of(keys), 1e-300) for keys in (one.names, likely.best))
+            share, highest = (max(likely.of(keys), 1e-300) for keys in (one.named, likely.best))
             behind = 2.0 * float(np.log(highest / share)) if likely.rivals else 0.0
             made = replace(made, probability=share, delta_bic=behind)
         candidates.append(made)

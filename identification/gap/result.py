@@ -115,18 +115,17 @@ def probabilities(posterior: Posterior) -> Probabilities:
     """Probabilities of explanations, noise models and settings summed over."""
     totals, places, titles = defaultdict[Names | None, float](float), defaultdict[str, float](float), dict[Names, str]()
     for one in posterior.explanations:
-        totals[None if one.outside else one.names] += one.probability
+        totals[one.named] += one.probability
         for place in {block.place for block in one.outside}:
             places[place] += one.probability
-        if not one.outside:
-            titles.setdefault(one.names, " + ".join(b.label for b in one.effects))
+        if one.named is not None:
+            titles.setdefault(one.named, " + ".join(b.label for b in one.effects))
     return Probabilities(totals, places, titles)
 
 
 # -- estimates of named effects ----------------------------------------------------------------------------------------
 class Estimate(NamedTuple):
-    """Estimate of one parameter with its 95 % interval, NaN where the rows do not determine it; all figures in `unit`,
-    the unit of files and tables."""
+    """Estimate of one parameter with its 95 % interval in the unit of files; NaN where the rows do not determine it."""
 
     name: str
     unit: str

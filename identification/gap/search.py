@@ -250,14 +250,14 @@ class Explanation:
         return tuple(b for b in self.blocks if b.listed)
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Sorted keys of its effects."""
-        return tuple(sorted(b.key for b in self.effects))
-
-    @cached_property
     def outside(self) -> tuple[Block, ...]:
         """Its blocks outside the library."""
         return tuple(b for b in self.blocks if b.outside)
+
+    @cached_property
+    def named(self) -> tuple[str, ...] | None:
+        """Sorted keys of its effects; None where something is outside the library."""
+        return None if self.outside else tuple(sorted(b.key for b in self.effects))
 
 
 @dataclass(frozen=True)
