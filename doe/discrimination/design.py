@@ -1,13 +1,8 @@
 """Plans that are (nearly) D-optimal AND can distinguish missing effects (doe/README.md, "Misidentification").
 
-Starting from the best plan, runs are swapped for postures that lower the probability of a wrong name, at the cost of as
-much D-efficiency as is allowed. A D-optimal plan stands in the corners of narrow limits or on regular steps, where many
-effects look alike: on two angles of a joint ripples of many orders are one column. The order of measurement
-matters to backlash and drift only: the best of many shuffles is kept. The bound on that probability follows from the
-information matrix M alone: with b the base parameters, e those of all effects, v a combination of one effect's
-parameters, `LAMBDA` long on a random plan of as many runs, and B a basis of the rival's,
-
-    d^2 = (v - w)^T S (v - w),   S = M_ee - M_eb M_bb^-1 M_be,   w = B (B^T S B)^-1 B^T S v
+Starting from the best plan, runs are swapped for postures that lower the bound on the probability of a wrong name, at
+the cost of as much D-efficiency as is allowed. The order of measurement matters to backlash and drift only: the best of
+many shuffles is kept.
 
 *Swaps.* Runs are exchanged for postures of a pool: random ones of the design space and neighbors of the plan's own. The
 first derivative of the criterion says which swaps to try, the criterion itself which is best; near the least

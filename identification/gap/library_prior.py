@@ -1,8 +1,5 @@
 """What may be missing in the model of any arm, as normal blocks: effects, error curves, the posture's own error
-(identification/README.md, "With a prior").
-
-With a ripple of unknown order an error curve is one process, whose covariance at two angles is the sum over orders of
-v_k cos(k (q - q')): the waves of the ripple carry both.
+(identification/README.md, "With a prior"). The waves of a ripple of unknown order carry the error curve, too.
 """
 
 from __future__ import annotations
