@@ -37,8 +37,7 @@ def replications(fitted: Fitted, names: Sequence[str], labels: Sequence[str]) ->
         white = rows.whiten(np.concatenate([table, table * (session == number)[:, None, None]], axis=2))
         grams.append(white.T @ white)
     for effect in (e for e in model.effects if e.label in labels):
-        parameters = [p for p in effect.parameters if p.name in model.names]
-        columns = np.array([model.names.index(p.name) for p in parameters], dtype=np.int64)
+        columns, parameters = fitted.columns_of(effect), [p for p in effect.parameters if p.name in model.names]
         target = np.zeros(len(grams[0]))  # what is to be explained: the fit has the effect
         target[[*columns, jacobian.shape[2]]] = [*scaled[columns], 1.0]
         units, sessions = np.array([p.to_file for p in parameters]) / model.scales[columns], []
@@ -70,14 +69,15 @@ def in_session(
     basis = orthonormal(gram[np.ix_(rest, rest)], PRODUCT_TOLERANCE)
     across = asked.T @ gram[:, rest] @ basis
     left = asked.T @ gram @ asked - across @ across.T
-    both, here = np.split(np.eye(1 + 2 * width)[:, 1:], 2, axis=1)
-    if np.trace(both.T @ left @ both) <= VISIBLE * np.trace(gram[np.ix_(columns, columns)]):  # as the rest is
+    everywhere, here = np.split(np.eye(1 + 2 * width)[:, 1:], 2, axis=1)
+    information = everywhere.T @ left @ everywhere
+    if np.trace(information) <= VISIBLE * np.trace(gram[np.ix_(columns, columns)]):  # nothing that the rest has not
         return 0.25, None, np.zeros((0, 2))
-    root = orthonormal(both.T @ left @ both)  # the prior covariance of an effect is the inverse of its information
+    root = orthonormal(information)  # whose inverse is the prior covariance of an effect
     width = root.shape[1]
     root = root / np.sqrt(max(width, 1))
-    both, here = both @ root, here @ root
-    blocks = np.hstack([here, both - here, both, SAME * here])
+    everywhere, here = everywhere @ root, here @ root
+    blocks = np.hstack([here, everywhere - here, everywhere, SAME * here])
     freedom, starts = max(len(fitted.residual) - basis.shape[1], 1), np.array([0, 1, 2, 4]) * width
     signs = np.zeros(3, dtype=bool)
     products = Products(blocks.T @ left @ blocks, left[0] @ blocks, float(left[0, 0]), freedom, starts, signs)

@@ -133,9 +133,9 @@ class Library:
     def renamed(self, model: Model) -> dict[str, str]:
         """Name of each parameter of the arm's effects -> its name in a model with further effects: similar ones change
         their names."""
-        there = model.effects[: len(self.base.effects)]
-        names = ([p.name for effect in effects for p in effect.parameters] for effects in (self.base.effects, there))
-        return dict(zip(*names, strict=True))
+        models = self.base, model
+        of_effects = ([p.name for e in each.effects[: len(self.base.effects)] for p in e.parameters] for each in models)
+        return dict(zip(*of_effects, strict=True))
 
     def with_further_orders(self, at: Fitted, chosen: Sequence[Block]) -> Library:
         """The library with the ripple of further order that explains most at each joint, and its neighbors, if it is
@@ -143,20 +143,19 @@ class Library:
 
         at : fit of the chosen effects, with any noise model
         """
-        arm, known, names, rows = self.arm, {b.label for b in self.members}, at.model.names, at.rows
+        arm, rows, unseen, added = self.arm, at.rows, untested_joints(at), list[Block]()
+        listed, labels = {b.label for b in self.members}, {b.label for b in chosen}
         if not any(b.key.partition(":")[0] == RIPPLE for b in self.members):
             return self
-        unseen, added, labels = untested_joints(at), list[Block](), {b.label for b in chosen}
-        jacobian = at.linearized[1]
         for j, q in enumerate(rows.postures.T):
             if np.ptp(q) == 0.0 or j + 1 in unseen or arm.joint_types[j] == PRISMATIC:
                 continue
             # what is named at this joint may be there instead of the wave
             effects = [e for e in at.model.effects if e.joint == j + 1 and e.label in labels]
-            own = [names.index(p.name) for e in effects for p in e.parameters if p.name in names]
-            rest = np.setdiff1d(np.arange(len(names)), own)
-            y = rows.whiten(at.errors + jacobian[:, :, own] @ at.values[own])
-            basis = column_space(rows.whiten(jacobian[:, :, rest]), at.model.scales[rest])[0]
+            named = at.columns_of(*effects)
+            rest = np.setdiff1d(np.arange(len(at.values)), named)
+            y = rows.whiten(at.errors + at.linearized[1][:, :, named] @ at.values[named])
+            basis = column_space(at.jacobian[:, rest], at.model.scales[rest])[0]
             y = y - basis @ (basis.T @ y)
             gains = []  # share of y^T y that a wave of each order explains
             for orders in np.array_split(ORDERS, 8):
@@ -176,16 +175,16 @@ class Library:
                 continue
             for order in ORDERS[best] + np.array([-0.125, 0.0, 0.125]):  # likeness 0.99 with every one between
                 one = Block.of(arm, EffectSpec(RIPPLE, j + 1, {RIPPLE_ORDER: float(order)}), RARE / len(ORDERS))
-                added += [one] if one.label not in known else []
+                added += [one] if one.label not in listed else []
         return replace(self, members=(*self.members, *added)) if added else self
 
-    def as_base(self, at: Fitted) -> tuple[Array, Array, list[int]]:
+    def as_base(self, at: Fitted) -> tuple[Array, list[int]]:
         """Rows as the base model sees them at a fit: (m, d) measured less computed positions, where what the fit has
-        beyond it is given back; and the fit's (m, d, p) columns, and which of them are the base's."""
+        beyond it is given back; and which of the fit's parameters are the base's."""
         renamed = self.renamed(at.model)
         base = [at.model.parameters.index(renamed.get(name, name)) for name in self.base.names]
-        jacobian, added = at.linearized[1], np.setdiff1d(np.arange(len(at.values)), base)
-        return at.errors + jacobian[:, :, added] @ at.values[added], jacobian, base
+        added = np.setdiff1d(np.arange(len(at.values)), base)
+        return at.errors + at.linearized[1][:, :, added] @ at.values[added], base
 
     def columns(self, at: Fitted, blocks: Sequence[Block]) -> list[Array]:
         """Of blocks that are effects the (m, d, size) derivatives of the position with respect to their parameters, at
@@ -389,15 +388,13 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
 
     wrong : rows that may be outlying;  outside : whether blocks outside the library are among them
     """
-    model, rows, (y, jacobian, base) = at.model, at.rows, library.as_base(at)
+    model, rows, (y, base) = at.model, at.rows, library.as_base(at)
     blocks = [*library.members, *(library.unlisted if outside else ())]
     columns = library.columns(at, blocks)
     # effects that are in the fit at its values, which matter to those that are not linear; the others at neutral ones
-    place = {block.label: k for k, block in enumerate(blocks)}
-    for effect in model.effects:
-        if effect.label in place:
-            names = [p.name for p in effect.parameters if p.name in model.names]
-            columns[place[effect.label]] = jacobian[:, :, [model.names.index(name) for name in names]]
+    numbers = {block.label: k for k, block in enumerate(blocks)}
+    for effect in (effect for effect in model.effects if effect.label in numbers):
+        columns[numbers[effect.label]] = at.linearized[1][:, :, at.columns_of(effect)]
     joints, unseen = model.arm.chain.joints, untested_joints(at)
     unseen |= {j for spec in model.arm.effects if spec.curve is not None and (j := spec.joint)}
     for j, angles in enumerate(rows.postures.T) if outside else ():
@@ -409,7 +406,7 @@ def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside:
         columns.append(np.eye(rows.dimension) * (np.arange(len(rows)) == k)[:, None, None])
         blocks.append(Block(f"row:{k}", "row", 0.0, row=k))
     target = rows.whiten(y)
-    u, back = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])  # (g, r): to the parameters
+    u, back = column_space(at.jacobian[:, base], model.scales[base])  # (g, r): to the parameters
     left = target - u @ (u.T @ target)
     sizes, roots = np.array([column.shape[2] for column in columns]), [np.zeros((0, 0))] * len(blocks)
     tables, taken = [np.zeros((0, len(u)))] * len(blocks), [np.zeros((0, u.shape[1]))] * len(blocks)

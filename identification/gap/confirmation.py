@@ -327,8 +327,9 @@ def predicted_from_others(
     the mean square distance [mm^2] that the latter expects.
     """
     number = posterior.best.noise
-    problem, rows, model = posterior.problems[number], posterior.noises[number].rows.pick(kept), posterior.at.model
-    y, jacobian, base = posterior.library.as_base(posterior.at.on(rows))
+    problem, rows = posterior.problems[number], posterior.noises[number].rows.pick(kept)
+    at = posterior.at.on(rows)
+    y, base = posterior.library.as_base(at)
     sets = [one for one in posterior.explanations if one.noise == number][:MOST]
     blocks = sorted({b for one in sets for b, _ in one.key if problem.blocks[b].row is None})
     part, local = problem.of(blocks), {b: k for k, b in enumerate(blocks)}
@@ -336,10 +337,10 @@ def predicted_from_others(
     # the prior of a set is what its odds have beyond its likelihood with all rows
     priors = [np.log(one.probability) - problem.products.state(one.key).ratio for one in sets]
     # (m d, ..) the base's columns, orthonormal when white, the others, and y: in mm, and white
-    back, (m, d) = column_space(rows.whiten(jacobian[:, :, base]), model.scales[base])[1], y.shape
+    back, (m, d) = column_space(at.jacobian[:, base], at.model.scales[base])[1], y.shape
     columns = [c[kept].reshape(m * d, -1) @ root for c, root in zip(part.columns, part.roots, strict=True)]
-    own, rank = jacobian[:, :, base].reshape(m * d, -1) @ back, back.shape[1]
-    table = np.concatenate([own, *columns, y.reshape(m * d, 1)], axis=1)
+    base_columns, rank = at.linearized[1][:, :, base].reshape(m * d, -1) @ back, back.shape[1]
+    table = np.concatenate([base_columns, *columns, y.reshape(m * d, 1)], axis=1)
     white, points = rows.whiten(table.reshape(m, d, -1)), np.zeros((m, d), dtype=bool)
     points[:, POINT] = True
     # expected square of the noise of a row, for unit sigma

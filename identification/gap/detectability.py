@@ -108,10 +108,10 @@ def detectability(
     model, sigma = Model(arm), arm.sigma or 1.0
     postures, deviations = np.atleast_2d(postures), None if runs is None else sigma / np.sqrt(runs)
     rows = Rows.of(Measurements(postures, np.zeros((len(postures), model.dimension)), sigma=deviations))
-    given = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
-    filled = replace(rows.conditions, **given)
+    stated = {} if conditions is None else {k: v for k, v in vars(conditions).items() if v is not None}
+    filled = replace(rows.conditions, **stated)
     rows = replace(rows, positions=model.position(rows.postures, None, filled), conditions=filled)
-    library = hypotheses(arm, frozenset({"temperature"} & {*given}), rows)
+    library = hypotheses(arm, frozenset({"temperature"} & {*stated}), rows)
     exact = fit(library.base, rows, {})
     require_spare(exact.freedom, len(rows))
     problem = linearized(library, exact, outside=False)
@@ -169,8 +169,8 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
             if needed * far[k] <= 0.1 * library.base.reach:
                 size = Size(float(needed * parameter.to_file), parameter.file_unit, float(needed * far[k]))
         # of several settings the one that is hardest to see
-        both = detectable.get(block.key, size), size
-        detectable[block.key] = max(both, key=lambda one: np.inf if one.value is None else one.value)
+        settings = detectable.get(block.key, size), size
+        detectable[block.key] = max(settings, key=lambda one: np.inf if one.value is None else one.value)
         if not block.effect.chosen:
             plain[block.key] = k
     fractions = readonly([0.0 if k is None else fraction[k] for k in plain.values()])

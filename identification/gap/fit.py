@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
+from identification.effects import Effect
 from identification.estimation.doubts import FAR
 from identification.estimation.problem import Problem, starts
 from identification.information import column_space, spectrum
@@ -115,12 +116,12 @@ class Rows:
             values = values - (sums * taken[:, None, None])[numbers]
         if self.correlation:  # from each row what the previous one predicts, for a first-order autoregression
             rho, sequence = self.correlation, self.sequence
-            given = slice(None) if np.array_equal(sequence, np.arange(len(sequence))) else sequence
-            ordered = values[given] / np.sqrt(1.0 - rho**2)
+            order = slice(None) if np.array_equal(sequence, np.arange(len(sequence))) else sequence
+            ordered = values[order] / np.sqrt(1.0 - rho**2)
             ordered[1:] -= rho * ordered[:-1]
-            ordered[0] = values[given][0]
+            ordered[0] = values[order][0]
             values = np.empty_like(values)
-            values[given] = ordered
+            values[order] = ordered
         return values.reshape(-1, *shape[2:])
 
 
@@ -160,6 +161,12 @@ class Fitted:
     def errors(self) -> Array:
         """(m, d) measured less computed positions [mm], not whitened."""
         return self.rows.positions - self.linearized[0]
+
+    def columns_of(self, *effects: Effect) -> Index:
+        """Numbers of the parameters of these effects among those that are fitted."""
+        names = self.model.names
+        numbers = [names.index(p.name) for effect in effects for p in effect.parameters if p.name in names]
+        return np.array(numbers, dtype=np.int64)
 
     def residuals(self, measurements: Measurements, conditions: Conditions | None = None) -> Array:
         """(m, d) measured less computed positions [mm] of other rows;  conditions : None: as they say"""
@@ -201,12 +208,12 @@ class Fitted:
 
 def determined(arm: Arm, measurements: Measurements) -> Arm:
     """`practical`, with what so many rows of so little scatter determine, too: three standard errors of a mean."""
-    given = practical(arm, measurements)
-    if given is arm:
+    minimal = practical(arm, measurements)
+    if minimal is arm:
         return arm
-    base = fit(Model(with_sessions(given, measurements)), Rows.of(measurements))
+    base = fit(Model(with_sessions(minimal, measurements)), Rows.of(measurements))
     least = 3.0 * base.sigma / float(np.sqrt(len(base.residual)))
-    return practical(arm, measurements, least) if least < PRACTICAL else given
+    return practical(arm, measurements, least) if least < PRACTICAL else minimal
 
 
 def fitted_arm(

@@ -68,11 +68,11 @@ def library_prior(
     """
     for name in names or ():
         effect_named(name)  # raises for an unknown one
-    given = frozenset[str]()  # conditions that the rows have
+    conditions = frozenset[str]()  # conditions that the rows have
     if rows is not None:  # time, directions and past follow from their order if that has no gaps
-        given = BY_ORDER if rows.conditions.follow else BY_ORDER - FOLLOWING
-        given |= {"temperature"} if rows.temperature is not None else set()
-    every = hypotheses(arm, given)
+        conditions = BY_ORDER if rows.conditions.follow else BY_ORDER - FOLLOWING
+        conditions |= {"temperature"} if rows.temperature is not None else set()
+    every = hypotheses(arm, conditions)
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
     effects = [b.effect for b in every.members if b.effect]
@@ -83,7 +83,7 @@ def library_prior(
         wanted = effect.prior == 1.0 if names is None else effect.name in names  # the rare ones only by name
         if not wanted or (effect.joint is not None and effect.name in whole):
             continue
-        if missing := sorted((effect.needs - given) & {"time", "directions", "past", "temperature"}):
+        if missing := sorted((effect.needs - conditions) & {"time", "directions", "past", "temperature"}):
             left_out[effect.place] = f"needs {', '.join(missing)}"
         elif any(p.typical is None for p in effect.parameters):
             left_out[effect.place] = "no typical size"

@@ -316,8 +316,8 @@ def posterior_of(
         effects = [problem.blocks[b] for b in top.blocks if problem.blocks[b].listed]
         # the set with the odds of each noise, in units of the noise that was searched: with nothing, with the set, and
         # with the outlying rows of the set alone, which noise of another kind may need, too
-        y, jacobian, base = library.as_base(here)
-        each = []
+        y, base = library.as_base(here)
+        jacobian, each = here.linearized[1], []
         rows_only = [pair for pair in top.key if problem.blocks[pair[0]].row is not None]
         for key in dict.fromkeys([(), top.key, tuple(rows_only)]):
             one = search.products.state(key)

@@ -64,7 +64,7 @@ def test_the_expected_square_error_is_that_of_draws() -> None:
     """
     given = three_sets()
     rng, problem, rows = np.random.default_rng(1), given.whole, given.at.rows
-    left, jacobian, own = given.library.as_base(given.at)
+    (left, own), jacobian = given.library.as_base(given.at), given.at.linearized[1]
     base, target = rows.whiten(jacobian[:, :, own]), rows.whiten(left)
     errors, count = [], 20000
     for one in given.explanations:
