@@ -244,15 +244,8 @@ class Explanation:
     noise: int
     probability: float
 
-    @cached_property
-    def effects(self) -> tuple[Block, ...]:
-        """Its effects of the library."""
-        return tuple(b for b in self.blocks if b.listed)
-
-    @cached_property
-    def outside(self) -> tuple[Block, ...]:
-        """Its blocks outside the library."""
-        return tuple(b for b in self.blocks if b.outside)
+    effects = cached_property(lambda self: tuple(b for b in self.blocks if b.listed))  # of the library
+    outside = cached_property(lambda self: tuple(b for b in self.blocks if b.outside))  # outside the library
 
     @cached_property
     def named(self) -> tuple[str, ...] | None:
@@ -275,10 +268,7 @@ class Posterior:
     library: Library
     at: Fitted
 
-    @property
-    def best(self) -> Explanation:
-        """The likeliest."""
-        return self.explanations[0]
+    best = property(lambda self: self.explanations[0])
 
     @cached_property
     def shares(self) -> Array:
