@@ -111,10 +111,7 @@ class Library:
     skipped: Mapping[str, str]
     aliases: Mapping[str, str]
 
-    @cached_property
-    def base(self) -> Model:
-        """Model of the arm without further effects."""
-        return self.model(())
+    base = cached_property(lambda self: self.model(()))  # model of the arm without further effects
 
     def model(self, chosen: Sequence[Block]) -> Model:
         """Model of the arm with these effects."""
@@ -367,10 +364,8 @@ class Linearized:
         response = self.response[:, self.products.places(kept)]
         return Linearized(blocks, self.products.of_blocks(kept), roots, response, self.base, self.normal, columns)
 
-    @cached_property
-    def numbers(self) -> dict[str, int]:
-        """Label of each block -> its number."""
-        return {block.label: k for k, block in enumerate(self.blocks)}
+    # label of each block -> its number
+    numbers = cached_property(lambda self: {block.label: k for k, block in enumerate(self.blocks)})
 
 
 def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside: bool = True) -> Linearized:
