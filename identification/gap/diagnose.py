@@ -147,8 +147,8 @@ def diagnose(
     of_noise = zip(posterior.noises, posterior.shares.tolist(), strict=True)
     scatter = [Finding(noise.name, 1.0 - p, noise.size) for noise, p in of_noise if noise.name and p >= 0.5]
     here = fitted.on(rows)
-    error, jacobian = rows.whiten(here.errors).reshape(before.shape), here.linearized[1] / fitted.model.scales
-    far = kept & together(outlying(error, rows.whiten(jacobian)), rows.postures, rows.posture_numbers)
+    unexplained = outlying(here.residual.reshape(before.shape), here.jacobian / fitted.model.scales)
+    far = kept & together(unexplained, rows.postures, rows.posture_numbers)
     freedom = np.full(len(predicting.values), float(predicting.freedom))
     average = as_calibration(predicting, predicting.covariance, freedom, base.rows.postures)
     result = Diagnosis(
@@ -156,12 +156,10 @@ def diagnose(
         measurements=measurements,
         residuals_before=readonly(before),
         residuals_after=readonly(after),
-        verdict=likely.verdict,
         candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
         predicting=replace(named, specs=predicting.specs, calibration=average),
         aliases=look_alikes(whole, sees, {label for one in candidates for label in one.effects}),
-        where=place,
         shape=shape,
         scatter=(*scatter, *(finding for finding in repeats if finding.name not in {f.name for f in scatter})),
         outlier_rows=tuple(numbers[~kept].tolist()),

@@ -223,7 +223,7 @@ def as_calibration(fitted: Fitted, covariance: Array, freedom: Array, postures: 
 class Diagnosis(Documented):
     """Whether model and data disagree, where, which effect is missing, and the gap with that effect in the model.
 
-    verdict : `none`, `named`, `ambiguous` or `unknown`;  where, shape : place and best shape of an unknown effect
+    shape : best one of an unknown effect
     candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry
         alone where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
     measurements, residuals_before, residuals_after : all rows, and (m, d) [mm] what base and predicting model leave
@@ -242,12 +242,10 @@ class Diagnosis(Documented):
     measurements: Measurements
     residuals_before: Array
     residuals_after: Array
-    verdict: str
     candidates: tuple[Candidate, ...]
     named: Candidate
     predicting: Candidate
     aliases: tuple[tuple[str, str, float], ...]
-    where: str | None
     shape: str | None
     scatter: tuple[Finding, ...]
     outlier_rows: tuple[int, ...]
@@ -265,6 +263,9 @@ class Diagnosis(Documented):
     unexplained_rows: tuple[int, ...] = ()
     offered: Mapping[str, Any] | None = None
 
+    verdict = property(attrgetter("probabilities.verdict"))
+    # place of an unknown effect
+    where = property(lambda self: self.probabilities.place if self.verdict == "unknown" else None)
     effects = property(attrgetter("named.effects"))  # labels of the best set; empty if nothing is named
     # effect -> smallest size that these data would have shown with 90 % power
     excluded = property(attrgetter("detectability.detectable"))

@@ -291,7 +291,7 @@ def posterior_of(
         tell(f"pass {turn}")
         here = at.on(few)
         # rows whose residual is large, and that do not come together as whole postures or neighbors do
-        left = np.sqrt(np.mean(np.square(few.whiten(here.errors).reshape(len(few), -1)), axis=1))
+        left = np.sqrt(np.mean(np.square(here.residual.reshape(len(few), -1)), axis=1))
         limit, far = 3.0 * float(np.median(left)) / 0.83, np.zeros(len(few), dtype=bool)  # robust standard deviations
         far[[k for k in np.argsort(-left, kind="stable")[:30] if left[k] > limit]] = True  # 30, as 3 above: effort
         wrong = np.flatnonzero(far & ~together(far, few.postures, few.posture_numbers)).tolist()

@@ -129,7 +129,8 @@ def test_bad_input() -> None:
     found = ambiguous()
     with pytest.raises(InputError, match="runs: 0"):
         discriminate(ARM, found, 0)
-    clear = replace(found, candidates=found.candidates[:1], verdict="named")
+    certain = replace(found.probabilities, explanations={("backlash:1",): 1.0})
+    clear = replace(found, candidates=found.candidates[:1], probabilities=certain)
     with pytest.raises(InputError, match="verdict is named"):
         discriminate(ARM, clear, 2)
 

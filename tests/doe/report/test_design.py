@@ -85,8 +85,8 @@ def test_rows_without_payload_are_completed_before_others_are_appended() -> None
         (np.ones(1), np.ones(1), False),
     ):
         result = NextPostures(Plan(np.zeros((1, 2)), conditions={"payload": payload}), 0.5, {})
-        residuals = SimpleNamespace(conditions=Conditions(payload=measured))
-        diagnosis: Any = SimpleNamespace(sentence="Two fit.", arm=arm, residuals=residuals)
+        rows = SimpleNamespace(conditions=Conditions(payload=measured))
+        diagnosis: Any = SimpleNamespace(sentence="Two fit.", arm=arm, measurements=rows)
         shown = next_document(diagnosis, result).parts
         assert [part for part in shown if "need a column payload_kg too: 7.5" in str(part)] == shown[2:]
         assert len(shown) == 2 + noted

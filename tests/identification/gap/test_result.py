@@ -74,9 +74,7 @@ def diagnosis_with(found: Diagnosis, likely: Probabilities) -> Diagnosis:
 
     candidates = tuple(candidate(names) for names in likely.rivals)
     named = candidates[0] if candidates else candidate(())
-    place = likely.place if likely.verdict == "unknown" else None
-    said = {"verdict": likely.verdict, "candidates": candidates, "named": named, "where": place}
-    return replace(found, probabilities=likely, predicting=named, curves=(), **said)
+    return replace(found, probabilities=likely, candidates=candidates, named=named, predicting=named, curves=())
 
 
 def test_nothing_that_a_diagnosis_says_contradicts_its_probabilities() -> None:
