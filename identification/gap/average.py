@@ -81,7 +81,7 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
         used += share * float(drawn @ taken)
         turn = np.zeros((int(ends[-1]), len(first)))
         for b in writable:
-            own, label = problem.products.places([b]), problem.blocks[b].label
+            own, label = problem.products.columns_of([b]), problem.blocks[b].label
             turn[:g, own] = problem.response[:, own]
             if label in places:
                 turn[np.ix_(places[label], own)] = problem.roots[b]

@@ -361,7 +361,7 @@ class Linearized:
         """That of a few blocks alone."""
         blocks, roots = tuple(self.blocks[b] for b in kept), tuple(self.roots[b] for b in kept)
         columns = tuple(self.columns[b] for b in kept)
-        response = self.response[:, self.products.places(kept)]
+        response = self.response[:, self.products.columns_of(kept)]
         return Linearized(blocks, self.products.of_blocks(kept), roots, response, self.base, self.normal, columns)
 
     # label of each block -> its number

@@ -174,7 +174,7 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
         if not block.effect.chosen:
             plain[block.key] = k
     fractions = readonly([0.0 if k is None else fraction[k] for k in plain.values()])
-    columns = [products.places([] if k is None else [k]) for k in plain.values()]
+    columns = [products.columns_of([] if k is None else [k]) for k in plain.values()]
     likeness = readonly(likenesses(problem.products.gram, columns))
     about = library.skipped, library.aliases
     return Detectability(tuple(plain), fractions, likeness, detectable, products.freedom, *about)
@@ -239,7 +239,7 @@ def look_alikes(problem: Linearized, sees: Detectability, labels: Set[str]) -> t
         for k, b in enumerate(problem.blocks)
         if b.effect is not None and b.place in places and (b.effect.chosen or b.label in labels)
     ]
-    likeness = likenesses(problem.products.gram, [problem.products.places([k]) for k, _ in near])
+    likeness = likenesses(problem.products.gram, [problem.products.columns_of([k]) for k, _ in near])
     waves = pairs_of([label for _, label in near], likeness)
     scanned = [pair for pair in waves if pair[0] in labels and "[" in pair[1]]
     never = [(name, like, 1.0) for name, like in sees.aliases.items()]

@@ -1,7 +1,5 @@
-"""Marginal likelihood of sets of blocks, in the space of their columns (identification/README.md, "One posterior").
-
-With G = Z^T Z, c = Z^T y and y^T y, everything projected off the base, and D = diag(s), log p(y | A, s) is
--1/2 log |I + D G_A D| - f/2 log(R / y^T y), with R = y^T y - c_A^T D (I + D G_A D)^-1 D c_A.
+"""Marginal likelihood of sets of blocks, in the space of their columns, whose products G = Z^T Z, c = Z^T y and y^T y
+are projected off the base (identification/README.md, "One posterior").
 
 What a set leaves of all columns is V = Z^T (I + Z_A D^2 Z_A^T)^-1 Z; of it the blocks' own parts are kept. With one
 block more or less, V changes by a term of that block's rank (M. A. Woodbury, 1950).
@@ -57,17 +55,14 @@ class Products:
 
     def of_blocks(self, blocks: Sequence[int]) -> Products:
         """Those of a few blocks alone."""
-        chosen, places = list(blocks), self.places(blocks)
+        chosen, columns = list(blocks), self.columns_of(blocks)
         starts = np.concatenate([[0], np.cumsum(self.widths[chosen])])
-        gram, right = self.gram[np.ix_(places, places)], self.right[places]
+        gram, right = self.gram[np.ix_(columns, columns)], self.right[columns]
         return Products(gram, right, self.squares, self.freedom, starts, self.signs[chosen])
 
-    @cached_property
-    def widths(self) -> Index:
-        """(B,) columns of each block."""
-        return np.diff(self.starts)
+    widths = cached_property(lambda self: np.diff(self.starts))  # (B,) columns of each block
 
-    def places(self, blocks: Sequence[int]) -> Index:
+    def columns_of(self, blocks: Sequence[int]) -> Index:
         """Indices of the columns of these blocks, in their order."""
         chosen = np.array(blocks, dtype=np.int64)
         widths = self.widths[chosen]
@@ -85,17 +80,17 @@ class Products:
     def conditioned_on(self, blocks: Sequence[int]) -> Products:
         """Those beside blocks too large for anything else to explain them: as if they were of the base model."""
         large = self.state([(block, len(SIZES) - 1) for block in blocks])
-        rows, freedom = self.gram[large.places], self.freedom - len(large.places)
+        rows, freedom = self.gram[large.columns], self.freedom - len(large.columns)
         gram = self.gram - rows.T @ large.solve(rows)
         return Products(gram, large.remaining[0], large.squares, freedom, self.starts, self.signs)
 
     def f_of(self, blocks: Sequence[int]) -> float:
         """F statistic of a few blocks against the base model."""
-        places = self.places(blocks)
-        count, spare = max(len(places), 1), max(self.freedom - len(places), 1)
+        columns = self.columns_of(blocks)
+        count, spare = max(len(columns), 1), max(self.freedom - len(columns), 1)
         # of unit size; a row that is left out may have a column alone
-        inner = self.gram[np.ix_(places, places)] + 1e-12 * np.eye(len(places))
-        gain = float(self.right[places] @ np.linalg.solve(inner, self.right[places]))
+        inner = self.gram[np.ix_(columns, columns)] + 1e-12 * np.eye(len(columns))
+        gain = float(self.right[columns] @ np.linalg.solve(inner, self.right[columns]))
         return gain / count / (max(self.squares - gain, 1e-300) / spare)
 
     def added(self, state: State) -> Array:
@@ -115,8 +110,8 @@ class Products:
         ratios = -0.5 * np.add.reduceat(np.log(spread), starts, axis=1)
         ratios -= 0.5 * self.freedom * np.log(squares / state.squares)
         if self.signs.any():
-            places = starts[self.signs]
-            deviations = parts[places] * np.sqrt(squared / spread[:, places] * self.freedom / squares[:, self.signs])
+            columns = starts[self.signs]
+            deviations = parts[columns] * np.sqrt(squared / spread[:, columns] * self.freedom / squares[:, self.signs])
             ratios[:, self.signs] += np.log(2.0) + log_ndtr(deviations)
         return np.asarray(ratios.T)
 
@@ -127,9 +122,9 @@ def mixed(states: Sequence[State], shares: Array) -> tuple[Array, Array, float]:
     size = len(states[0].products.right)
     mean, second = np.zeros(size), np.zeros((size, size))
     for state, share in zip(states, shares, strict=True):
-        mean[state.places] += share * state.mean
+        mean[state.columns] += share * state.mean
         moment = state.variance * state.covariance + np.outer(state.mean, state.mean)
-        second[np.ix_(state.places, state.places)] += share * moment
+        second[np.ix_(state.columns, state.columns)] += share * moment
     variance = sum(float(share) * state.variance for state, share in zip(states, shares, strict=True))
     return mean, second - np.outer(mean, mean), variance
 
@@ -138,30 +133,20 @@ def mixed(states: Sequence[State], shares: Array) -> tuple[Array, Array, float]:
 class State:
     """A set of blocks with their sizes, and k columns, those of one block after the other.
 
-    pairs : the blocks, in any order, with the numbers of their sizes;  known : name -> what need not be computed anew
+    pairs : the blocks, in any order, with the numbers of their sizes;  computed : name -> what is known already
     """
 
     products: Products
     pairs: Key
-    known: Mapping[str, Any] = field(default_factory=dict)
+    computed: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.__dict__.update(self.known)
+        self.__dict__.update(self.computed)
 
-    @cached_property
-    def key(self) -> Key:
-        """Its blocks, ascending, with the numbers of their sizes."""
-        return tuple(sorted(self.pairs))
-
-    @cached_property
-    def blocks(self) -> tuple[int, ...]:
-        """Numbers of the blocks, ascending."""
-        return tuple(block for block, _ in self.key)
-
-    @cached_property
-    def places(self) -> Index:
-        """(k,) of its columns among all."""
-        return self.products.places([block for block, _ in self.pairs])
+    key = cached_property(lambda self: tuple(sorted(self.pairs)))  # its blocks, ascending, with the numbers of sizes
+    blocks = cached_property(lambda self: tuple(block for block, _ in self.key))  # their numbers, ascending
+    # (k,) of its columns among all
+    columns = cached_property(lambda self: self.products.columns_of([block for block, _ in self.pairs]))
 
     @cached_property
     def sizes(self) -> Array:
@@ -171,8 +156,8 @@ class State:
     @cached_property
     def factor(self) -> Array:
         """(k, k) lower Cholesky factor of G_A + D^-2, whose inverse is the coefficients' covariance for unit sigma."""
-        if "larger" in self.known:  # rows below those taken out take up their columns: L L^T + E E^T = R^T R
-            whole, out = self.known["larger"]
+        if "larger" in self.computed:  # rows below those taken out take up their columns: L L^T + E E^T = R^T R
+            whole, out = self.computed["larger"]
             first, below = out.start, len(whole) - out.stop
             factor = np.zeros((first + below,) * 2, order="F")
             factor[:first, :first], factor[first:, :first] = whole[:first, :first], whole[out.stop :, :first]
@@ -181,7 +166,7 @@ class State:
                 root = lapack.dtpqrt(0, min(below, 32), under[:, out.stop :].T, under[:, out].T)[0]
                 factor[first:, first:] = (root * np.sign(np.diag(root))[:, None]).T
             return factor
-        inner = self.products.gram[np.ix_(self.places, self.places)]
+        inner = self.products.gram[np.ix_(self.columns, self.columns)]
         inner[np.diag_indices(len(inner))] += self.sizes**-2.0
         return np.asarray(lapack.dpotrf(inner.T, lower=1, clean=1, overwrite_a=1)[0]) if self.pairs else inner
 
@@ -198,19 +183,19 @@ class State:
     @cached_property
     def mean(self) -> Array:
         """(k,) of its coefficients."""
-        return self.solve(self.products.right[self.places][:, None])[:, 0]
+        return self.solve(self.products.right[self.columns][:, None])[:, 0]
 
     @cached_property
     def squares(self) -> float:
         """R, not below rounding."""
         whole = self.products.squares
-        return max(whole - float(self.mean @ self.products.right[self.places]), LEAST * whole, 1e-300)
+        return max(whole - float(self.mean @ self.products.right[self.columns]), LEAST * whole, 1e-300)
 
     @cached_property
     def remaining(self) -> Remaining:
         """What the set leaves of all columns: (P,) V's counterpart of c, and of each group of `Products.alike` the
         blocks' own parts of V."""
-        rows = self.products.gram[self.places]
+        rows = self.products.gram[self.columns]
         within = tuple(self.products.gram[i[:, :, None], i[:, None, :]] for i in self.products.alike)
         return self._moved((self.products.right, within), self.mean, rows, -self.solve(rows))
 
@@ -220,10 +205,7 @@ class State:
         within = tuple(part + one[:, i].transpose(1, 2, 0) @ other[:, i].transpose(1, 0, 2) for i, part in pairs)
         return left[0] - mean @ one, within
 
-    @property
-    def variance(self) -> float:
-        """Of the noise."""
-        return self.squares / max(self.products.freedom, 1)
+    variance = property(lambda self: self.squares / max(self.products.freedom, 1))  # of the noise
 
     @property
     def ratio(self) -> float:
@@ -246,30 +228,30 @@ class State:
         if block is None:
             return self
         number = next(k for k, (b, _) in enumerate(self.pairs) if b == block)
-        first = len(self.products.places([b for b, _ in self.pairs[:number]]))
+        first = len(self.products.columns_of([b for b, _ in self.pairs[:number]]))
         out = slice(first, first + int(self.products.widths[block]))
-        part = self.solve(np.eye(len(self.places))[:, out]).T
+        part = self.solve(np.eye(len(self.columns))[:, out]).T
         # by what V is larger in the block's coefficients, and how they take up a unit of each column
-        inner, taken = np.linalg.inv(part[:, out]), part @ self.products.gram[self.places]
+        inner, taken = np.linalg.inv(part[:, out]), part @ self.products.gram[self.columns]
         remaining = self._moved(self.remaining, -inner @ self.mean[out], taken, inner @ taken)
-        known = {"squares": self.squares + float(self.mean[out] @ inner @ self.mean[out]), "remaining": remaining}
-        known["larger"] = self.factor, out
-        return State(self.products, self.pairs[:number] + self.pairs[number + 1 :], known)
+        computed = {"squares": self.squares + float(self.mean[out] @ inner @ self.mean[out]), "remaining": remaining}
+        computed["larger"] = self.factor, out
+        return State(self.products, self.pairs[:number] + self.pairs[number + 1 :], computed)
 
     def with_block(self, pair: tuple[int, int] | None) -> State:
         """The set with a further block of the size with this number; None: itself."""
         if pair is None:
             return self
-        places = self.products.places([pair[0]])
-        rows, ridge = self.products.gram[places], SIZES[pair[1]] ** -2.0 * np.eye(len(places))
-        across = rows[:, self.places]
-        taken = rows - self.solve(across.T).T @ self.products.gram[self.places]
-        inner, (scores, _) = taken[:, places] + ridge, self.remaining
-        factor = np.zeros((len(self.places) + len(places),) * 2, order="F")
-        factor[: len(self.places), : len(self.places)] = self.factor
-        factor[len(self.places) :, : len(self.places)] = solve_triangular(self.factor, across.T, lower=True).T
-        factor[len(self.places) :, len(self.places) :] = np.linalg.cholesky(inner)
+        columns = self.products.columns_of([pair[0]])
+        rows, ridge = self.products.gram[columns], SIZES[pair[1]] ** -2.0 * np.eye(len(columns))
+        across = rows[:, self.columns]
+        taken = rows - self.solve(across.T).T @ self.products.gram[self.columns]
+        inner, (scores, _) = taken[:, columns] + ridge, self.remaining
+        factor = np.zeros((len(self.columns) + len(columns),) * 2, order="F")
+        factor[: len(self.columns), : len(self.columns)] = self.factor
+        factor[len(self.columns) :, : len(self.columns)] = solve_triangular(self.factor, across.T, lower=True).T
+        factor[len(self.columns) :, len(self.columns) :] = np.linalg.cholesky(inner)
         remaining = self._moved(
-            self.remaining, np.linalg.solve(inner, scores[places]), taken, -np.linalg.solve(inner, taken)
+            self.remaining, np.linalg.solve(inner, scores[columns]), taken, -np.linalg.solve(inner, taken)
         )
         return State(self.products, (*self.pairs, pair), {"factor": factor, "remaining": remaining})

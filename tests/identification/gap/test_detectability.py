@@ -85,7 +85,7 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
         return y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
 
     projected = left(own, base)
-    places = problem.products.places(blocks)
+    places = problem.products.columns_of(blocks)
     np.testing.assert_allclose(beside.gram[np.ix_(places, places)], projected.T @ projected, atol=1e-6)
     y = (noisy - library.base.position(POSTURES, at.values, rows.conditions))[kept].ravel()
     without, there = (np.sum(left(y, columns) ** 2) for columns in (base, np.hstack([base, own])))

@@ -56,7 +56,7 @@ def test_the_ratio_is_that_of_densities_of_all_rows(blocks: tuple[int, ...]) -> 
     j, z, y, products = problem()
     z, y = off(j, z, y)
     pairs = [(b, size) for b, size in zip(blocks, (0, 2, 1, 4, 3), strict=False)]
-    own = products.places(blocks)
+    own = products.columns_of(blocks)
     scales = np.repeat([SIZES[size] for _, size in pairs], [WIDTHS[b] for b in blocks])
     nothing = log_density(z[:, :0], y, np.zeros(0))
     expected = log_density(z[:, own], y, scales) - nothing
@@ -87,7 +87,7 @@ def test_sets_that_change_by_one_block_are_those_made_at_once(seed: int) -> None
         once = products.state(state.key)
         assert state.key == once.key
         assert state.ratio == pytest.approx(once.ratio, abs=1e-9)
-        own = np.argsort(state.places)
+        own = np.argsort(state.columns)
         np.testing.assert_allclose(state.mean[own], once.mean, atol=1e-9)
         np.testing.assert_allclose(state.covariance[np.ix_(own, own)], once.covariance, atol=1e-9)
         np.testing.assert_allclose(state.remaining[0], once.remaining[0], atol=1e-9)
@@ -101,12 +101,12 @@ def test_what_a_set_leaves_is_what_ridge_regression_leaves() -> None:
     z, y = z - q @ (q.T @ z), y - q @ (q.T @ y)
     state = products.state([(1, 2), (4, 1)])
     scales = np.repeat([SIZES[2], SIZES[1]], [2, 7])
-    inverse = np.linalg.inv(np.eye(N) + (z[:, state.places] * scales**2) @ z[:, state.places].T)
+    inverse = np.linalg.inv(np.eye(N) + (z[:, state.columns] * scales**2) @ z[:, state.columns].T)
     assert state.squares == pytest.approx(y @ inverse @ y, rel=1e-10)
     np.testing.assert_allclose(state.remaining[0], z.T @ inverse @ y, atol=1e-9)
-    precision = z[:, state.places].T @ z[:, state.places] + np.diag(scales**-2.0)
+    precision = z[:, state.columns].T @ z[:, state.columns] + np.diag(scales**-2.0)
     np.testing.assert_allclose(state.covariance, np.linalg.inv(precision), rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(state.mean, np.linalg.solve(precision, z[:, state.places].T @ y), atol=1e-9)
+    np.testing.assert_allclose(state.mean, np.linalg.solve(precision, z[:, state.columns].T @ y), atol=1e-9)
     left = z.T @ inverse @ z
     for index, own in zip(products.alike, state.remaining[1], strict=True):
         np.testing.assert_allclose(own, left[index[:, :, None], index[:, None, :]], atol=1e-9)

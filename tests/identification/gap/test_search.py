@@ -53,7 +53,7 @@ def exact(search: Search) -> dict[tuple[int, ...], float]:
     for blocks in (b for k in range(len(WIDTHS) + 1) for b in combinations(range(len(WIDTHS)), k)):
         if np.isfinite(prior := search.log_prior(blocks)):
             sizes = np.array([*product(range(len(SIZES)), repeat=len(blocks))], dtype=int)
-            places = these.places(blocks)
+            places = these.columns_of(blocks)
             d = np.repeat(SIZES[sizes], [WIDTHS[b] for b in blocks], axis=1)
             wide = np.eye(len(places)) + d[:, :, None] * these.gram[np.ix_(places, places)] * d[:, None, :]
             right = d * these.right[places]
