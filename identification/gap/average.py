@@ -66,12 +66,12 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     # the base's parameters, and those of all blocks that are likely enough; the base gives way to rows left out, too
     kept = [b for b in whole.blocks if b.row is None and chances[b.label] >= LEVEL]
     ends = g + np.cumsum([0, *(whole.columns[whole.numbers[b.label]].shape[2] for b in kept)])
-    places = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
+    numbers_of = {b.label: np.arange(*ends[k : k + 2]) for k, b in enumerate(kept)}
     geometry_of, used = defaultdict[str, Array](lambda: np.zeros(g)), 0.0
     means, covariances, noises = list[Array](), list[Array](), list[float]()
     for problem, draws, share in zip(posterior.problems, posterior.draws, posterior.shares.tolist(), strict=True):
         # each set without the blocks that are left out, of which the others take on what they can
-        writable = {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in places}
+        writable = {k for k, b in enumerate(problem.blocks) if b.row is not None or b.label in numbers_of}
         counts = Counter[Key]()
         for key, count in draws.items():
             counts[tuple(pair for pair in key if pair[0] in writable)] += count
@@ -81,11 +81,11 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
         used += share * float(drawn @ taken)
         turn = np.zeros((int(ends[-1]), len(first)))
         for b in writable:
-            own, label = problem.products.columns_of([b]), problem.blocks[b].label
-            turn[:g, own] = problem.response[:, own]
-            if label in places:
-                turn[np.ix_(places[label], own)] = problem.roots[b]
-                geometry_of[label] += share * problem.response[:, own] @ first[own]
+            columns, label = problem.products.columns_of([b]), problem.blocks[b].label
+            turn[:g, columns] = problem.response[:, columns]
+            if label in numbers_of:
+                turn[np.ix_(numbers_of[label], columns)] = problem.roots[b]
+                geometry_of[label] += share * problem.response[:, columns] @ first[columns]
         means.append(turn @ first)
         covariances.append(turn @ covariance @ turn.T)
         means[-1][:g] += problem.base
@@ -111,14 +111,14 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     renamed = library.renamed(plain)
     place = {renamed.get(name, name): k for k, name in enumerate(library.base.names)}
     for block, effect in zip(members, plain.effects[len(plain.effects) - len(members) :], strict=True):
-        place |= {p.name: k for p, k in zip(effect.parameters, places[block.label].tolist(), strict=True)}
+        place |= {p.name: k for p, k in zip(effect.parameters, numbers_of[block.label].tolist(), strict=True)}
     index = np.array([place[name] for name in plain.names], dtype=np.int64)
     values = np.clip(mean[index], plain.parameters.lower, plain.parameters.upper)
 
     curves = list[Curve]()
     beside_curves = [effect.label for effect in unlisted if effect.joint]  # off with the first
     for (joint, start, stop), functions in of_curves:
-        at = np.concatenate([places[label] for label in functions])
+        at = np.concatenate([numbers_of[label] for label in functions])
         beside = conditional_covariance(covariance, at, np.setdiff1d(np.arange(len(mean)), at))
         # the part of the geometry that was fitted together with the curve; shifts of the base along its axes
         together = [*functions, *(beside_curves if not curves else ())]
@@ -149,7 +149,7 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     # errors of any form keep their values, as curves do: no fit without their prior should change them
     entries = [b.effect.spec for b in members if b.effect]
     for effect in unlisted:
-        fixed = zip((p.short for p in effect.parameters), mean[places[effect.label]].tolist(), strict=True)
+        fixed = zip((p.short for p in effect.parameters), mean[numbers_of[effect.label]].tolist(), strict=True)
         entries.append(replace(effect.spec, values={**effect.spec.values, **dict(fixed)}))
     entries += [curve.spec for curve in curves]
     model = Model(arm.with_effects(*arm.effects, *entries))
@@ -161,16 +161,16 @@ def averaged(posterior: Posterior, coordinates: int) -> PredictingModel:
     spread[np.ix_(of_base, of_base)] = normal[np.ix_(index[of_base], index[of_base])]
     jacobian = Fitted(model, values, rows).linearized[1]
     tabulated = [*absorbed, *(effect.label for effect in unlisted)]
-    conditioned = np.concatenate([index[:0], *(places[label] for label in tabulated)])
+    conditioned = np.concatenate([index[:0], *(numbers_of[label] for label in tabulated)])
     columns = np.concatenate([jacobian, *(whole.columns[whole.numbers[label]] for label in tabulated)], axis=2)
     tall, every = columns.reshape(-1, columns.shape[2]), [*index, *conditioned]
     gram = tall.T @ tall / len(columns)  # of a covariance C the mean square distance is the sum of gram * C
     inside, beside = gram[: len(index), : len(index)], conditional_covariance(covariance, index, conditioned)
     spread /= max(float(np.sum(inside * spread)), 1e-300)
-    more = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
+    square = float(np.sum(gram * covariance[np.ix_(every, every)]) - np.sum(inside * beside))
     sigma, specs = float(np.sqrt(variance)), tuple(entries)
     written = PredictingModel(model, values, rows, beside, sigma, freedom, spread, specs, tuple(curves))
-    return written.allowing(more)
+    return written.allowing(square)
 
 
 def conditional_covariance(covariance: Array, kept: Index, conditioned: Index) -> Array:

@@ -212,8 +212,8 @@ def _slopes(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> tuple[Evaluate,
     ends = (max(place.stop for place in each.values()) for each in (columns, where))
     q, c, state = ca.SX.sym("q", arm.links), *map(ca.SX.sym, ("c", "state"), ends)
     chain, sizes = ArmState.of(arm, q, c, columns), widths(arm.chain)
-    given: dict[str, Any] = {name: state[place] for name, place in where.items()}
-    loaded = replace(chain, **{place: given[place] for place in OF_LOAD})
+    symbols: dict[str, Any] = {name: state[place] for name, place in where.items()}
+    loaded = replace(chain, **{place: symbols[place] for place in OF_LOAD})
     scanned = {s: ca.SX.sym(s) for _, _, settings in keys for s in settings if isinstance(s, str)}
     slopes, places, count = list[ca.SX](), dict[Key, list[tuple[int, int, int]]](), 0
     for key in keys:
@@ -221,7 +221,7 @@ def _slopes(arm: Arm, remembers: bool, keys: tuple[Key, ...]) -> tuple[Evaluate,
         effect = cls(arm.chain, joint, dict((s, scanned[s]) if isinstance(s, str) else s for s in settings))
         v, neutral = ca.SX.sym("v", len(effect.parameters)), ca.DM([p.neutral for p in effect.parameters])
         added = [
-            contribution(effect, place, chain if place in OF_LOAD else loaded, v, given["lengths"], given["tip"])
+            contribution(effect, place, chain if place in OF_LOAD else loaded, v, symbols["lengths"], symbols["tip"])
             if hasattr(effect, place)
             else ca.SX.zeros(size)
             for place, size in sizes.items()

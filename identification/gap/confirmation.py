@@ -264,12 +264,12 @@ class HeldOut:
         data: Measurements,
         kept: NDArray[np.bool_],
         named: bool,
-        more: float,
+        noise_factor: float,
     ) -> Confirmation:
         """Test a model.
 
         base, model : fitted to the kept rows (m,) of the data;  named : False if nothing was named
-        more : noise to expect, in units of the variance that the residuals have
+        noise_factor : noise to expect, in units of the variance that the residuals have
 
         Expected is the mean square that the model leaves in its own rows, larger by as much as its parameters were
         fitted to them, and what the errors of the parameters add in the new rows.
@@ -279,7 +279,7 @@ class HeldOut:
         # the variance that white Gaussian noise gives
         white = 2.0 * float(np.mean(squares)) ** 2 / max(model.freedom, 1)
         left, added = mean_of(squares, groups_of(data, kept), white), self.parameter_part(model)
-        scale = more * len(squares) * model.model.dimension / max(model.freedom, 1)
+        scale = noise_factor * len(squares) * model.model.dimension / max(model.freedom, 1)
         predicted = Mean(scale * left.value + added.value, scale**2 * left.variance + added.variance, left.freedom)
         sigma = float(np.sqrt(scale * left.value / after.shape[1]))
         file, groups = self.rows.provenance.get("file") if self.transfer == SESSION else None, groups_of(self.rows)
@@ -294,12 +294,12 @@ def cross_validation(
     kept: NDArray[np.bool_],
     generator: np.random.Generator,
     named: bool,
-    more: float,
+    noise_factor: float,
 ) -> tuple[Confirmation, ...]:
     """Test whether the average holds for other postures, and for another interval of time; as the sets were found with
     all rows, this can refute a model but not confirm it.
 
-    kept : (m,) rows that are no outliers;  named : False if nothing was named;  more : as in `HeldOut.test`
+    kept : (m,) rows that are no outliers;  named : False if nothing was named;  noise_factor : as in `HeldOut.test`
     """
     by_groups = groups_of(measurements, kept)
     postures = np.unique(measurements.posture_numbers[kept], return_inverse=True)[1]
@@ -309,7 +309,7 @@ def cross_validation(
         "another stretch of time": by_groups[0],
     }
     tests = []
-    predicted_rows = predicted_from_others(posterior, kept, [*parts.values()], more)
+    predicted_rows = predicted_from_others(posterior, kept, [*parts.values()], noise_factor)
     for transfer, (before, after, expected) in zip(parts, predicted_rows, strict=True):
         predicted, sigma = Mean(expected, 0.0, np.inf), float(np.sqrt(expected / after.shape[1]))
         level = LEVEL / len(parts)  # Bonferroni
@@ -318,7 +318,7 @@ def cross_validation(
 
 
 def predicted_from_others(
-    posterior: Posterior, kept: NDArray[np.bool_], partitions: Sequence[Groups], more: float = 1.0
+    posterior: Posterior, kept: NDArray[np.bool_], partitions: Sequence[Groups], noise_factor: float = 1.0
 ) -> Iterator[tuple[Array, Array, float]]:
     """Each part of the kept rows predicted from the others, for partitions that have the number of each row's part.
 
@@ -358,7 +358,7 @@ def predicted_from_others(
             rest = others[rank:, rank:] - inside.T @ inside
             freedom = max(d * np.count_nonzero(~test) - turn.shape[1], 1)
             parts = {"gram": rest[:-1, :-1], "right": rest[:-1, -1], "squares": float(rest[-1, -1]), "freedom": freedom}
-            states = [replace(part.products, **parts).state(own_pairs) for own_pairs in pairs]
+            states = [replace(part.products, **parts).state(set_pairs) for set_pairs in pairs]
             shares = softmax([prior + state.ratio for prior, state in zip(priors, states, strict=True)])
             mean, covariance, variance = mixed(states, shares)
             left_out, of_point = table[np.repeat(test, d)], points[test].ravel()
@@ -368,5 +368,5 @@ def predicted_from_others(
             after[test] = before[test] - (moved[:, :-1] @ mean).reshape(-1, d)
             shown, of_base = moved[of_point, :-1], float(np.sum(np.square(turned[of_point])))
             expected += float(np.sum((shown.T @ shown) * covariance))
-            expected += more * variance * (of_base + noise * np.count_nonzero(test))
+            expected += noise_factor * variance * (of_base + noise * np.count_nonzero(test))
         yield before[:, POINT], after[:, POINT], expected / m

@@ -62,8 +62,8 @@ def diagnose(
     copies, numbers = copied_rows(measurements), np.unique(measurements.originals)
     measurements = measurements.without_copies() if copies else measurements
     holdout = None if holdout is None else of_these_sessions(holdout, measurements)
-    given = determined(arm, measurements)
-    arm, rows, generator = with_sessions(given, measurements), Rows.of(measurements), np.random.default_rng(seed)
+    one_session = determined(arm, measurements)
+    arm, rows, generator = with_sessions(one_session, measurements), Rows.of(measurements), np.random.default_rng(seed)
     if not Model(arm).names:
         raise InputError("measurements: no parameter of the arm follows from these rows, allowed: data that show one")
     warm = measurements.temperature is not None and np.ptp(measurements.temperature) > 0.0
@@ -102,7 +102,7 @@ def diagnose(
     if over_sigma is not None and over_sigma.significant:  # what nothing explains is an error of the model elsewhere
         predicting = predicting.allowing(rows.dimension * predicting.sigma**2 * (1.0 - over_sigma.ratio**-2))
     # residuals that scatter less than the given sigma by chance, as in `estimation.uncertainty`, promise no less noise
-    more = 1.0 if over_sigma is None or over_sigma.p_value > 0.99 else max(1.0, over_sigma.ratio**-2)
+    noise_factor = 1.0 if over_sigma is None or over_sigma.p_value > 0.99 else max(1.0, over_sigma.ratio**-2)
 
     # the verdict, and the sets that it speaks of, each fitted once more
     likely = probabilities(posterior)
@@ -127,12 +127,12 @@ def diagnose(
     shown, fitted, named = sets[0], fits[0], candidates[0]
 
     # tests on other rows
-    tests = cross_validation(posterior, measurements, kept, generator, something, more)
+    tests = cross_validation(posterior, measurements, kept, generator, something, noise_factor)
     if tests[0].shrinks is False and tests[0].after_mm > tests[0].before_mm:  # by more than chance
         alone, predicting, after = True, geometry(base), before
     confirmation = None
     if held_out is not None:
-        confirmation = held_out.test(base, predicting, measurements, kept, something, more)
+        confirmation = held_out.test(base, predicting, measurements, kept, something, noise_factor)
     figures = () if confirmation is None else (confirmation.before_mm, confirmation.after_mm, confirmation.predicted_mm)
 
     # what these rows show
@@ -185,13 +185,13 @@ def diagnose(
     )
     result = replace(result, notes=tuple(notes(result, posterior, measurements, fitted, alone)))
     progress(1.0, 1.0, result.sentence)
-    if arm is given:
+    if arm is one_session:
         return result
     first, average_there, *others = (  # of several sessions, with the base of the first one only
         replace(one, calibration=without_sessions(one.calibration))
         for one in (result.named, result.predicting, *result.candidates)
     )
-    return replace(result, arm=with_base(given), candidates=tuple(others), named=first, predicting=average_there)
+    return replace(result, arm=with_base(one_session), candidates=tuple(others), named=first, predicting=average_there)
 
 
 def check_input(arm: object, measurements: Measurements, holdout: Measurements | None) -> None:

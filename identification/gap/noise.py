@@ -57,8 +57,8 @@ def noises(at: Fitted) -> Iterator[NoiseModel]:
             for ratio in RATIOS:
                 deviations = np.sqrt(1.0 + ratio * np.maximum(values, 0.0))
                 spread = vectors * deviations[:, None, :] @ vectors.transpose(0, 2, 1)
-                more = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
-                yield NoiseModel(name, sign * ratio, more, float(np.log(UNEVEN / kinds)))
+                uneven = replace(rows, spread=spread if rows.spread is None else rows.spread @ spread)
+                yield NoiseModel(name, sign * ratio, uneven, float(np.log(UNEVEN / kinds)))
     for rho in CORRELATIONS:
         # errors that stay alike for a fifth of the session are likelier a drift, which is a block of time
         prior = float(np.log((UNEVEN if (1.0 - rho) * m >= 5.0 else LASTING) / len(CORRELATIONS)))
