@@ -168,9 +168,9 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
             # an effect that moves the tip farther is seen without a test, and is not linear
             if needed * far[k] <= 0.1 * library.base.reach:
                 size = Size(float(needed * parameter.to_file), parameter.file_unit, float(needed * far[k]))
-        # of several settings the one that is hardest to see
+        # of several settings the one that is hardest to see, and of those equally hard the one that moves the tip most
         settings = detectable.get(block.key, size), size
-        detectable[block.key] = max(settings, key=lambda one: np.inf if one.value is None else one.value)
+        detectable[block.key] = max(settings, key=lambda one: (float(f"{one.value or np.inf:.9g}"), one.tip_mm or 0.0))
         if not block.effect.chosen:
             plain[block.key] = k
     fractions = readonly([0.0 if k is None else fraction[k] for k in plain.values()])
