@@ -104,7 +104,7 @@ def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
 # -- diagnoses, without outlier rows, which would set the scale --------------------------------------------------------
 def kept_rows(diagnosis: Diagnosis) -> tuple[NDArray[np.int64], Array, Pairs]:
     """Numbers of the rows that are no outliers, their postures (m, n) [rad], and what is left of them (m, d) [mm]."""
-    kept = np.delete(np.arange(len(diagnosis.measurements)), np.array(diagnosis.outlier_rows, dtype=int) - 1)
+    kept = np.flatnonzero(diagnosis.kept)
     pairs = [(diagnosis.residuals_before[kept], "before"), (diagnosis.residuals_after[kept], "after")]
     return kept, diagnosis.measurements.postures[kept], pairs
 

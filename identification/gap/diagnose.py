@@ -156,6 +156,7 @@ def diagnose(
         measurements=measurements,
         residuals_before=readonly(before),
         residuals_after=readonly(after),
+        kept=kept,
         candidates=tuple(candidates) if likely.rivals or (unknown and named.effects) else (),
         named=named,
         predicting=replace(named, specs=predicting.specs, calibration=average),

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import DIAGNOSED, Arm, Calibration, EffectSpec
 from identification.arrays import Array
@@ -226,9 +227,10 @@ class Diagnosis(Documented):
     shape : best one of an unknown effect
     candidates, named : ambiguity set, and best set of effects;  predicting : the posterior's average, or the geometry
         alone where that predicts other rows better;  aliases : triples (effect, effect like it, likeness)
-    measurements, residuals_before, residuals_after : all rows, and (m, d) [mm] what base and predicting model leave
-    scatter : significant properties of the noise;  outlier_rows : numbers of the rows left out, from 1
-    unexplained_rows : of rows that the best set does not explain either, but that come together and stay in
+    measurements, residuals_before, residuals_after : the rows without copies, and (m, d) [mm] what base and predicting
+        model leave;  kept : (m,) those that are no outliers;  scatter : significant properties of the noise
+    outlier_rows, unexplained_rows : numbers in the data, from 1, of the rows left out, and of rows that the best set
+        does not explain either, but that come together and stay in
     gap : RMS distances before and after;  sigma : noise of one coordinate estimated from the residuals [mm]
     detectability : smallest detectable sizes in these data
     misfit : test against the given sigma, None without one;  confirmation : on held-out rows, None without
@@ -242,6 +244,7 @@ class Diagnosis(Documented):
     measurements: Measurements
     residuals_before: Array
     residuals_after: Array
+    kept: NDArray[np.bool_]
     candidates: tuple[Candidate, ...]
     named: Candidate
     predicting: Candidate

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from doe.studies.blind import cells, simulator
 from identification import Arm, EffectSpec, Gravity, InputError, Measurements, Model, diagnose
+from identification.documents.pictures import kept_rows
 from identification.estimation import estimate as identify
 from identification.files.arm import load_arm, with_calibration, with_effects
 from identification.gap.fit import Rows, fit, fitted_arm
@@ -178,6 +179,9 @@ def test_exact_copies_of_rows_are_no_measurements() -> None:
     assert copied.probabilities.best == expected.probabilities.best
     assert copied.gap.rms_after == pytest.approx(expected.gap.rms_after, rel=1e-6)
     assert expected.outlier_rows == copied.outlier_rows == (51,)
+    before = diagnose(ARM, wrong.rows([0, 0, *range(60)]))
+    assert before.outlier_rows == (53,)
+    assert kept_rows(before)[0].tolist() == [*range(50), *range(51, 60)]  # that pictures show
     assert any("exact cop" in warning for warning in copied.warnings)
 
 
