@@ -74,17 +74,15 @@ class MisidentificationBound:
 
     No criterion of optimality: it is no concave function of M, so there is no certificate for it.
 
-    base : p, the base model's parameters, which come first
-    bases : per effect (K, s), the combinations of the K parameters of effects that it may take
-    weights : (H,) how likely each effect is, in any unit
+    library : the effects, by `base`, `bases` and `weights`
     reference : (p + K, p + K) information per run of random postures
     """
 
-    def __init__(self, base: int, bases: Sequence[Array], weights: Array, reference: Array) -> None:
-        self.base, self.reference = base, reference
-        schur, whole = self._off_base(reference)[0], np.diag(reference)[base:]
+    def __init__(self, library: EffectLibrary, reference: Array) -> None:
+        self.base, self.reference = library.base, reference
+        schur, whole = self._off_base(reference)[0], np.diag(reference)[self.base :]
         directions, owners, shares = list[Array](), list[int](), list[float]()
-        for number, basis in enumerate(bases):
+        for number, basis in enumerate(library.bases):
             axes = np.eye(basis.shape[1])  # unit vectors, and along the sum and the difference of every two
             mixes = [*axes, *((a + sign * b) / np.sqrt(2.0) for a, b in combinations(axes, 2) for sign in (1.0, -1.0))]
             lengths = ((v, float(v @ schur @ v)) for v in (basis @ mix for mix in mixes))
@@ -92,14 +90,14 @@ class MisidentificationBound:
             shown = [v * (LAMBDA / np.sqrt(length)) for v, length in lengths if length > 1e-9 * float(v**2 @ whole)]
             directions += shown
             owners += [number] * len(shown)
-            shares += [float(weights[number]) / len(shown) for _ in shown]
+            shares += [float(library.weights[number]) / len(shown) for _ in shown]
         # (D, K) effects, each `LAMBDA` long on random postures, in the scaled parameters
         self.directions, probabilities = np.array(directions), np.array(shares) / np.sum(shares)
         # of each rival its basis (K, s), a ridge that keeps the inverse of one that a plan hides, and (D,) how probable
         # the others are; the first explains nothing, and what the base model explains on any plan is no rival
         self.rivals = [(np.empty((len(schur), 0)), 0.0, probabilities)]
         for number in dict.fromkeys(owners):
-            basis, others = bases[number], probabilities * (np.array(owners) != number)
+            basis, others = library.bases[number], probabilities * (np.array(owners) != number)
             self.rivals.append((basis, 1e-12 * max(float(np.trace(basis.T @ schur @ basis)), 1e-300), others))
 
     def wrong(self, information: Array) -> Array:
@@ -284,7 +282,7 @@ class Swaps:
         self.extended = replace(problem, model=library.shown_by_postures, deviations=deviations)
         cloud = pool_of(problem, CLOUD, np.random.default_rng(0))
         reference = information_matrix(self.extended.scaled_jacobians(cloud)) / len(cloud)
-        self.bound = MisidentificationBound(library.base, library.bases, library.weights, reference)
+        self.bound = MisidentificationBound(library, reference)
 
     def wrong(self, postures: Array) -> float:
         """Bound on the mean probability of a wrong name that a plan leaves, see `MisidentificationBound.wrong`."""

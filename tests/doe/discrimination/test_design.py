@@ -196,7 +196,7 @@ def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) ->
 
 
 # -- the bound on wrong names ------------------------------------------------------------------------------------------
-OWN, EFFECTS, RUNS = 3, 7, 12
+OWN, EFFECTS, RUNS, MODEL = 3, 7, 12, Model(Arm(LENGTHS))
 BASES = (  # two effects of one parameter, one of two, one that takes the sum of two, one of three
     np.eye(EFFECTS)[:, [0]],
     np.eye(EFFECTS)[:, [1]],
@@ -212,7 +212,8 @@ def columns(seed: int, rows: int = 2 * RUNS) -> np.ndarray:
 
 
 def made(reference: np.ndarray) -> MisidentificationBound:
-    return MisidentificationBound(OWN, BASES, WEIGHTS, reference.T @ reference / (len(reference) / 2))
+    information = reference.T @ reference / (len(reference) / 2)
+    return MisidentificationBound(EffectLibrary(OWN, MODEL, BASES, WEIGHTS), information)
 
 
 def left_of(targets: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -291,8 +292,8 @@ def test_the_bound_holds_for_simulated_measurements() -> None:
     generator = np.random.default_rng(7)
     reference, plan = columns(9, 600), columns(1)
     plan[:, OWN + 1] = plan[:, OWN] + 0.25 * plan[:, OWN + 1]  # much alike
-    bases = BASES[:2]
-    misidentification = MisidentificationBound(OWN, bases, np.ones(2), reference.T @ reference / 300)
+    library = EffectLibrary(OWN, MODEL, BASES[:2], np.ones(2))
+    misidentification = MisidentificationBound(library, reference.T @ reference / 300)
     bound = float(misidentification.wrong(plan.T @ plan / RUNS))
     basis = np.linalg.qr(plan[:, :OWN])[0]
     seen = [column - basis @ (basis.T @ column) for column in plan[:, OWN : OWN + 2].T]
