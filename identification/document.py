@@ -38,7 +38,7 @@ class Sheet:
     rows: Sequence[Sequence[str]]
     title: str = ""
     most: int | None = None
-    where: str = "--out writes all"
+    where: str = "--json has all"
 
     @classmethod
     def facts(cls, facts: Mapping[str, str | None]) -> Self:

@@ -311,7 +311,7 @@ def advice_document(advice: Advice) -> Document:
             largest = (None, None) if sure is None else (sure.largest("mm"), np.degrees(sure.largest("rad")))
             row += [number(value, 5) for value in largest]
         rows.append([*row, *(number(advice.tip_errors[k][key], 4) for key in tips)])
-    parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40, where="--json has all")]
+    parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40)]
     parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
     parts += [BOUND_CUT] if any(design.bound and design.bound.cut for design in advice.designs) else []
     parts += [design.status.value for design in advice.designs if design.status is Status.interrupted]

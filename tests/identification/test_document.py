@@ -107,7 +107,7 @@ def test_long_tables_are_cut_and_say_so() -> None:
     rows = [[str(k)] for k in range(300)]
     cut, whole = Sheet(["run"], rows, most=3), Sheet(["run"], rows)
     text = str(Document(parts=[cut]))
-    assert "first 3 of 300; --out writes all" in text
+    assert "first 3 of 300; --json has all" in text
     assert [line.strip() for line in text.splitlines() if line.strip().isdigit()] == ["0", "1", "2"]
     assert "299" in str(Document(parts=[whole]))
     assert html(cut).count("<tr>") == 1 + 200
