@@ -257,7 +257,8 @@ class Arm(ByValue):
     calibration: Calibration | None = None
     gear_ratios: Array | None = None  # (n,) turns of each motor per turn of its joint, 0: not known; None: of no joint
     machining: Machining = Machining()  # what that geometry may be off by
-    counting: Counting | None = None  # of the controller's columns, commands and limits; None: as the model counts
+    # of the controller's columns, commands and limits; None: as the model counts
+    counting: Counting = None  # type: ignore[assignment]
     cell: Cell | None = None  # bodies that must not touch; None: nothing is known of any
 
     def __post_init__(self) -> None:
@@ -294,10 +295,10 @@ class Arm(ByValue):
         if ratios is not None:
             good = ratios.size == n and bool(np.all(np.isfinite(ratios) & (ratios >= 0.0)))
             require(good, f"gear_ratio: {ratios.tolist()}, allowed: {n} numbers >= 0, one for each joint")
-        for field_name, value in ({"chain": chain, "gear_ratios": ratios} | limits).items():
+        counting = self.counting or Counting.usual(n)
+        check_kinds(counting, chain.joint_types)
+        for field_name, value in ({"chain": chain, "gear_ratios": ratios, "counting": counting} | limits).items():
             object.__setattr__(self, field_name, value)
-        if self.counting is not None:
-            check_kinds(self.counting, self.joint_types)
 
     @cached_property
     def links(self) -> int:
@@ -323,8 +324,7 @@ class Arm(ByValue):
     def column_limits(self) -> tuple[Array, Array]:
         """(n,) lower and upper limits of what the controller shows [rad, mm]; NaN of joints that it counts together
         with others and for which there are no `ColumnLimits`."""
-        if (counting := self.counting) is None:
-            return self.lower, self.upper
+        counting = self.counting
         limits = np.sort(counting.columns(np.stack([self.lower, self.upper])), axis=0)
         limits[:, list(counting.coupled)] = np.nan
         for tied in (each for each in self.constraints if isinstance(each, ColumnLimits)):

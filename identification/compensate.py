@@ -248,8 +248,7 @@ class Compensation(Documented):
         notes += self.assumed if self.reached.any() else ()
         if self.sided and self.reached.any():
             # how joints that all rise move as the controller counts
-            counting, rise = self.arm.counting, np.ones((1, self.arm.links))
-            moves = (rise if counting is None else counting.signs_of_columns(rise))[0]
+            (moves,) = self.arm.counting.signs_of_columns(np.ones((1, self.arm.links)))
             falling = ", ".join(str(j) for j, sign in enumerate(moves, start=1) if sign < 0.0)
             rising = f"rising, but {falling} falling" if falling else "rising"
             side = f"{', '.join(self.sided)}: the error depends on the side that a joint comes from"

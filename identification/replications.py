@@ -116,7 +116,7 @@ class StudyFile(StrictTable):
         for name in (name for name in plans if name.endswith(".csv")):
             if any(arm.counting != arms[0].counting for arm in arms):
                 raise InputError("plans: found files for arms with different [joints], allowed: the same in all arms")
-            plans[name] = Plan.load(beside(name, "plans"), arms[0].joint_types if arms[0].counting else None)
+            plans[name] = Plan.load(beside(name, "plans"), arms[0].joint_types)
         return arms, plans, {key: value for key, value in content.items() if key not in ("arms", "plans")}
 
 

@@ -325,7 +325,7 @@ def identify_files(
     # the arm and its rows
     loaded, chosen, keys, lines = load_arm(arm), [word for each in only for word in each], dict[str, Any](), list[str]()
     if urdf is not None:  # before the fit, as it would be written of the drawing
-        corrected_urdf(arm, corrected_geometry(loaded.chain, {}, None))
+        corrected_urdf(arm, corrected_geometry(loaded.chain, {}))
     old = None if prior_from is None else load_arm(prior_from)
     measurements = load_sessions([data], loaded)
     loaded, servo_errors = with_servo_errors(loaded, measurements)

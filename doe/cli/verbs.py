@@ -197,7 +197,7 @@ def design_files(
         loaded = replace(loaded, cell=replace(loaded.cell, clearance=clearance_mm))
     if approach != "any" and loaded.chain.instrument.contact:
         raise InputError(f"--approach: found {approach} for contacts, allowed: any, as what is touched is in the way")
-    counts = None if loaded.counting is None else loaded.counting.matrix
+    counts = loaded.counting.matrix
     progress(0, None, "the arm and its cell")
     problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach, counts)

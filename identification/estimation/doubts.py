@@ -16,7 +16,7 @@ from identification.estimation.uncertainty import LEVEL, WhiteRows, decomposed_g
 from identification.information import ALONE, spectrum
 from identification.inspection.readings import DRAWN, read_differently
 from identification.kinematics.chain import ROTATION_ERROR, TOOL, TRANSLATION_ERROR
-from identification.kinematics.counting import in_columns, turned_into
+from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
@@ -80,11 +80,11 @@ def misread(arm: Arm, measurements: Measurements) -> tuple[list[str], bool]:
 
 
 def far_zeros(model: Model, parameters: Array) -> list[str]:
-    """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation."""
+    """Joints whose zero is another one than the drawing's; that of a planar arm's first is the frame's rotation;
+    as the controller counts."""
     arm, values = model.arm, model.parameters.mapping(parameters)
     offsets = np.array([values.get(f"{JOINT_OFFSET}:{j}", 0.0) for j in range(1, arm.links + 1)])
-    added = offsets if arm.counting is None else arm.counting.matrix @ offsets  # as the controller counts
-    off = (added + np.pi) % (2.0 * np.pi) - np.pi
+    off = (arm.counting.matrix @ offsets + np.pi) % (2.0 * np.pi) - np.pi
     turned = (np.abs(off) > FAR_ZERO) & [kind == REVOLUTE for kind in arm.joint_types]
     far = ", ".join(f"{np.degrees(off[j]):.1f} deg at joint {j + 1}" for j in np.flatnonzero(turned) if j)
     return [f"zeros differ from the drawing's: {far}"] if far else []
@@ -220,7 +220,7 @@ def outside_limits(arm: Arm, measurements: Measurements) -> list[str]:
     row = int(np.argmax(outside.any(axis=1)))
     joint = int(np.argmax(outside[row]))
     _, factor, unit = FILE_UNITS[JOINT_UNITS[arm.joint_types[joint]]]
-    low, high, place = (v[joint] * factor for v in (*arm.column_limits, in_columns(q[row], arm.joint_types)))
+    low, high, place = (v[joint] * factor for v in (*arm.column_limits, arm.counting.columns(q[row])))
     first = f"row {row + 1}: joint {joint + 1} at {place:.5g} {unit[1:]}, allowed {low:g} to {high:g}"
     count = int(outside.any(axis=1).sum())
     sentence = f"{count} of {len(q)} postures lie outside the joint limits, the first in {first}"

@@ -36,7 +36,6 @@ from identification.kinematics.chain import (
     corrected_links,
     drawn_links,
 )
-from identification.kinematics.counting import Counting
 from identification.kinematics.frames import pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
@@ -207,7 +206,7 @@ class Identification(Documented):
     @cached_property
     def geometry(self) -> CorrectedGeometry | None:
         """A spatial arm's geometry as identified: base, measured points, joints; None in the plane."""
-        return None if self.arm is None else corrected_geometry(self.arm.chain, self.values, self.arm.counting)
+        return None if self.arm is None else corrected_geometry(self.arm.chain, self.values)
 
     def calibration(self) -> Calibration:
         """What an arm file keeps of this: all values, and the covariance of those that the rows determine."""
@@ -260,7 +259,7 @@ class Identification(Documented):
             "intervals": self.uncertainty.kind,
             "clusters": self.uncertainty.clusters
             and {"kind": self.uncertainty.clusters, "count": self.uncertainty.count},
-            **({} if self.geometry is None else self.geometry.to_json()),
+            **({} if self.geometry is None else self.geometry.to_json(self.model.arm.counting)),
         }
 
     def rows(self) -> list[dict[str, Any]]:
@@ -370,12 +369,12 @@ def corrected_values(
         if (name := f"{LENGTH_ERROR}:{j}") in model.geometry_parameters.names:
             value = length + values.get(name, 0.0)
             rows.append(of.row(f"length of link {j}", name, length, value, {name: 1.0}, "mm", "length of the link"))
-    # what each joint adds to what is read, as the controller counts: of coupled joints what both add
-    shares = np.eye(arm.links) if arm.counting is None else arm.counting.matrix
     turned = any(spec.name == "base_offset" for spec in arm.effects)
     for j, kind in enumerate(arm.joint_types, start=1):
         p = Parameter(f"{JOINT_OFFSET}:{j}", JOINT_UNITS[kind])
-        slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in enumerate(shares[j - 1].tolist(), start=1) if x}
+        # what it adds to what is read, as the controller counts: of coupled joints what both add
+        shares = enumerate(arm.counting.matrix[j - 1].tolist(), start=1)
+        slopes = {f"{JOINT_OFFSET}:{i}": x * p.to_file for i, x in shares if x}
         if not (len(slopes) == 1 and {*slopes} <= {*chain.instrument.hidden(chain.base)}):
             value = sum(x * values.get(name, 0.0) for name, x in slopes.items())
             stands = turned and j == 1
@@ -412,14 +411,14 @@ def corrected_values(
     return tuple(row for row in rows if row.std is not None or row.corrected != row.nominal)
 
 
-def corrected_geometry(chain: KinematicChain, values: Values, counting: Counting | None) -> CorrectedGeometry | None:
+def corrected_geometry(chain: KinematicChain, values: Values) -> CorrectedGeometry | None:
     """Base, measured points and joints where the errors bring them; None where lists of lengths and zeros say all."""
-    return None if chain.lists else CorrectedGeometry(chain, values, counting)
+    return None if chain.lists else CorrectedGeometry(chain, values)
 
 
 def _tables(chain: KinematicChain, values: Values) -> dict[tuple[str, str], float]:
     """Place and key -> number in file units: frame of each joint, base, measured points."""
-    if (geometry := corrected_geometry(chain, values, None)) is None:
+    if (geometry := corrected_geometry(chain, values)) is None:
         return {}
     tables = geometry.tables()
     rows = {f"joint {row.pop('joint')}": row for row in tables["geometry"]}

@@ -85,10 +85,9 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
         ("gear_ratio", file.gear_ratio),
     ):
         _require_count(place, values, n)
-    counting, calibration, tied = None, None, list[ColumnLimits]()
+    counting, calibration, tied = Counting.usual(n), None, list[ColumnLimits]()
     if file.joints is not None:  # what it leaves out is as usual
-        usual: Plain = {"sign": (1,) * n, "coupled_to": (0,) * n, "zero": (0.0,) * n}
-        counting = Counting(**usual | _in_api(file.joints))
+        counting = replace(counting, **_in_api(file.joints))
         check_kinds(counting, chain.joint_types)
     # limits in tables are the controller's, those of the chain, as of a URDF, are the joints' already
     limits, written = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T, np.zeros(n, dtype=bool)
@@ -106,11 +105,10 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
                 order = f"joint {j + 1} has lower {limits[0, j] * factor:g} >= upper {limits[1, j] * factor:g}"
                 raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
             written |= joints
-    if counting is not None:  # limits of a column with the angles of several joints tie these
-        for j in filter(written.__getitem__, counting.coupled):
-            ends = sorted((counting.sign[j] * (limits[:, j] - counting.zero[j])).tolist())
-            tied.append(ColumnLimits(j + 1, tuple((counting.sign[j] * counting.matrix[j]).tolist()), *ends))
-        limits = np.where(written, counting.joint_limits(*limits), limits)
+    for j in filter(written.__getitem__, counting.coupled):  # limits of columns with angles of several joints tie these
+        ends = sorted((counting.sign[j] * (limits[:, j] - counting.zero[j])).tolist())
+        tied.append(ColumnLimits(j + 1, tuple((counting.sign[j] * counting.matrix[j]).tolist()), *ends))
+    limits = np.where(written, counting.joint_limits(*limits), limits)
     if file.links_mm is None:  # so that they stand in its URDF file
         each = zip(chain.joints, *limits.tolist(), strict=True)
         chain = replace(chain, joints=tuple(replace(joint, lower=low, upper=high) for joint, low, high in each))

@@ -22,7 +22,7 @@ from identification.errors import InputError
 from identification.files.csv import MEASURE, VIA, Table, csv_text, read_table
 from identification.files.io import PathLike
 from identification.kinematics.chain import planar_chain
-from identification.kinematics.counting import counting_in, in_columns, in_joints
+from identification.kinematics.counting import counting_in
 from identification.kinematics.frames import from_angles, from_quaternions, to_angles
 from identification.kinematics.parameters import PRISMATIC
 from identification.measurements import VALUES, Measurements, directions_from_order, gaps_of
@@ -131,8 +131,7 @@ def measurement_text(measurements: Measurements, types: JointTypes = None, instr
         columns["order" if np.all(order == np.round(order)) else "time_s"] = order
     optional: dict[str, Any] = {"temperature_C": measurements.temperature, "payload_kg": measurements.payload}
     if (directions := measurements.directions) is not None:
-        counting = counting_in(types)
-        signs = directions if counting is None else counting.signs_of_columns(directions)
+        signs = counting_in(types, measurements.links).signs_of_columns(directions)
         optional |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
     optional |= {"posture": measurements.repeats, marker: target, "sigma_mm": measurements.sigma}
     if marker != session or target is None:
@@ -191,7 +190,7 @@ def read_postures(table: Table, types: JointTypes = None, name: str = "q") -> Ar
         whose = "" if types is None else f", but the arm has {n} links"
         raise InputError(f"{table.path}: found column {columns[last]}{whose}, allowed: {allowed}")
     read = [read_column(table, f"{name}{joint}", _quantity(types, joint)) for joint in range(1, n + 1)]
-    return in_joints(np.column_stack(read), types)
+    return counting_in(types, n).joints(np.column_stack(read))
 
 
 def read_orientations(table: Table) -> Array | None:
@@ -224,7 +223,7 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
     for column in numbers:
         name = "time_s" if column == "time_s" else NUMBERS[column]
         fields[name] = table.floats(column, *VALUES[NUMBERS[column]][1:]) if column in table else None
-    n, counting = types if isinstance(types, int) else len(types), counting_in(types)
+    n = types if isinstance(types, int) else len(types)
     wanted = [f"direction{j}" for j in range(1, n + 1)]
     if present := [column for column in table.frame.columns if re.fullmatch(r"direction[1-9]\d*", column)]:
         table.require(wanted)
@@ -232,7 +231,7 @@ def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]
             state = f"found column {column}, but there are {n} joints"
             raise InputError(f"{table.path}: {state}, allowed: direction1 to direction{n}")
         signs = np.column_stack([table.floats(column, *VALUES["directions"][1:], empty=np.nan) for column in wanted])
-        fields["directions"] = signs if counting is None else counting.signs_of_columns(signs, back=True)
+        fields["directions"] = counting_in(types, n).signs_of_columns(signs, back=True)
     return fields
 
 
@@ -241,7 +240,7 @@ def posture_columns(postures: Array, types: JointTypes = None, name: str = "q") 
     """Columns `q1_deg..qn_deg`, as the controller counts, of (m, n) positions [rad, mm]; `q1_mm` of one that slides;
     name : `q`, or `commanded`"""
     columns: Columns = {}
-    for j, column in enumerate(in_columns(postures, types).T, start=1):
+    for j, column in enumerate(counting_in(types, postures.shape[1]).columns(postures).T, start=1):
         quantity = _quantity(types, j)
         # 30 rather than 29.999999999999996; 12 decimals are 2e-14 rad;  + 0: no -0
         shown = np.round(np.degrees(column), 12) if quantity == ANGLE else column
@@ -354,7 +353,7 @@ class Plan(ByValue):
         """The plan whose `displayed` postures (m, n) are these."""
         units = [UNITS[_quantity(joint_types, j)] for j in range(1, len(joint_types) + 1)]
         scaled = displayed * [next(iter(each.values())) for each in units]
-        return cls(in_joints(scaled, joint_types), joint_types=tuple(joint_types))
+        return cls(counting_in(joint_types, len(joint_types)).joints(scaled), joint_types=tuple(joint_types))
 
     def to_html(self, caption: object) -> str:
         """A caption and the postures, for notebooks."""
@@ -379,7 +378,8 @@ class Plan(ByValue):
         columns |= {} if self.via is None else {"kind": np.where(measured, MEASURE, VIA)}
         columns |= posture_columns(self.postures, types)
         if not measured.all():
-            signs = directions_from_order(np.round(in_columns(self.postures, types), 9))  # a joint that stays does so
+            shown = counting_in(types, self.links).columns(self.postures)
+            signs = directions_from_order(np.round(shown, 9))  # a joint that stays does so
             signs = np.where((signs == 0.0) | ~measured[:, None], np.nan, signs)
             columns |= {f"direction{j}": column for j, column in enumerate(signs.T, start=1)}
         for name, values in (further or {}).items():

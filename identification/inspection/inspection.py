@@ -22,7 +22,6 @@ from identification.estimation import Identification, doubts, estimate
 from identification.estimation.repeats import NoiseFloor, noise_floor, with_repeats_doubted
 from identification.inspection.readings import DRAWN, Reading, Readings, data_warnings, gap_notes, read_differently
 from identification.kinematics.chain import BASE
-from identification.kinematics.counting import in_columns
 from identification.kinematics.frames import pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, LENGTH_ERROR, REVOLUTE, Parameter
 from identification.measurements import POINT, Measurements, rms_distance
@@ -194,7 +193,7 @@ def _ranges(arm: Arm, postures: Array) -> tuple[list[dict[str, Any]], list[list[
     """Of each joint its entry of `joints` (as the controller counts) and its row; a note of those that hardly move."""
     beyond, entries, rows, still = doubts.beyond_limits(arm, postures), [], [], list[int]()
     tied = {each.joint for each in arm.constraints if isinstance(each, ColumnLimits)}
-    columns, limits = in_columns(postures, arm.joint_types), np.stack(arm.column_limits)
+    columns, limits = arm.counting.columns(postures), np.stack(arm.column_limits)
     for j, (kind, column, outside) in enumerate(zip(arm.joint_types, columns.T, beyond.T, strict=True), start=1):
         unit, factor = ("deg", 180.0 / np.pi) if kind == REVOLUTE else ("mm", 1.0)
         low, high, lower, upper = (np.r_[column.min(), column.max(), limits[:, j - 1]] * factor).tolist()

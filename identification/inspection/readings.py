@@ -100,16 +100,15 @@ class Reading:
         read = columns[:, list(self.order)] * np.array(self.signs) + 0.5 * np.pi * np.array(self.quarters)
         return np.linalg.solve(self.matrix, read.T).T if self.sums else read
 
-    def counting(self, before: Counting | None) -> Counting | None:
+    def counting(self, before: Counting) -> Counting | None:
         """How the controller counts, where this is what its columns say to an arm whose file says `before`; None where
         that is not all that is different, or a joint is coupled to several."""
         n = len(self.order)
         if self.order != tuple(range(n)) or self.other_units:
             return None
-        plain = before or Counting((1,) * n, (0,) * n, (0.0,) * n)
         # signs (sums q - zeros) are the joints as read so far, from which follow the columns
-        through = plain.matrix * np.array(self.signs)
-        zero = (plain.zero - through @ self.zeros + np.pi) % (2.0 * np.pi) - np.pi
+        through = before.matrix * np.array(self.signs)
+        zero = (before.zero - through @ self.zeros + np.pi) % (2.0 * np.pi) - np.pi
         return Counting.of_matrix(through @ self.matrix, np.where(np.isclose(zero, -np.pi), np.pi, zero))
 
     @property

@@ -552,12 +552,10 @@ def standing_in(chain: KinematicChain, values: Numbers, back: bool = False) -> K
 
 @dataclass(frozen=True)
 class CorrectedGeometry:
-    """A chain, as nominal, with the errors that were found: parameter name -> value [mm, rad];  counting : of the
-    controller, None: as the chain's"""
+    """A chain, as nominal, with the errors that were found: parameter name -> value [mm, rad]."""
 
     chain: KinematicChain
     values: Mapping[str, float]
-    counting: Counting | None = None
 
     @cached_property
     def real(self) -> KinematicChain:
@@ -571,13 +569,13 @@ class CorrectedGeometry:
         axes = dict(self.real.tool_axes) if self.chain.angle_scale is not None and tools else {}
         return {"base": None if BASE in self.chain.settled else self.real.base, "tools": tools, "tool_axes": axes}
 
-    def to_json(self) -> dict[str, Any]:
-        """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys")."""
-        n, offsets = len(self.chain), []
-        shares = np.eye(n) if self.counting is None else self.counting.matrix
-        for j, kind in enumerate(self.chain.joint_types, start=1):
+    def to_json(self, counting: Counting) -> dict[str, Any]:
+        """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys");  counting : of the
+        controller"""
+        every = [self.values.get(f"{JOINT_OFFSET}:{j}", 0.0) for j in range(1, len(self.chain) + 1)]
+        offsets, added = [], (counting.matrix @ every).tolist()
+        for j, (kind, value) in enumerate(zip(self.chain.joint_types, added, strict=True), start=1):
             # what the joint adds to a command, and what a controller has to add to its own, as it counts
-            value = float(shares[j - 1] @ [self.values.get(f"{JOINT_OFFSET}:{i}", 0.0) for i in range(1, n + 1)])
             value, unit = (float(np.degrees(value)), "deg") if kind == REVOLUTE else (value, "mm")
             offsets.append({"joint": j, "unit": unit, "value": value, "command": 0.0 - value})
         return {**self.tables(), "joint_offsets": offsets}

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, Self
 
 import numpy as np
 
@@ -58,6 +58,12 @@ class Counting:
                 circle = f"found a circle through joint {at}"
                 require(at not in passed, f"joints.coupled_to: {circle}, allowed: joints that lead to one with 0")
                 passed.add(at)
+
+    @classmethod
+    @lru_cache(maxsize=16)
+    def usual(cls, n: int) -> Self:
+        """Of n joints that are counted as they are drawn."""
+        return cls((1,) * n, (0,) * n, (0.0,) * n)
 
     @classmethod
     def of_matrix(cls, matrix: Array, zero: Iterable[float]) -> Counting | None:
@@ -125,33 +131,23 @@ class Counting:
 
 
 class JointKinds(tuple[str, ...]):
-    """(n) `revolute` or `prismatic`, and how a controller counts these joints, None: as the model does.
+    """(n) `revolute` or `prismatic`, and how a controller counts these joints, None: as they are drawn.
 
     Whatever reads or writes angles of a file needs to know of each joint whether these are degrees or millimetres: the
     counting goes with that.
     """
 
-    counting: Counting | None
+    counting: Counting
 
     def __new__(cls, kinds: Iterable[str], counting: Counting | None = None) -> JointKinds:
         joint_kinds = super().__new__(cls, tuple(kinds))
-        joint_kinds.counting = counting
+        joint_kinds.counting = counting or Counting.usual(len(joint_kinds))
         return joint_kinds
 
 
-def counting_in(kinds: Any) -> Counting | None:
-    """How the joints of `JointKinds` are counted; None of other sequences, of numbers of joints, of None."""
-    return kinds.counting if isinstance(kinds, JointKinds) else None
-
-
-def in_columns(joints: Array, kinds: Any) -> Array:
-    """(..., n) what the controller shows at joint angles (..., n) [rad, mm]."""
-    return joints if (counting := counting_in(kinds)) is None else counting.columns(joints)
-
-
-def in_joints(columns: Array, kinds: Any) -> Array:
-    """(..., n) joint angles [rad, mm] of what the controller shows (..., n)."""
-    return columns if (counting := counting_in(kinds)) is None else counting.joints(columns)
+def counting_in(kinds: Any, n: int) -> Counting:
+    """How the n joints of `JointKinds` are counted; as drawn for other sequences, numbers of joints, None."""
+    return kinds.counting if isinstance(kinds, JointKinds) else Counting.usual(n)
 
 
 def check_kinds(counting: Counting, kinds: Sequence[str]) -> None:

@@ -205,12 +205,13 @@ def test_how_a_controller_counts(before: Counting, true: Counting) -> None:
 
 
 def test_what_no_arm_file_says() -> None:
-    assert SWAPPED.counting(None) is None
-    found = REVERSED.counting(None)
+    usual = Counting.usual(3)
+    assert SWAPPED.counting(usual) is None
+    found = REVERSED.counting(usual)
     assert found is not None
     assert found.toml == "[joints]\nsign = [-1, 1, 1]"
     every = Reading((0, 1, 2), (1, 1, 1), (0, 0, 0), sums=((1, 0, 0), (0, 1, 0), (1, 1, 1)))
-    assert every.counting(None) is None
+    assert every.counting(usual) is None
 
 
 TURNED = [DHRow(300.0, np.pi, 0.0), DHRow(200.0, np.pi / 2.0, 0.0), DHRow(100.0, 0.0, 0.0), DHRow(100.0, 0.0, 0.0)]

@@ -33,8 +33,6 @@ from identification.kinematics.counting import (
     JointKinds,
     check_kinds,
     counting_in,
-    in_columns,
-    in_joints,
     joint_range,
     range_of,
 )
@@ -76,10 +74,8 @@ def test_columns_and_joints(counting: Counting, random: object) -> None:
     assert again is not None  # perhaps said in another way
     np.testing.assert_array_equal(again.matrix, counting.matrix)
     kinds = JointKinds(["revolute"] * n, counting)
-    np.testing.assert_array_equal(in_columns(q, kinds), columns)
-    np.testing.assert_array_equal(in_joints(q, kinds), counting.joints(q))
-    assert counting_in(pickle.loads(pickle.dumps(kinds))) == counting
-    assert in_columns(q, ("revolute",) * n) is q
+    assert counting_in(pickle.loads(pickle.dumps(kinds)), n) == counting
+    np.testing.assert_array_equal(counting_in(("revolute",) * n, n).columns(q), q)
 
 
 @given(countings(), st.randoms(use_true_random=False))
