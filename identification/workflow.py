@@ -26,7 +26,6 @@ from identification.running import Progress, Status
 if TYPE_CHECKING:
     from identification.arm import Arm, Calibration, EffectSpec
     from identification.estimation import Identification
-    from identification.estimation.result import CorrectedValue
     from identification.gap.library_prior import LibraryPrior
     from identification.measurements import Measurements
 
@@ -406,9 +405,6 @@ def identify_files(
     result = fitted.to_json() | {"cross_validated_mm": left_out_rms(fitted, rows), "rms_drawing_mm": None}
     with suppress(InputError):  # too few rows
         result["rms_drawing_mm"] = rms_distance(drawing_residuals(bare, rows))
-    if fitted.geometry is not None and not fitted.not_identifiable:
-        table, places = dh_lines(fitted.calibrated_arm(), fitted.corrected_values, arm)
-        result |= {"dh_table": [row.to_json() for row in table], "dh_places": places} if table else {}
     result |= shown.unit_key(fitted.arm) | {key: value for key, value in keys.items() if value is not None}
     result["parameters"] = [row for row in result["parameters"] if row["name"] not in hidden]
 
@@ -434,31 +430,6 @@ def identify_files(
     document = shown.identification_document(fitted, result, hidden).plus(*lines)
     actions = shown.identification_actions(result, str(arm), str(data), out, diagnosed=diagnosed(bare))
     return Answer(result, replace(document, actions=actions), fitted, warnings=doubts, files=files)
-
-
-def dh_lines(real: Arm, values: Sequence[CorrectedValue], arm: Path) -> tuple[tuple[CorrectedValue, ...], list[str]]:
-    """The corrected Denavit-Hartenberg table of an arm file that has one, and lines of base, measured points and what
-    the instrument has beside it; else empty;  values : corrected ones, those of the instrument among them"""
-    from identification.estimation.result import dh_table
-    from identification.files.arm import dh_rows
-    from identification.files.io import read_toml
-    from identification.files.schema import validated_arm
-    from identification.kinematics.frames import point_table, pose_table
-
-    file = validated_arm(read_toml(arm))
-    if file.dh is None:
-        return (), []
-    try:
-        rows, places = dh_table(real, *dh_rows(file))
-    except InputError:  # prismatic joints, or axes that are one
-        return (), []
-    lines = []
-    for name, at in places:
-        figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
-        lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
-    own = {p.name for p in real.chain.instrument.parameters}
-    touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
-    return rows, [*lines, *touched]
 
 
 # -- diagnose ----------------------------------------------------------------------------------------------------------

@@ -114,10 +114,8 @@ def identification_document(fit: Identification, data: Data | None = None, hidde
     the corrected values but for those `hidden`; the parameters of a model that is no arm's;  data : what `armcal
     identify --json` says of it, None: what it says itself"""
     data = fit.to_json() if data is None else data
-    # of the class of the others: estimation, where it is defined, imports this module
-    dh = [type(fit.corrected_values[0])(**row) for row in data.get("dh_table", ())]
     values = [row for row in fit.corrected_values if row.parameter not in hidden]
-    tables: list[Part] = [*dh_sections(dh, data.get("dh_places", ()))]
+    tables: list[Part] = [*dh_sections(*fit.dh)]
     if values and not tables:
         tables = [corrected_section("Corrected values", values)]
     if fit.arm is None:

@@ -8,6 +8,7 @@ table is a complete set of values, none of which is arbitrary.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -22,6 +23,7 @@ from identification.arm import Arm, Calibration
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
+from identification.errors import InputError
 from identification.estimation.doubts import hardly_determined, tip_of
 from identification.estimation.problem import NO_PRIOR, Contradiction, Prior
 from identification.estimation.uncertainty import LEVEL, Uncertainty, freedom_kept, freedom_of, limits_95, quantile_95
@@ -29,14 +31,13 @@ from identification.information import VISIBLE
 from identification.kinematics.chain import (
     STANDARD,
     CorrectedGeometry,
-    DHRow,
     KinematicChain,
     Link,
     corrected,
     corrected_links,
     drawn_links,
 )
-from identification.kinematics.frames import pose, pose_table
+from identification.kinematics.frames import point_table, pose, pose_table
 from identification.kinematics.parameters import JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, Parameter, by_joint
 from identification.measurements import POINT, distances, rms_distance
 from identification.model import Model
@@ -231,9 +232,17 @@ class Identification(Documented):
         before = self.prior.factor(self.model.parameters)[self.identifiable]
         return corrected_values(self.arm, self.calibration(), unknown, before)
 
+    @cached_property
+    def dh(self) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+        """`dh_lines` of the arm as identified; empty where something is not estimable, and without an arm."""
+        whole = self.arm is not None and not self.not_identifiable
+        return dh_lines(self.calibrated_arm(), self.corrected_values) if whole else ((), [])
+
     def to_json(self) -> dict[str, Any]:
         """Keys of `identify` (identification/files/README.md, "JSON keys"): file units, null for unknown values."""
-        return {**self._summary(), "corrected_values": [row.to_json() for row in self.corrected_values]}
+        rows, places = self.dh
+        dh = {"dh_table": [row.to_json() for row in rows], "dh_places": places} if rows else {}
+        return {**self._summary(), "corrected_values": [row.to_json() for row in self.corrected_values], **dh}
 
     def _summary(self) -> dict[str, Any]:
         return {
@@ -454,20 +463,18 @@ def _differences(table: Any, values: Values, steps: Values) -> dict[Any, dict[st
 
 
 # -- the table of Denavit and Hartenberg -------------------------------------------------------------------------------
-def dh_table(
-    arm: Arm, rows: Sequence[DHRow], convention: str = STANDARD
-) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Array]]]:
+def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Array]]]:
     """Nominal and corrected numbers of the links between the axes of a calibrated arm, without those drawn by
     definition; and beside them the pose of the base (4, 4), and places (3,) of the measured points for the last frame
-    of the table, by name: with these the table says what the calibration does. Empty without a covariance; raises
-    `InputError` as `drawn_links`.
-
-    rows, convention : of the arm's drawing; a and alpha of the modified convention stand in the row of the next joint
+    of the table, by name: with these the table says what the calibration does. Empty without a table that `drawn_links`
+    takes, and without a covariance. In the modified convention a and alpha stand in the row of the next joint.
     """
-    calibration, model = arm.calibration, Model(arm)
-    if calibration is None or calibration.covariance is None:
+    calibration, model, drawn = arm.calibration, Model(arm), tuple[Link, ...]()
+    with suppress(InputError):
+        drawn = drawn_links(arm.chain.rows, arm.chain.convention)
+    if calibration is None or calibration.covariance is None or not drawn:
         return (), []
-    drawn, values = drawn_links(rows, convention), {**model.fixed, **calibration.values}
+    values = {**model.fixed, **calibration.values}
 
     def numbers(links: Sequence[Link]) -> dict[tuple[int, str], float]:
         """Joint and name -> number [mm, deg], of parallel axes beta in place of d."""
@@ -487,7 +494,7 @@ def dh_table(
     names, slopes, listed = calibration.parameter_names, _differences(table, values, steps), []
     of = _Spread(names, calibration.covariance, freedom_of(calibration), np.zeros((len(names), 0)))
     for (j, name), value in now.items():
-        row_number = j + (convention != STANDARD and name in ("a", "alpha", "beta"))
+        row_number = j + (arm.chain.convention != STANDARD and name in ("a", "alpha", "beta"))
         unit, meaning = DH_MEANING[name]
         about = f"row {row_number} {name}", None, nominal[j, name], value, slopes[j, name]
         listed.append(of.row(*about, unit, meaning.format(j=j, k=j + 1)))
@@ -496,3 +503,14 @@ def dh_table(
     behind = np.linalg.inv(drawn_last) @ last
     tools = [(f"tool {name}", behind[:3, :3] @ place + behind[:3, 3]) for name, place in real.tools.items()]
     return tuple(listed), [("base", real.base @ first @ np.linalg.inv(drawn_first)), *tools]
+
+
+def dh_lines(arm: Arm, values: Sequence[CorrectedValue]) -> tuple[tuple[CorrectedValue, ...], list[str]]:
+    """`dh_table` of a calibrated arm, and lines of base, measured points and what the instrument has beside it;
+    values : corrected ones, those of the instrument among them"""
+    (rows, places), lines, own = dh_table(arm), list[str](), {p.name for p in arm.chain.instrument.parameters}
+    for name, at in places:
+        figures = (pose_table(at) if at.ndim == 2 else point_table(at)).items()
+        lines.append(f"{name}: " + ", ".join(f"{key.replace('_', ' [')}] {value:z.3f}" for key, value in figures))
+    touched = [f"{v.name} [{v.unit}]: {v.corrected:z.3f} +- {v.std:.3f}" for v in values if v.parameter in own]
+    return rows, [*lines, *touched] if rows else []

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 Plain = dict[str, Any]
 Effects: TypeAlias = "list[tuple[EffectSpec, Effect]]"
+TURN = (-np.pi, np.pi)  # limits of joints whose file gives none
 MARKER = re.compile(r"tool\[.*\]\.(r?)[xyz]")
 HEADER = re.compile(r"\[\[?\s*([\w-]+)[\w.\"' -]*\]\]?\s*(#.*)?")  # of a table
 CLASSES = {each.kind: each for each in (WorkspaceBox, KeepOutCircle, KeepOutCylinder, LineOfSight)}
@@ -169,7 +170,8 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         limited = [kind for kind, table in tables.items() if table is not None]
         chain = urdf.chain(file.base_link, file.tip_link, limited)
     else:
-        chain = chains.chain_of(*dh_rows(file))
+        rows = [DHRow(row.a_mm, row.alpha_deg, row.d_mm, row.offset_deg, row.joint, TURN) for row in file.dh]
+        chain = chains.chain_of(rows, next((row.convention for row in file.dh if row.convention), STANDARD))
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
@@ -191,12 +193,6 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
         turn = rotation_to_z(normal / np.linalg.norm(normal)).T
         chain = replace(chain, base=pose(-turn @ np.array(table.center_mm), turn))
     return replace(chain, instrument=instrument)
-
-
-def dh_rows(file: Any) -> tuple[list[DHRow], str]:
-    """Rows and convention of `[[dh]]`."""
-    rows = [DHRow(*(row.a_mm, row.alpha_deg, row.d_mm, row.offset_deg, row.joint), (-np.pi, np.pi)) for row in file.dh]
-    return rows, next((row.convention for row in file.dh if row.convention), STANDARD)
 
 
 def _pose(table: Any) -> Array:

@@ -136,6 +136,8 @@ class KinematicChain(ByValue):
     fixed: frozenset[str] = frozenset()  # names of parameters that are not estimated (model/placed.py)
     tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
+    rows: tuple[DHRow, ...] = ()  # of the Denavit-Hartenberg table that it is drawn by; empty: by none
+    convention: str = "standard"  # of that
 
     kind: ClassVar[str] = "spatial"  # the word in arm files
     # kinds of its parameters that files list over the joints -> the key of the list; others stand there by their names
@@ -471,7 +473,7 @@ def chain_of(rows: Sequence[DHRow], convention: str = STANDARD) -> KinematicChai
         joints.append(Joint(f"joint_{j}", before, Z, row.type, *(row.limits or (-np.pi, np.pi))))
         before = after
     require(bool(joints), "dh: no rows, allowed: one for each joint")
-    return KinematicChain(tuple(joints), before)
+    return KinematicChain(tuple(joints), before, rows=tuple(rows), convention=convention)
 
 
 @dataclass(frozen=True, eq=False)

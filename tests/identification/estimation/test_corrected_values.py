@@ -168,7 +168,7 @@ def fitted() -> Identification:
 
 def test_table_base_and_tool_say_what_the_fit_does() -> None:
     found = fitted()
-    values, poses = dh_table(found.calibrated_arm(), UR10)
+    values, poses = dh_table(found.calibrated_arm())
     rows, places = {row.name: row.corrected for row in values}, dict(poses)
     assert len(rows) == 18  # 27 of a complete set less six of the base and three of the point
     for posture in np.random.default_rng(5).uniform(-2.0, 2.0, (4, 6)):
@@ -193,7 +193,7 @@ def test_deviations_are_the_covariance_through_central_differences() -> None:
             named = {**found.geometry.values, **dict(zip(found.names, values, strict=True))}
             links = corrected_links(corrected(found.geometry.chain, named), drawn)[0]
             moved.append([links[1].a, np.degrees(links[1].beta or 0.0), links[3].d, np.degrees(links[4].theta)])
-    rows = {row.name: row for row in dh_table(found.calibrated_arm(), UR10)[0]}
+    rows = {row.name: row for row in dh_table(found.calibrated_arm())[0]}
     stds = [rows[name].std for name in ("row 2 a", "row 2 beta", "row 4 d", "row 5 theta")]
     expected = np.linalg.norm(np.subtract(moved[::2], moved[1::2]), axis=0) / 0.2
     assert stds == pytest.approx(expected.tolist(), rel=1e-2)
