@@ -152,7 +152,7 @@ def miss_text(error: float) -> str:
     return "< 1e-6" if error < 1e-6 else f"{error:.0f}" if error >= 100.0 else number(error)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Compensation(Documented):
     """Joint commands for k targets.
 
@@ -306,9 +306,6 @@ class Compensation(Documented):
         table = Sheet(headings, rows, "Targets and miss [mm], commands [deg]", 24)
         rounded = [] if digits == 3 else ["Rounded to 0.01 deg here; --out and --json give every digit."]
         return Document("Commands", [verdict], [table, *rounded, *reasons[:24], *rest], warnings=self.warnings)
-
-    def __repr__(self) -> str:
-        return f"Compensation({int(np.count_nonzero(self.reached))} of {len(self.targets)} targets reached)"
 
 
 # -- inverse kinematics ------------------------------------------------------------------------------------------------

@@ -69,9 +69,6 @@ class Solution:
     active: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     iterations: Index = field(default_factory=lambda: np.ones(1, dtype=int))
 
-    def __len__(self) -> int:
-        return len(self.rss)
-
     @property
     def converged(self) -> NDArray[np.bool_]:
         """(K,) True where it is stationary; False for data that are not finite."""

@@ -133,25 +133,21 @@ def gaps_of(order: Array) -> NDArray[np.bool_]:
     return gaps & (gaps.mean() <= 0.75)
 
 
-def directions_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:
-    """(m, n) sign of the change from the posture measured before; first row +1, no change: as before.
+def directions_from_order(postures: Array, gaps: Array | None = None) -> Array:
+    """(m, n) sign of the change from the posture before; first row +1, no change: as before.
 
-    postures : (m, n);  order : (m,), None: as they stand
+    postures : (m, n) in the order of measurement
     gaps : (m,) rows before which measurements are missing: 0 there, until the joint moves again
     """
-    m = len(postures)
-    sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
-    cut = np.zeros((m, 1), dtype=bool) if gaps is None else gaps[sequence, None].astype(bool)
+    cut = np.zeros((len(postures), 1), dtype=bool) if gaps is None else gaps[:, None].astype(bool)
     signs = np.ones_like(postures)
-    signs[1:] = np.where(cut[1:], 0.0, np.sign(np.diff(postures[sequence], axis=0)))
+    signs[1:] = np.where(cut[1:], 0.0, np.sign(np.diff(postures, axis=0)))
     # the last row that moved, for every row: a running maximum of row numbers
-    moved = np.maximum.accumulate(np.where((signs != 0.0) | cut, np.arange(m)[:, None], 0), axis=0)
-    directions = np.empty_like(signs)
-    directions[sequence] = np.take_along_axis(signs, moved, axis=0)
-    return directions
+    rows = np.arange(len(postures))[:, None]
+    return np.take_along_axis(signs, np.maximum.accumulate(np.where((signs != 0.0) | cut, rows, 0), axis=0), axis=0)
 
 
-def past_from_order(postures: Array, order: Array | None = None, gaps: Array | None = None) -> Array:
+def past_from_order(postures: Array, gaps: Array | None = None) -> Array:
     """(m, n, 12) what each joint remembers when a posture is reached: turning points, the oldest first.
 
     The first is where the session began, the last the posture before; in between stand the turning points that no
@@ -159,13 +155,11 @@ def past_from_order(postures: Array, order: Array | None = None, gaps: Array | N
     hysteresis", 1991). Fewer than 12 are filled up by repeating the first; of more, the smallest swing is left out. In
     the first row all are the posture itself, and so they are after a gap.
 
-    postures, order, gaps : as of `directions_from_order`
+    postures, gaps : as of `directions_from_order`
     """
-    m, n = postures.shape
-    sequence = np.arange(m) if order is None else np.argsort(order, kind="stable")
-    cut = [False] * m if gaps is None else gaps[sequence].astype(bool).tolist()  # what was before is unknown
-    past = np.empty((m, n, REMEMBERED))
-    for j, angles in enumerate(postures[sequence].T.tolist()):
+    cut = [False] * len(postures) if gaps is None else gaps.astype(bool).tolist()  # what was before is unknown
+    past = np.empty((*postures.shape, REMEMBERED))
+    for j, angles in enumerate(postures.T.tolist()):
         rows, kept = list[list[float]](), angles[:1]
         for k, angle in enumerate(angles):
             if cut[k]:
@@ -173,7 +167,7 @@ def past_from_order(postures: Array, order: Array | None = None, gaps: Array | N
             rows.append([kept[0]] * (REMEMBERED - len(kept)) + kept)
             if k and not cut[k]:
                 _remember(kept, angle)
-        past[sequence, j] = rows
+        past[:, j] = rows
     return past
 
 
@@ -351,9 +345,14 @@ class Measurements(ByValue):
         return np.arange(len(self), dtype=float) if self.order is None else self.order
 
     @property
+    def _sequences(self) -> list[NDArray[np.int64]]:
+        """Of each session its row numbers in the order of measurement."""
+        return [rows[np.argsort(self._order[rows], kind="stable")] for rows in self.session_rows]
+
+    @property
     def sequence(self) -> NDArray[np.int64]:
         """(m,) row numbers in the order of measurement, one session after another."""
-        return np.concatenate([rows[np.argsort(self._order[rows], kind="stable")] for rows in self.session_rows])
+        return np.concatenate(self._sequences)
 
     @cached_property
     def posture_numbers(self) -> NDArray[np.int64]:
@@ -435,9 +434,9 @@ class Measurements(ByValue):
 
     def _by_order(self, function: Callable[..., Array], shape: tuple[int, ...]) -> Array:
         """What follows from the order, in each session."""
-        order, gaps, by_row = self._order, np.zeros(len(self)) if self.gaps is None else self.gaps, np.empty(shape)
-        for rows in self.session_rows:
-            by_row[rows] = function(self.postures[rows], order[rows], gaps[rows])
+        by_row = np.empty(shape)
+        for rows in self._sequences:
+            by_row[rows] = function(self.postures[rows], None if self.gaps is None else self.gaps[rows])
         return by_row
 
     @property

@@ -36,7 +36,6 @@ class Status(Enum):
         "per combination."
     )
     implausible = "Converged to an arm that cannot be the real one; check arm, frame and units before using it."
-    infeasible = "No feasible point was found."
 
 
 @dataclass(frozen=True)

@@ -67,9 +67,22 @@ def simulate(
         points, rows = tuple(truth.chain.tools), len(session)
         every = session.rows(np.repeat(np.arange(rows), len(points)))  # each row once for each measured point
         session = replace(every, marker=np.tile(points, rows), marker_names=points)
-    if seated:
-        return _seated(model, session, noise, generator)
     q = session.postures
+    if seated:  # in the nearest target, which the truth has to place, but for the noise; read are the joints alone
+        instrument = truth.chain.instrument
+        if not instrument.targets:
+            keys = ", ".join(sorted(instrument.keys))
+            raise InputError(f"instrument: found none of {keys}, allowed: with the places of what is touched")
+        goals = noise * generator.standard_normal((len(session), instrument.dimension))
+        q = led_to_contact(model, q, goals, np.ones(session.links))
+        left = np.linalg.norm(model.position(q) - goals, axis=1)
+        if (lost := ~(left < 1e-6)).any():  # [mm] how near to a target is in it
+            state = f"plan: from {rows_in_words(lost)} no {instrument.target} can be reached"
+            raise InputError(f"{state}, allowed: postures near to one")
+        seats = of_positions(model).position(q)
+        apart = [np.linalg.norm(seats - place, axis=1) for place in instrument.targets.values()]
+        names = np.array([*instrument.targets])[np.argmin(apart, axis=0)]
+        return replace(session, postures=q, marker=names, marker_names=tuple(instrument.targets))
     exact = model.position(q, conditions=session.conditions)
     errors = noise * generator.standard_normal(exact.shape)
     if noisy:
@@ -82,27 +95,6 @@ def simulate(
         return replace(session, positions=exact + errors)
     seen = turned(errors[:, 3:] / scale) @ model.orientations(q, session.conditions)
     return replace(session, positions=(exact + errors)[:, :3], orientations=seen)
-
-
-def _seated(model: Model, session: Measurements, noise: float, generator: np.random.Generator) -> Measurements:
-    """Rows whose postures are led to the nearest targets, which are their sessions: where the joints then stand is all
-    that is read, and the measured point is beside the target by the noise. Raises `InputError` for a truth that does
-    not say where targets are, and where one cannot be reached."""
-    chain = model.arm.chain
-    targets = chain.instrument.targets
-    if not targets:
-        keys = ", ".join(sorted(chain.instrument.keys))
-        raise InputError(f"instrument: found none of {keys}, allowed: with the places of what is touched")
-    goals = noise * generator.standard_normal((len(session), chain.instrument.dimension))
-    q = led_to_contact(model, session.postures, goals, np.ones(session.links))
-    left = np.linalg.norm(model.position(q) - goals, axis=1)
-    if (lost := ~(left < 1e-6)).any():  # [mm] how near to a target is in it
-        state = f"plan: from {rows_in_words(lost)} no {chain.instrument.target} can be reached"
-        raise InputError(f"{state}, allowed: postures near to one")
-    points = of_positions(model).position(q)
-    apart = [np.linalg.norm(points - place, axis=1) for place in targets.values()]
-    names = np.array([*targets])[np.argmin(apart, axis=0)]
-    return replace(session, postures=q, marker=names, marker_names=tuple(targets))
 
 
 # -- servo errors ------------------------------------------------------------------------------------------------------

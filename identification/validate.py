@@ -24,7 +24,7 @@ from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, standing_in
 from identification.kinematics.frames import pose, to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
-from identification.measurements import MOST, POINT, Conditions, Measurements, distances, rms_distance
+from identification.measurements import MOST, POINT, Measurements, distances, rms_distance
 from identification.model import Model
 from identification.model.placed import one_unnamed, placed_model, with_markers
 from identification.provenance import check_calibrated, extrapolated, outside, provenance_of, share_fitted
@@ -220,7 +220,26 @@ def _refitted(
     refitted, residuals, left_open = list[dict[str, Any]](), np.empty_like(measurements.positions), 0
     for name, rows in zip(measurements.sessions or (None,), measurements.session_rows, strict=True):
         session, session_conditions = measurements.rows(rows), conditions.rows(rows)
-        model, values = refit_model(arm, session, session_conditions, refit)
+        # the arm of which only what is refitted is free; the offsets of the first joint, and of the last where points
+        # are to be found, stay: base and points stand for these
+        chain, named, free = arm.chain, session, set[str]()
+        if len(chain.tools) == 1 == len(session.marker_names):
+            # it is that which is measured, whatever the data call it
+            named = replace(session, marker=None, marker_names=())
+        if refit == "none":
+            try:
+                with_markers(replace(chain, settled=frozenset({BASE, TOOL})), named)
+            except InputError as error:
+                raise InputError(f"{error}; or --refit base, which finds where they are") from None
+            model = Model(replace(arm, chain=with_markers(chain, named)))
+        else:
+            chain = replace(one_unnamed(chain, named), settled=chain.drawn)
+            model = placed_model(Model(replace(sessions.with_open_base(arm), chain=chain)), named)
+            free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)} | {*chain.standing}
+            if refit == "offsets":
+                free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
+        model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
+        values = start_at_base(model, named, session_conditions)
         weights = np.ones(len(session)) if session.sigma is None else session.sigma**-2.0
         problem = Problem(model, session.postures, session_conditions, session.positions[None], weights)
         if refit != "none":
@@ -310,27 +329,3 @@ def prior_judged(
     model = left_out_residuals(fit, measurements)
     alone = None if model is None else left_out_residuals(geometry(), measurements)
     return None if model is None or alone is None else beside_geometry("cross-validation", alone, model, measurements)
-
-
-# -- set up anew -------------------------------------------------------------------------------------------------------
-def refit_model(arm: Arm, measurements: Measurements, conditions: Conditions, refit: str) -> tuple[Model, Array]:
-    """The calibrated arm of which only what is refitted is free (`validate`), and (p,) where it starts; the offsets of
-    the first joint, and of the last where points are to be found, stay: base and points stand for these."""
-    chain, known, free = arm.chain, frozenset({BASE, TOOL}), set[str]()
-    if len(chain.tools) == 1 == len(measurements.marker_names):
-        # it is that which is measured, whatever the data call it
-        measurements = replace(measurements, marker=None, marker_names=())
-    if refit == "none":
-        try:
-            with_markers(replace(chain, settled=known), measurements)
-        except InputError as error:
-            raise InputError(f"{error}; or --refit base, which finds where they are") from None
-        model = Model(replace(arm, chain=with_markers(chain, measurements)))
-    else:
-        chain = replace(one_unnamed(chain, measurements), settled=chain.drawn)
-        model = placed_model(Model(replace(sessions.with_open_base(arm), chain=chain)), measurements)
-        free |= {p.name for p in model.geometry_parameters if p.kind in known} | {*chain.standing}
-        if refit == "offsets":
-            free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
-    model = replace(model, held={name: value for name, value in model.best_known.items() if name not in free})
-    return model, start_at_base(model, measurements, conditions)

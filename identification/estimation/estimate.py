@@ -111,7 +111,7 @@ def _with_prior(
 
     # zeros that another reading of the rows has are where the search starts
     x = np.where([n in zeros for n in model.names], model.parameters.vector(zeros, default=0.0), starts(problem)[0])
-    before, steps, is_given = np.inf, np.zeros(1, dtype=int), problem.reliance == "given"
+    before, is_given = np.inf, problem.reliance == "given"
     for turn in range(10):  # the model is nearly linear: of the first round two steps are enough to see the noise
         noise, widths = likeliest(problem, x, *about(x.tobytes()))
         factors = {name: widths[0] * (widths[1] if name in offsets else 1.0) for name in model.prior}
@@ -125,12 +125,11 @@ def _with_prior(
             return np.concatenate([residual, left])[None], np.concatenate([jacobian, rows])[None]
 
         solution = posed.minimized(x[None], linearize, ITERATIONS if turn or is_given else 2)
-        x, steps, change, before = solution.parameters[0], steps + solution.iterations, abs(noise - before), noise
+        x, change, before = solution.parameters[0], abs(noise - before), noise
         goes_on = solution.status[0] is Status.iteration_limit
         if is_given or (turn and (goes_on or change <= 1e-4 * noise)):  # far below its own uncertainty
             break
-    solution, white = replace(solution, iterations=steps), WhiteRows.of(posed, measurements, x)
-    fit = _identification(posed, measurements, solution, white)
+    fit = _identification(posed, measurements, solution, WhiteRows.of(posed, measurements, x))
     contradiction = contradicted(posed, widened, x) if prior.earlier.parameter_names else None
     factor, far = widths[0] if model.prior else None, far_from_drawing(model.arm, *widths[:2])
     return replace(
@@ -199,7 +198,6 @@ def _identification(problem: Problem, data: Measurements, solution: Solution, ro
         residuals_after=after,
         method=problem.method,
         status=Status.implausible if implausible else status,
-        iterations=int(solution.iterations[0]),
         provenance=MappingProxyType(data.origin | joint_range(data.postures, model.joint_types)),
         uncertainty=made,
         scatter=scatter,

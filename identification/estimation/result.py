@@ -109,7 +109,6 @@ class Identification(Documented):
     machining_factor: float | None = None
     held: frozenset[str] = frozenset()
     contradiction: Contradiction | None = None
-    iterations: int = 1
     provenance: MappingProxyType[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:

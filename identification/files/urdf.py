@@ -79,33 +79,32 @@ class Urdf:
         joints, before = list[Joint](), np.eye(4)
         for joint in self.joints(base, tip):
             before = before @ self.origin(joint.element)
-            if joint.type != FIXED:
-                joints.append(self._moving(joint, before, limited))
-                before = np.eye(4)
+            if joint.type == FIXED:
+                continue
+            name, kind, limit = joint.name, joint.type, joint.element.find("limit")
+            axis = self.numbers(joint.element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
+            bounded = limit is not None and None not in (limit.get("lower"), limit.get("upper"))
+            free = kind == "continuous" or MOVING.get(kind) in limited
+            for wrong, sentence in (
+                (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
+                (joint.element.find("mimic") is not None, " of the chain mimics another, allowed: joints of their own"),
+                (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
+                (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
+            ):
+                if wrong:
+                    raise InputError(f"{self.path}: joint {name!r}{sentence}")
+            lower, upper = -np.pi, np.pi
+            if not free:
+                ends = (self.numbers(limit, f"joint {name!r}: limit", end, None, 1) for end in ("lower", "upper"))
+                lower, upper = np.concatenate([*ends]) * (METER if kind == "prismatic" else 1.0)
+                if lower >= upper:
+                    limits = f"limits {lower:g} to {upper:g}, allowed: lower < upper"
+                    raise InputError(f"{self.path}: joint {name!r}: {limits}")
+            joints.append(Joint(name, before, axis, MOVING[kind], float(lower), float(upper)))
+            before = np.eye(4)
         if not joints:
             raise InputError(f"{self.path}: no joint moves between {base!r} and {tip!r}, allowed: at least one")
         return KinematicChain(tuple(joints), before)
-
-    def _moving(self, joint: UrdfJoint, origin: Array, limited: Collection[str]) -> Joint:
-        name, kind, limit = joint.name, joint.type, joint.element.find("limit")
-        axis = self.numbers(joint.element.find("axis"), f"joint {name!r}: axis", "xyz", (1.0, 0.0, 0.0))
-        bounded = limit is not None and None not in (limit.get("lower"), limit.get("upper"))
-        free = kind == "continuous" or MOVING.get(kind) in limited
-        for wrong, sentence in (
-            (kind not in MOVING, f" of the chain is of type {kind!r}, allowed: {', '.join(MOVING)} and {FIXED}"),
-            (joint.element.find("mimic") is not None, " of the chain mimics another, allowed: joints of their own"),
-            (not np.any(axis), ": axis 0 0 0, allowed: a direction"),
-            (not free and not bounded, f": limit, lower or upper is missing, allowed: both for a {kind} joint"),
-        ):
-            if wrong:
-                raise InputError(f"{self.path}: joint {name!r}{sentence}")
-        lower, upper = -np.pi, np.pi
-        if not free:
-            ends = (self.numbers(limit, f"joint {name!r}: limit", end, None, 1) for end in ("lower", "upper"))
-            lower, upper = np.concatenate([*ends]) * (METER if kind == "prismatic" else 1.0)
-            if lower >= upper:
-                raise InputError(f"{self.path}: joint {name!r}: limits {lower:g} to {upper:g}, allowed: lower < upper")
-        return Joint(name, origin, axis, MOVING[kind], float(lower), float(upper))
 
     def with_origins(self, base: str, tip: str, origins: Sequence[Array]) -> str:
         """The file's text with the moving joints at other origins, by the angles nearest to its own; comments stay;

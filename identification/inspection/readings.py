@@ -87,10 +87,6 @@ class Reading:
         """(n,) what to add to each joint [rad], by the shorter way."""
         return tuple(float(np.radians(180.0 - (180.0 - 90.0 * k) % 360.0)) for k in self.quarters)
 
-    def flipped(self, joint: int) -> Reading:
-        """With this joint, from 0, turning the other way than before."""
-        return replace(self, signs=tuple(-sign if j == joint else sign for j, sign in enumerate(self.signs)))
-
     def with_quarters(self, joint: int, k: float) -> Reading:
         """With so many quarter turns added to a joint, from 0."""
         return replace(self, quarters=(*self.quarters[:joint], k, *self.quarters[joint + 1 :]))
@@ -208,7 +204,8 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     require(measurements.links == arm.links, f"measurements: {joints}")
     # as drawn, where it stands left open, and in space what is measured on it
     chain = replace(type(arm.chain)(arm.chain.joints, arm.chain.end), settled=arm.chain.drawn & {TOOL})
-    arm = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.unplaced))
+    nothing = np.empty((0, chain.dimension)), np.empty((0, 1)), np.empty(0, dtype=np.int64), ()  # is known of targets
+    arm = replace(arm, chain=replace(chain, instrument=arm.chain.instrument.with_targets(*nothing)))
     chain, kinds, (q, x, few) = arm.chain, arm.joint_types, _rows(arm, measurements)
     slides = np.array([kind == PRISMATIC for kind in kinds])
     turning, mirrors = np.flatnonzero(~slides).tolist(), chain.instrument.reads_positions
@@ -283,7 +280,8 @@ def read_differently(arm: Arm, measurements: Measurements, *, search: bool = Tru
     def flips(best: Reading) -> Iterator[Reading]:
         """A mirrored frame, in which lengths are the same, or one joint that turns the other way."""
         yield from [replace(best, mirrored=not best.mirrored)] if mirrors else []
-        yield from (best.flipped(j) for j in range(arm.links))
+        for j, sign in enumerate(best.signs):
+            yield replace(best, signs=(*best.signs[:j], -sign, *best.signs[j + 1 :]))
 
     def changed(best: Reading) -> Iterator[Reading]:
         """One more thing read differently: a mirrored frame, a sign, a zero off by quarter turns, two columns of like

@@ -220,13 +220,11 @@ class Instrument:
     def with_targets(
         self, points: Array, readings: Array, numbers: NDArray[np.int64], names: Sequence[str]
     ) -> Instrument:
-        """With `own_targets` where rows find them;  points, readings : (m, 3 or 2) measured points in its frame, as
-        best known, and (m, d) what was read;  numbers : (m,) of the targets, by their `names`"""
-        return self
+        """With `own_targets` where rows find them, none where there are none
 
-    @property
-    def unplaced(self) -> Instrument:
-        """The same before anything is known of where it stands."""
+        points, readings : (m, 3 or 2) measured points in its frame, as best known, and (m, d) what was read;  numbers :
+            (m,) of the targets, by their `names`
+        """
         return self
 
     @property
@@ -281,10 +279,6 @@ class AtTargets(Instrument):
     @property
     def targets(self) -> dict[str, Array]:
         return {name: np.array(place) for name, place in self.at}
-
-    @property
-    def unplaced(self) -> Self:
-        return replace(self, at=(), numbers=())
 
     def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
         """What belongs to the target of this number, of one for each target."""

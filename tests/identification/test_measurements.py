@@ -18,7 +18,6 @@ from identification.measurements import (
     condition_columns,
     digests_in,
     digests_text,
-    directions_from_order,
     past_from_order,
     row_digests,
     shared_rows,
@@ -33,7 +32,7 @@ def test_directions_are_the_last_motion(seed: int, m: int, shuffled: bool) -> No
     generator = np.random.default_rng(seed)
     postures = generator.integers(0, 3, (m, 3)).astype(float)  # few values, so that joints often rest
     order = generator.permutation(m).astype(float) * 7.0 if shuffled else None
-    found = directions_from_order(postures, order)
+    found = np.asarray(Measurements(postures, np.zeros((m, 2)), order).conditions.directions)
     sequence = range(m) if order is None else np.argsort(order)
     last, before = np.ones(3), None
     for row in sequence:
