@@ -6,7 +6,7 @@ Joints and links are counted from 1 for people (`Effect.joint`, names) and from 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -21,6 +21,7 @@ from identification.errors import InputError, require
 from identification.kinematics import parameters
 from identification.kinematics.chain import KinematicChain, planar_chain
 from identification.kinematics.counting import Counting, JointKinds, check_kinds
+from identification.kinematics.frames import as_poses
 from identification.kinematics.parameters import GEOMETRY, JOINT_OFFSET, LENGTH_ERROR, MAX_LINKS, REVOLUTE
 from identification.workspace import Cell, ColumnLimits, WorkspaceConstraint
 
@@ -177,8 +178,8 @@ class Calibration(ByValue):
 
     values : parameter name -> value [API units]: `length_error:1`, `joint_offset:1`, `effect:joint.parameter`, ...
     parameter_names : (p) order of the covariance;  covariance : (p, p) [API units]
-    base, tools : of a spatial arm, where they were estimated: (4, 4) pose of the base [mm] and name -> (3,) place of
-        each measured point [mm], with the values that correct them;  tool_axes : name -> (3, 3) of a measured frame
+    base, tools : of a spatial arm, where they were estimated: (4, 4) pose of the base [mm] and name -> (4, 4) that of
+        each measured point [mm], or (3,) its place, with the values that correct them
     """
 
     values: Mapping[str, float]
@@ -187,9 +188,9 @@ class Calibration(ByValue):
     provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     base: Array | None = None
     tools: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
-    tool_axes: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "tools", as_poses(self.tools))
         object.__setattr__(self, "values", MappingProxyType({k: float(v) for k, v in self.values.items()}))
         if self.covariance is not None:
             object.__setattr__(self, "covariance", readonly(self.covariance))
@@ -241,6 +242,14 @@ class Calibration(ByValue):
         return {name: value for name, value in self.values.items() if not GEOMETRY.fullmatch(name)}
 
 
+def check_limits(lower: Array, upper: Array, joint_types: Sequence[str]) -> None:
+    """Raises `InputError` where a lower limit (n,) is not below the upper one [rad, mm]."""
+    for j in np.flatnonzero(lower >= upper).tolist():
+        unit, factor = ("deg", 180.0 / np.pi) if joint_types[j] == REVOLUTE else ("mm", 1.0)
+        order = f"joint {j + 1} has lower {lower[j] * factor:g} >= upper {upper[j] * factor:g}"
+        raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
+
+
 @dataclass(frozen=True, eq=False)
 class Arm(ByValue):
     """An arm of n joints."""
@@ -279,10 +288,7 @@ class Arm(ByValue):
             require(size == n, f"joint_limits_deg.{name}: {size} values for {n} links, allowed: {n}")
             require(bool(np.all(np.isfinite(limits[name]))), f"joint_limits_deg.{name}: values must be finite")
         lower, upper = limits.values()
-        for j in np.flatnonzero(lower >= upper):
-            unit, factor = ("deg", 180.0 / np.pi) if turning[j] else ("mm", 1.0)
-            order = f"joint {j + 1} has lower {lower[j] * factor:g} >= upper {upper[j] * factor:g}"
-            raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
+        check_limits(lower, upper, chain.joint_types)
         farther = np.where(-lower > upper, lower, upper) * turning
         worst = int(np.argmax(np.abs(farther)))
         if abs(farther[worst]) > 10.0 * np.pi + 1e-6:  # [rad] no arm turns a joint farther; degrees do

@@ -89,7 +89,7 @@ class ArmModel(Model):
     def with_tip_moved(self, offset: Array) -> ArmModel:
         """The same with its measured points moved by (3,) [mm] in their frame: to see where a reflector looks."""
         chain = self.arm.chain
-        tools = {name: place + offset for name, place in chain.tools.items()}
+        tools = {name: pose(offset) @ at for name, at in chain.tools.items()}
         return replace(self, arm=replace(self.arm, chain=replace(chain, tools=tools)))
 
     # -- before a plan is made -------------------------------------------------------------------------------------
@@ -286,7 +286,7 @@ def with_points(chain: KinematicChain, contacts: bool = False) -> KinematicChain
         assumed = f"{away:.0f} mm before the base, on its x axis, is assumed; give instrument.center_mm"
         warnings.warn(f"instrument: the center is not known, {assumed}", stacklevel=2)
         chain = replace(chain, base=pose([-away, 0.0, 0.0]))
-    names = [name for name, place in chain.tools.items() if not np.any(place)]
+    names = [name for name, at in chain.tools.items() if not np.any(at[:3, 3])]
     if TOOL in chain.settled or not names:
         return chain
     beside, away = ", ".join(names) if len(chain.tools) > 1 else "the measured point", 100.0  # [mm] as of most flanges

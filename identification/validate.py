@@ -15,14 +15,14 @@ from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
 from identification.documents import identification as shown
-from identification.errors import InputError, require
+from identification.errors import InputError
 from identification.estimation import Identification, estimate
 from identification.estimation.doubts import lacking, left_out_residuals
-from identification.estimation.problem import Problem
+from identification.estimation.problem import Problem, check_shape
 from identification.estimation.uncertainty import LEVEL_95, freedom_of, gained_squares, quantile_95
 from identification.information import spectrum
 from identification.kinematics.chain import BASE, TOOL, standing_in
-from identification.kinematics.frames import pose, to_angles
+from identification.kinematics.frames import to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import MOST, POINT, Measurements, distances, rms_distance
 from identification.model import Model
@@ -203,14 +203,7 @@ def _refitted(
     those what happened once in that session is over: a drift or a step has come to its end.
     """
     model, origin = Model(arm), calibrated or arm
-    for what, counted, needed in (
-        ("joints", measurements.links, model.joints),
-        ("coordinates", measurements.dimension, model.dimension),
-    ):
-        fits = counted == needed or (what == "coordinates" and counted in model.dimensions)
-        require(fits, f"measurements: found {counted} {what}, allowed: {needed}, as the arm has")
-    has_gravity, allowed = arm.gravity is not None, "allowed: an arm file with a [gravity] table"
-    require("gravity" not in model.needs or has_gravity, f"gravity: an effect of the arm needs it, {allowed}")
+    check_shape(model, measurements)
     conditions, mean = measurements.conditions, provenance_of(origin).get("mean_temperature_C")
     own = share_fitted(provenance_of(origin), measurements) >= MOST
     if refit != "none" and not own and any(effect.once for effect in Model(origin).effects):
@@ -252,8 +245,7 @@ def _refitted(
         residuals[rows] = problem.residuals(values)[0]
         # where base and measured points are, by the names of their parameters, in place of their corrections
         stands, placed = standing_in(model.arm.chain, model.parameters.mapping(values)), dict[str, float]()
-        points = {f"{TOOL}[{point}]": pose(at, stands.tool_axes.get(point)) for point, at in stands.tools.items()}
-        for place, frame in {BASE: stands.base, **points}.items():
+        for place, frame in {BASE: stands.base, **{f"{TOOL}[{n}]": at for n, at in stands.tools.items()}}.items():
             six = [*frame[:3, 3].tolist(), *to_angles(frame[:3, :3]).tolist()]
             placed |= dict(zip(error_names(place), six, strict=True))
         refitted += [

@@ -269,7 +269,7 @@ def error_arrows(name: str, test: Any) -> list[dict[str, Any]]:
     tools |= {} if arm.calibration is None else arm.calibration.tools
     at = frames[:, :3, 3]
     if measured.marker is not None and len(tools) > 1:
-        beside = np.array([tools[marker] - next(iter(tools.values())) for marker in measured.marker])
+        beside = np.array([(tools[marker] - next(iter(tools.values())))[:3, 3] for marker in measured.marker])
         at = at + np.einsum("mij,mj->mi", frames[:, :3, :3], beside)
     arrows = np.zeros((2, *at.shape))
     for rows in measured.session_rows:

@@ -306,7 +306,7 @@ class ArmState:
         """(mass [kg], link, place (3,) [mm]) of every mass: of a link on the line from its joint's frame to the next,
         as far along as the file says; the payload where the file says, else at the first measured point."""
         gravity, chain = self.required_gravity, self.geometry
-        at = ca.SX(ca.DM(next(iter(chain.tools.values())) if gravity.payload_at is None else gravity.payload_at))
+        at = ca.SX(ca.DM(next(iter(chain.tools.values()))[:3, 3] if gravity.payload_at is None else gravity.payload_at))
         masses = [(self.payload, self.links - 1, self.frames[-1].point(at + in_space(self.payload_shift)))]
         for k, (mass, share) in enumerate(zip(gravity.link_masses, gravity.center_of_mass, strict=True)):
             along = ca.SX(ca.DM(share * chain.link_poses[k + 1][:3, 3]))

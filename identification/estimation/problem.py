@@ -117,11 +117,8 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
         raise InputError(f"model: found {type(model).__name__}, {allowed}")
     allowed = "allowed: Measurements, as load_measurements(path) gives"
     require(hasattr(measurements, "positions"), f"measurements: found {type(measurements).__name__}, {allowed}")
-    n, m, p, d = model.joints, len(measurements), len(model.parameters), measurements.dimension
-    counted = f"{measurements.links} joints for an arm of {n} links"
-    require(measurements.links == n, f"measurements: {counted}, allowed: {n}")
-    fits, counted = d in getattr(model, "dimensions", (model.dimension,)), f"positions of {d} coordinates"
-    require(fits, f"measurements: {counted}, allowed: {model.dimension} as the model has")
+    check_shape(model, measurements)
+    m, p, d = len(measurements), len(model.parameters), measurements.dimension
     require(p > 0, "model: every parameter is known, allowed: at least one to estimate")
     for effect in model.effects:
         arm, in_file = model.arm, "allowed: an arm file with"
@@ -137,6 +134,15 @@ def check_measurements(model: Model, measurements: Measurements, prior: Prior = 
         counted = f"{d} m = {d * m} < p = {p}"
         file = measurements.provenance.get("file", "measurements")
         raise InputError(f"{file}: fewer equations than unknowns: {counted}, allowed: m >= {-(-p // d)}")
+
+
+def check_shape(model: Model, measurements: Measurements) -> None:
+    """Raises `InputError` for another number of joints or coordinates than the model has."""
+    n, d = model.joints, measurements.dimension
+    counted = f"{measurements.links} joints for an arm of {n} links"
+    require(measurements.links == n, f"measurements: {counted}, allowed: {n}")
+    fits, counted = d in getattr(model, "dimensions", (model.dimension,)), f"positions of {d} coordinates"
+    require(fits, f"measurements: {counted}, allowed: {model.dimension} as the model has")
 
 
 @dataclass(frozen=True, eq=False)

@@ -500,7 +500,7 @@ def dh_table(arm: Arm) -> tuple[tuple[CorrectedValue, ...], list[tuple[str, Arra
     real = corrected(arm.chain, values)
     (_, first, last), (_, drawn_first, drawn_last) = (corrected_links(chain, drawn) for chain in (real, arm.chain))
     behind = np.linalg.inv(drawn_last) @ last
-    tools = [(f"tool {name}", behind[:3, :3] @ place + behind[:3, 3]) for name, place in real.tools.items()]
+    tools = [(f"tool {name}", (behind @ at)[:3, 3]) for name, at in real.tools.items()]
     return tuple(listed), [("base", real.base @ first @ np.linalg.inv(drawn_first)), *tools]
 
 

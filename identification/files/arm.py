@@ -20,7 +20,7 @@ import numpy as np
 import tomlkit
 from pydantic import BaseModel
 
-from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve, Gravity, Machining
+from identification.arm import Arm, Calibration, EffectSpec, ErrorCurve, Gravity, Machining, check_limits
 from identification.arrays import Array, readonly
 from identification.errors import InputError, nearest
 from identification.files.bodies import Shape, ShapedBodies, pairs_apart
@@ -92,20 +92,14 @@ def arm_from_tables(tables: Plain, folder: PathLike = ".", package_dirs: Sequenc
         check_kinds(counting, chain.joint_types)
     # limits in tables are the controller's, those of the chain, as of a URDF, are the joints' already
     limits, written = np.array([(joint.lower, joint.upper) for joint in chain.joints]).T, np.zeros(n, dtype=bool)
-    for kind, unit, factor, table in (
-        (REVOLUTE, "deg", math.degrees(1.0), file.joint_limits_deg),
-        (PRISMATIC, "mm", 1.0, file.joint_limits_mm),
-    ):
-        if table is not None:
+    for kind, key in ((REVOLUTE, "joint_limits_deg"), (PRISMATIC, "joint_limits_mm")):
+        if (table := getattr(file, key)) is not None:
             joints = types == kind
-            for side, values in enumerate((table.lower, table.upper)):
-                name = f"joint_limits_{unit}.{('lower', 'upper')[side]}"
-                _require_count(name, values, int(joints.sum()), f"{kind} joints")
+            for side, (end, values) in enumerate(table):
+                _require_count(f"{key}.{end}", values, int(joints.sum()), f"{kind} joints")
                 limits[side, joints] = values
-            for j in np.flatnonzero(joints & (limits[0] >= limits[1])).tolist():
-                order = f"joint {j + 1} has lower {limits[0, j] * factor:g} >= upper {limits[1, j] * factor:g}"
-                raise InputError(f"joint_limits_{unit}: {order}, allowed: lower < upper")
             written |= joints
+    check_limits(limits[0], limits[1], chain.joint_types)
     for j in filter(written.__getitem__, counting.coupled):  # limits of columns with angles of several joints tie these
         ends = sorted((counting.sign[j] * (limits[:, j] - counting.zero[j])).tolist())
         tied.append(ColumnLimits(j + 1, tuple((counting.sign[j] * counting.matrix[j]).tolist()), *ends))
@@ -175,7 +169,7 @@ def _drawn_chain(file: Any, urdf: Urdf | None) -> KinematicChain:
     if file.base is not None:
         chain = replace(chain, base=_pose(file.base), settled=chain.settled | {BASE})
     if file.tool is not None:
-        chain = replace(_with_tools(chain, file.tool), settled=chain.settled | {TOOL})
+        chain = replace(chain, tools=_tools(file.tool), settled=chain.settled | {TOOL})
     if (table := file.instrument) is None:
         sigma, scale = file.measurement, None
         if sigma is not None and sigma.sigma_deg is not None:
@@ -201,11 +195,9 @@ def _pose(table: Any) -> Array:
     return pose(numbers[:3], from_angles(numbers[3:]))
 
 
-def _with_tools(chain: KinematicChain, tables: Mapping[str, Any]) -> KinematicChain:
-    """With measured points, by the names of their markers, of which a single one may have none."""
-    poses = {name or "1": _pose(table) for name, table in tables.items()}
-    tools = {name: readonly(matrix[:3, 3]) for name, matrix in poses.items()}
-    return replace(chain, tools=tools, tool_axes={name: readonly(matrix[:3, :3]) for name, matrix in poses.items()})
+def _tools(tables: Mapping[str, Any]) -> dict[str, Array]:
+    """Measured points by the names of their markers, of which a single one may have none."""
+    return {name or "1": _pose(table) for name, table in tables.items()}
 
 
 def _cell(
@@ -335,15 +327,14 @@ def _calibration(
             state = f"found {error:g} for link {j} of {length:g} mm"
             raise InputError(f"calibration.length_errors_mm: {state}, allowed: more than {-length:g}")
     if table.tools:  # which the file has where they are not known
-        chain = _with_tools(chain, table.tools)
-    base, tools = None if table.base is None else _pose(table.base), dict(chain.tools) if table.tools else {}
-    axes = dict(chain.tool_axes) if tools and chain.angle_scale is not None else {}
+        chain = replace(chain, tools=_tools(table.tools))
+    base, tools = None if table.base is None else _pose(table.base), chain.tools if table.tools else {}
     # where its base was before the fit says which turn about the normal of a touched plane was not fitted
     every = {p.file_name: p for p in chain.every_parameter}
     moved = {every[key].name: value / every[key].to_file for key, value in given.items() if key in every}
     drawn = chains.standing_in(chain if base is None else replace(chain, base=base), moved, back=True)
     chain = chain if base is None else replace(chain, base=drawn.base)
-    chain = replace(chain, tools=drawn.tools, tool_axes=drawn.tool_axes) if tools else chain
+    chain = replace(chain, tools=drawn.tools) if tools else chain
     parameters = chain.parameters()
     in_api = {p.name: given[p.file_name] / p.to_file for p in _named(parameters, effects, given, "calibration")}
     order = _named(parameters, effects, table.parameters or (), "calibration.parameters")
@@ -351,7 +342,7 @@ def _calibration(
     if table.covariance is not None:
         covariance = np.array(table.covariance).reshape(len(order), len(order)) * np.outer(factors, factors)
     names = tuple(p.name for p in order)
-    return Calibration(in_api, names, covariance, MappingProxyType(dict(provenance)), base, tools, axes), chain
+    return Calibration(in_api, names, covariance, MappingProxyType(dict(provenance)), base, tools), chain
 
 
 # -- the drawing that a file names -------------------------------------------------------------------------------------
@@ -423,7 +414,7 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
         covariance = _in_file(calibration.covariance, np.outer(factors, factors))
     table |= {
         "base": None if calibration.base is None else pose_table(calibration.base),
-        "tools": tool_tables(calibration.tools, calibration.tool_axes) or None,
+        "tools": tool_tables(calibration.tools) or None,
         "parameters": [p.file_name for p in order] or None,
         "covariance": covariance,
         "effects": in_file or None,

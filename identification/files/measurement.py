@@ -67,7 +67,7 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     coordinates = instrument.coordinates[: len(chain.axes)]
     read = [read_column(table, name, kind, LENGTH_RANGE if positive else None) for name, kind, positive in coordinates]
     conditions = _conditions(table, types, NUMBERS)
-    order, time, gaps = conditions.pop("order"), conditions.pop("time_s"), np.zeros(len(table), dtype=bool)
+    order, time, gaps = conditions.pop("order", None), conditions.pop("time_s", None), np.zeros(len(table), dtype=bool)
     if order is not None and time is not None:  # time says more, if it says the same
         by_order, by_time = (np.argsort(each, kind="stable") for each in (order, time))
         if (differ := by_order != by_time).any():
@@ -217,12 +217,10 @@ def read_orientations(table: Table) -> Array | None:
 
 
 def _conditions(table: Table, types: int | Sequence[str], numbers: Iterable[str]) -> dict[str, Any]:
-    """Those of the `NUMBERS` columns, (m,), by their fields, and `directions` (m, n) of the joints: +1 or -1, NaN where
-    the cell is empty or coupled joints leave it open; None where the table has none."""
-    fields: dict[str, Any] = {"directions": None}
-    for column in numbers:
-        name = "time_s" if column == "time_s" else NUMBERS[column]
-        fields[name] = table.floats(column, *VALUES[NUMBERS[column]][1:]) if column in table else None
+    """Those of the `NUMBERS` columns that the table has, (m,), by their fields, and `directions` (m, n) of the joints:
+    +1 or -1, NaN where the cell is empty or coupled joints leave it open."""
+    given = {column: table.floats(column, *VALUES[NUMBERS[column]][1:]) for column in numbers if column in table}
+    fields = {"time_s" if column == "time_s" else NUMBERS[column]: values for column, values in given.items()}
     n = types if isinstance(types, int) else len(types)
     wanted = [f"direction{j}" for j in range(1, n + 1)]
     if present := [column for column in table.frame.columns if re.fullmatch(r"direction[1-9]\d*", column)]:

@@ -308,9 +308,7 @@ def register_instrument(cls: type[Instrument]) -> type[Instrument]:
     taken = of_axes.get(cls.kind)
     if taken is not None and taken.__module__.startswith(OWN) and not cls.__module__.startswith(OWN):
         raise InputError(f"instrument: the kind {cls.kind!r} is taken, allowed: another word")
-    in_order = sorted({**of_axes, cls.kind: cls}.items())
-    of_axes.clear()
-    of_axes.update(in_order)
+    of_axes[cls.kind] = cls
     return cls
 
 

@@ -53,6 +53,7 @@ from identification.kinematics.frames import (
     X,
     Y,
     Z,
+    as_poses,
     displacement,
     point_table,
     pose,
@@ -130,11 +131,10 @@ class KinematicChain(ByValue):
     joints: tuple[Joint, ...]
     end: Array  # (4, 4) pose of the tip's frame in that of the last joint [mm]
     base: Array = field(default_factory=lambda: np.eye(4))  # (4, 4) pose of the base [mm]
-    # name of each measured point -> (3,) its place in the tip's frame [mm]
-    tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.zeros(3)})
+    # name of each measured point -> (4, 4) pose of its frame in that of the tip [mm]; (3,) a place: turned as the tip
+    tools: Mapping[str, Array] = field(default_factory=lambda: {"1": np.eye(4)})
     settled: frozenset[str] = frozenset()  # those of `base` and `tool` that are given, and not to be found
     fixed: frozenset[str] = frozenset()  # names of parameters that are not estimated (model/placed.py)
-    tool_axes: Mapping[str, Array] = field(default_factory=dict)  # (3, 3) of measured frames where not the tip's
     instrument: Instrument = TRACKER  # what is measured of a point
     rows: tuple[DHRow, ...] = ()  # of the Denavit-Hartenberg table that it is drawn by; empty: by none
     convention: str = "standard"  # of that
@@ -154,6 +154,7 @@ class KinematicChain(ByValue):
     def __post_init__(self) -> None:
         object.__setattr__(self, "end", readonly(self.end))
         object.__setattr__(self, "base", readonly(self.base))
+        object.__setattr__(self, "tools", as_poses(self.tools))
 
     def __len__(self) -> int:
         return len(self.joints)
@@ -212,7 +213,7 @@ class KinematicChain(ByValue):
         parameters = _six(BASE, self.reach, (BASE, BASE))
         for name, place in self.tools.items():
             # no measured point is farther from where it is drawn or found first
-            far = 3.0 * (self.reach + float(np.linalg.norm(place)))
+            far = 3.0 * (self.reach + float(np.linalg.norm(place[:3, 3])))
             of_tool = _six(f"tool[{name}]", self.angle_scale or 1.0, (TOOL, TOOL), far)
             parameters += of_tool[: DIMENSION if self.angle_scale is None else 2 * DIMENSION]
         for j, (joint, lever) in enumerate(zip(self.joints, self.levers.tolist(), strict=True), start=1):
@@ -308,7 +309,7 @@ class KinematicChain(ByValue):
         places, axes = [], []
         for name, place in self.tools.items():
             names = error_names(f"tool[{name}]")
-            drawn = Frame.world().placed(pose(place, self.tool_axes.get(name)))
+            drawn = Frame.world().placed(place)
             places.append(drawn.shift + ca.vertcat(*(values.get(error, 0.0) for error in names[:3])))
             axes.append(drawn.displaced(values, names[3:]).axes)
         chosen, turned = places[0], axes[0]
@@ -540,16 +541,12 @@ def standing_in(chain: KinematicChain, values: Numbers, back: bool = False) -> K
     """The chain with base and measured points or frames where their errors bring them, or `back` from there; its joints
     as they are."""
 
-    def moved(frame: str, place: Array, turn: Array) -> tuple[Array, Array]:
-        shift, rotation = displacement(values, error_names(frame))
-        return (place - shift, turn @ rotation.T) if back else (place + shift, turn @ rotation)
+    def moved(frame: str, at: Array) -> Array:
+        shift, turn = displacement(values, error_names(frame))
+        return pose(at[:3, 3] + (-shift if back else shift), at[:3, :3] @ (turn.T if back else turn))
 
-    base = pose(*moved(BASE, chain.base[:3, 3], chain.base[:3, :3]))
-    axes = {name: chain.tool_axes.get(name, np.eye(3)) for name in chain.tools}
-    frames = {name: moved(f"tool[{name}]", np.asarray(place), axes[name]) for name, place in chain.tools.items()}
-    tools = {name: place for name, (place, _) in frames.items()}
-    axes = dict(chain.tool_axes) if chain.angle_scale is None else {name: turn for name, (_, turn) in frames.items()}
-    return replace(chain, base=base, tools=tools, tool_axes=axes)
+    tools = {name: moved(f"tool[{name}]", at) for name, at in chain.tools.items()}
+    return replace(chain, base=moved(BASE, chain.base), tools=tools)
 
 
 @dataclass(frozen=True)
@@ -566,10 +563,10 @@ class CorrectedGeometry:
 
     @property
     def places(self) -> dict[str, Any]:
-        """`base`, `tools` and `tool_axes` of a `Calibration`: those that were to be found."""
+        """`base` and `tools` of a `Calibration`: those that were to be found, of points only their places."""
         tools = {} if TOOL in self.chain.settled else dict(self.real.tools)
-        axes = dict(self.real.tool_axes) if self.chain.angle_scale is not None and tools else {}
-        return {"base": None if BASE in self.chain.settled else self.real.base, "tools": tools, "tool_axes": axes}
+        tools = {n: pose(at[:3, 3]) if self.chain.angle_scale is None else at for n, at in tools.items()}
+        return {"base": None if BASE in self.chain.settled else self.real.base, "tools": tools}
 
     def to_json(self, counting: Counting) -> dict[str, Any]:
         """Keys of `identify` for spatial arms (identification/files/README.md, "JSON keys");  counting : of the
@@ -590,9 +587,9 @@ class CorrectedGeometry:
             turn = roll_pitch_yaw(origin[:3, :3], near=roll_pitch_yaw(joint.origin[:3, :3]))
             angles = zip(("roll_deg", "pitch_deg", "yaw_deg"), np.degrees(turn).tolist(), strict=True)
             rows.append({"joint": j, "name": joint.name, **point_table(origin[:3, 3]), **dict(angles)})
-        base, tools, axes = self.places.values()
+        base, tools = self.places.values()
         base = None if base is None else pose_table(base)
-        return {"base": base, "tools": tool_tables(tools, axes), "geometry": rows}
+        return {"base": base, "tools": tool_tables(tools), "geometry": rows}
 
     def origin(self, j: int) -> Array:
         """(4, 4) pose of the frame of a joint, counted from 1, in that of the joint before, its offset apart [mm]."""

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.arrays import Array
+from identification.arrays import Array, readonly
 from identification.kinematics.parameters import AXES
 
 X, Y, Z = np.eye(3)
@@ -31,6 +31,11 @@ def pose(translation: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = 
     matrix[:3, 3] = translation
     matrix[:3, :3] = np.eye(3) if rotation is None else rotation
     return matrix
+
+
+def as_poses(places: Mapping[str, Array]) -> dict[str, Array]:
+    """Name -> pose (4, 4), of which a place (3,) is not turned."""
+    return {name: readonly(pose(at) if np.ndim(at) == 1 else at) for name, at in places.items()}
 
 
 def turned(vectors: ArrayLike) -> Array:
@@ -123,9 +128,10 @@ def pose_table(matrix: Array) -> dict[str, float]:
     return point_table(matrix[:3, 3]) | {f"r{axis}_deg": float(f"{angle:.15g}") for axis, angle in angles}
 
 
-def tool_tables(tools: Mapping[str, Array], axes: Mapping[str, Array]) -> dict[str, dict[str, float]]:
-    """Measured points (3,) [mm] by name, with axes (3, 3) where those are measured, as files and JSON have them."""
-    return {n: pose_table(pose(place, axes[n])) if n in axes else point_table(place) for n, place in tools.items()}
+def tool_tables(tools: Mapping[str, Array]) -> dict[str, dict[str, float]]:
+    """Frames (4, 4) [mm] of measured points as files and JSON have them by name, what is not turned as a point."""
+    turned = {name: not np.array_equal(at[:3, :3], np.eye(3)) for name, at in tools.items()}
+    return {name: pose_table(at) if turned[name] else point_table(at[:3, 3]) for name, at in tools.items()}
 
 
 def nearest_rotation(matrices: Array) -> Array:

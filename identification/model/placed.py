@@ -32,7 +32,7 @@ from identification.kinematics.chain import (
     KinematicChain,
     standing_in,
 )
-from identification.kinematics.frames import nearest_rotation
+from identification.kinematics.frames import nearest_rotation, pose
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements
 from identification.model.arm_model import Model
@@ -60,18 +60,17 @@ def placed_model(model: Model, measurements: Measurements) -> Model:
     values: dict[str, float] = {}
     if (calibration := arm.calibration) is not None:
         values = _without(calibration.values, {BASE, TOOL} - settled)
-        calibration = replace(calibration, values=values, base=None, tools={}, tool_axes={})
+        calibration = replace(calibration, values=values, base=None, tools={})
     drawn, geometry = replace(standing_in(chain, values), settled=settled), _without(values)
     standing = _standing_chain(drawn, spread_rows(measurements, measurements.session_rows[0]), geometry)
     if BASE not in settled:
         chain = replace(chain, base=standing.base)
     if TOOL not in settled:
-        chain = replace(chain, tools=standing.tools, tool_axes=standing.tool_axes)
+        chain = replace(chain, tools=standing.tools)
     if own_targets:
-        frames = standing.tip_frames(measurements.postures, geometry)
-        points = frames[:, :3, 3] + frames[:, :3, :3] @ next(iter(standing.tools.values()))
+        frames = standing.tip_frames(measurements.postures, geometry) @ next(iter(standing.tools.values()))
         readings, names = measurements.positions[:, : chain.instrument.dimension], measurements.marker_names or ("1",)
-        targets = points[:, : chain.dimension], readings, _markers(measurements), names
+        targets = frames[:, : chain.dimension, 3], readings, _markers(measurements), names
         chain = replace(chain, instrument=chain.instrument.with_targets(*targets))
     return replace(model, arm=replace(arm, chain=chain, calibration=calibration))
 
@@ -101,20 +100,20 @@ def _standing_chain(chain: KinematicChain, measurements: Measurements, values: M
         measurements, markers, most = measurements.rows(most), np.zeros(int(most.sum()), dtype=np.int64), most[most]
     readings = measurements.positions[:, : chain.instrument.dimension]  # of poses the points
     frames, place = chain.tip_frames(measurements.postures, values), chain.instrument.place
-    base, tools, axes = chain.base, dict(chain.tools), dict(chain.tool_axes)
+    base, tools = chain.base, dict(chain.tools)
     if BASE not in chain.settled and TOOL in chain.settled:
-        at_points = np.array(frames)  # of frames whose origins are the measured points
-        at_points[:, :3, 3] += np.einsum("mij,mj->mi", frames[:, :3, :3], np.array([*tools.values()])[markers])
+        at_points = frames @ np.array([*tools.values()])[markers]
         base = place(Unplaced(at_points, readings, chain.reach, tool=np.zeros(3))).base
     elif BASE not in chain.settled:
         base = place(Unplaced(frames[most], readings[most], chain.reach)).base
     for number, name in enumerate(tools if TOOL not in chain.settled else ()):
         if (rows := markers == number).any():
-            tools[name] = place(Unplaced(frames[rows], readings[rows], chain.reach, base)).tool
+            at, turn = place(Unplaced(frames[rows], readings[rows], chain.reach, base)).tool, tools[name][:3, :3]
             if measurements.orientations is not None:
                 tips = np.swapaxes(base[:3, :3] @ frames[rows, :3, :3], -1, -2)
-                axes[name] = nearest_rotation((tips @ measurements.orientations[rows]).mean(axis=0))
-    return replace(chain, base=base, tools=tools, tool_axes=axes)
+                turn = nearest_rotation((tips @ measurements.orientations[rows]).mean(axis=0))
+            tools[name] = pose(at, turn)
+    return replace(chain, base=base, tools=tools)
 
 
 def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain, list[Array]]:
@@ -137,10 +136,8 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
             seen = seen | np.isin(np.arange(len(seen)), _markers(rows))
         first = first if bases else seen
         bases.append(standing.base)
-    later = [name for name, is_seen in zip(standing.tools, first.tolist(), strict=True) if not is_seen]
-    tools, axes = ({name: of[name] for name in later if name in of} for of in (standing.tools, standing.tool_axes))
-    chain = replace(arm.chain, tools={**arm.chain.tools, **tools}, tool_axes={**arm.chain.tool_axes, **axes})
-    return chain, bases
+    later = {name: at for (name, at), seen in zip(standing.tools.items(), first.tolist(), strict=True) if not seen}
+    return replace(arm.chain, tools={**arm.chain.tools, **later}), bases
 
 
 def with_markers(chain: KinematicChain, measurements: Measurements) -> KinematicChain:
@@ -158,10 +155,9 @@ def with_markers(chain: KinematicChain, measurements: Measurements) -> Kinematic
     if tuple(tools)[: len(names)] == names:
         return chain
     if len(tools) == 1 == len(names):
-        axes = dict(zip(names, chain.tool_axes.values(), strict=False))
-        return replace(chain, tools=dict(zip(names, tools.values(), strict=True)), tool_axes=axes)
+        return replace(chain, tools=dict(zip(names, tools.values(), strict=True)))
     if TOOL not in chain.settled:
-        return replace(chain, tools={name: tools.get(name, np.zeros(3)) for name in names})
+        return replace(chain, tools={name: tools.get(name, np.eye(4)) for name in names})
     for name in names:
         if name not in tools:
             raise InputError.unknown("measurements.marker: unknown name", name, tools)
@@ -172,7 +168,7 @@ def one_unnamed(chain: KinematicChain, measurements: Measurements) -> KinematicC
     """The chain with one measured point, where it has several and the data name none: one, to be found."""
     if measurements.marker_names or len(chain.tools) == 1:
         return chain
-    return replace(chain, tools={UNNAMED: np.zeros(3)}, tool_axes={})
+    return replace(chain, tools={UNNAMED: np.eye(4)})
 
 
 # -- positions where something else is read ----------------------------------------------------------------------------

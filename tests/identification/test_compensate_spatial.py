@@ -66,7 +66,7 @@ def test_poses() -> None:
     for slide in (False, True):
         given = arm(slide)
         chain = given.chain
-        given = replace(given, chain=replace(chain, tool_axes={"1": TURN}))
+        given = replace(given, chain=replace(chain, tools={"1": pose(TOOL, TURN)}))
         nominal = np.random.default_rng(5).uniform(0.9 * given.lower, 0.9 * given.upper, (8, given.links))
         nominal[:, -4] = np.linspace(0.6, 2.0, 8)  # the elbow: stretched, the arm's own errors decide what it reaches
         points = np.array([tip(chain, q, {}) for q in nominal])
