@@ -6,7 +6,6 @@
 
 from identification.instruments.base import KINDS, Coordinate, Instrument, Placement, Unplaced, register_instrument
 from identification.instruments.cups import Socket
-from identification.instruments.distance import Distance, distance_to_center
-from identification.instruments.planar_distance import PlanarDistance
+from identification.instruments.distance import Distance, PlanarDistance, distance_to_center
 from identification.instruments.probe import Plane, Sphere
 from identification.instruments.tracker import TRACKER, Tracker

@@ -1,9 +1,13 @@
-"""Distances from a center: |p_i + R_i t - c| = d_i, a sphere about c, which for a given t is linear in c and |c|^2."""
+"""Distances from a center: |p_i + R_i t - c| = d_i, a sphere about c, which for a given t is linear in c and |c|^2.
+
+Beside a planar arm the center stands in the frame of the base.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -12,13 +16,16 @@ from identification.arrays import Array
 from identification.information import RANK_TOLERANCE
 from identification.instruments.base import (
     PLACE,
+    AtTargets,
     Coordinate,
     Instrument,
+    OwnValue,
     Placement,
     Unplaced,
     register_instrument,
 )
-from identification.kinematics.parameters import error_names
+from identification.kinematics.frames import pose
+from identification.kinematics.parameters import JOINT_OFFSET, error_names
 
 
 def distance_to_center(point: ca.SX) -> ca.SX:
@@ -57,3 +64,45 @@ class Distance(Instrument):
         off = np.sqrt((-solved[:, 3] - np.sum(solved[:, :3] ** 2, axis=1)).clip(min=0.0))
         bases[:, :3, 3] = -middle[:, 0] - rows.reach * (solved[:, :3] + normals * off[:, None])
         return self.searched(rows, bases)
+
+
+@register_instrument
+@dataclass(frozen=True)
+class PlanarDistance(AtTargets):
+    """A ball bar or a draw wire beside a planar arm: how far the tip is from a fixed center in the plane.
+
+    The frame is that of the base, and the centers, one for each session, are parameters in it. A turn of arm and
+    centers together no distance shows: the offset of joint 1 is not estimated.
+    """
+
+    kind = "distance"
+    axes = "xy"
+    keys = frozenset({"center_mm"})
+    coordinates = Distance.coordinates
+    own_targets = "center"
+
+    def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
+        centers = [values[2 * k : 2 * k + 2] for k in range(len(self.at))] or [ca.SX.zeros(2)]
+        return distance_to_center(point - self.of_row(centers[: len(self.at)], target, centers[0]))
+
+    def own_values(self, values: Mapping[str, float]) -> Iterator[OwnValue]:
+        for value in super().own_values(values):
+            name = f"center {value.name.removeprefix('center[').replace(']', '').replace('.', ' ')}"
+            yield value._replace(name=name, convention="of the distances, in the frame of the base")
+
+    def hidden(self, base: Array) -> frozenset[str]:
+        return frozenset({f"{JOINT_OFFSET}:1"})
+
+    def place(self, rows: Unplaced) -> Placement:
+        """The center alone is to be found, and is the origin of the base that is found."""
+        return Distance().place(rows._replace(base=None, tool=np.zeros(3)))
+
+    def target_of(self, points: Array, readings: Array) -> Array:
+        """The center that explains the distances best."""
+        frames = np.array([pose((*point, 0.0)) for point in points])
+        return -self.place(Unplaced(frames, readings, float(np.abs(points).max()))).base[:2, 3]
+
+    @classmethod
+    def of_table(cls, table: Mapping[str, Any]) -> PlanarDistance:
+        center = table.get("center_mm")
+        return cls() if center is None else cls((("1", tuple(map(float, center))),))

@@ -35,7 +35,7 @@ from identification.kinematics.chain import (
 from identification.kinematics.frames import nearest_rotation, pose
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import POINT, Conditions, Measurements
-from identification.model.arm_model import Model
+from identification.model import Model
 
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
