@@ -26,7 +26,7 @@ TESTED = {  # module -> tests that must notice, in tests/identification and test
     "identification/kinematics/chain.py": "kinematics model estimation/test_estimate.py",
     "identification/levenberg_marquardt.py": "test_levenberg_marquardt.py",
     "identification/estimation/uncertainty.py": ("estimation/test_uncertainty.py gap/test_confirmation.py"),
-    "identification/estimation/estimate.py": "estimation/test_estimate.py estimation/test_prior.py",
+    "identification/estimation/__init__.py": "estimation/test_estimate.py estimation/test_prior.py",
     "identification/estimation/problem.py": "estimation/test_prior.py",
     "identification/gap/likelihood.py": "gap/test_likelihood.py gap/test_average.py",
     "identification/gap/search.py": "gap/test_search.py",

@@ -41,7 +41,7 @@ UNUSUAL = 8.0  # times the machining's sizes, from which a mistake is likelier t
 FEW = "too few measurements"  # the beginning of that sentence
 
 
-def doubts(
+def doubts_of_fit(
     model: Model, x: Array, identifiable: NDArray[np.bool_], before: Array, residual: Array, measurements: Measurements
 ) -> tuple[tuple[str, ...], bool]:
     """What is doubtful about a fit, worst first, and whether it is no result to work with;  x, identifiable : (p,)
