@@ -1,17 +1,14 @@
 """The errors that reach a user: one line each, saying where, what was found and what is allowed.
 
-Which of the names that are allowed somebody may have meant: misspelt, shortened, or another word for the same.
+Which of the names that are allowed somebody may have meant: misspelt or shortened.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from types import MappingProxyType
 from typing import Self
-
-NOTHING: Mapping[str, str] = MappingProxyType({})
 
 
 class ArmcalError(Exception):
@@ -26,10 +23,10 @@ class InputError(ArmcalError):
     exit_code = 2
 
     @classmethod
-    def unknown(cls, what: str, name: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> Self:
+    def unknown(cls, what: str, name: str, allowed: Iterable[str]) -> Self:
         """Of a name that is not allowed: `solver: unknown name 'ipot', did you mean 'ipopt'? allowed: ...`;  what : the
-        place, and what the name is there;  meant : as for `nearest`"""
-        return cls(f"{what} {name!r}, {nearest(name, allowed, meant)}")
+        place, and what the name is there"""
+        return cls(f"{what} {name!r}, {nearest(name, allowed)}")
 
 
 class JobError(ArmcalError):
@@ -47,10 +44,8 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
 
 
-def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> list[str]:
+def close_names(word: str, allowed: Iterable[str]) -> list[str]:
     """Up to three names: those that are most alike (`difflib`), else those that it begins with or that have it in them.
-
-    meant : another word -> the name that says the same
 
     >>> close_names("desing", ["design", "score"])
     ['design']
@@ -58,7 +53,7 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     ['base_offset', 'tool_offset']
     """
     options, low = sorted(set(allowed)), word.lower()[:60]  # longer than any name
-    spelt = {other.lower(): name for other, name in meant.items() if name in options} | {n.lower(): n for n in options}
+    spelt = {name.lower(): name for name in options}
     near = [spelt[other] for other in get_close_matches(low, spelt, n=4, cutoff=0.66 if len(low) == 3 else 0.75)]
     bare = {name: re.sub(r"[^a-z0-9]", "", name.lower()) for name in options}
     part = re.sub(r"[^a-z0-9]", "", low)
@@ -66,16 +61,14 @@ def close_names(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NO
     return list(dict.fromkeys(near)) if len(near) <= 3 else []  # more help nobody
 
 
-def nearest(word: str, allowed: Iterable[str], meant: Mapping[str, str] = NOTHING) -> str:
+def nearest(word: str, allowed: Iterable[str]) -> str:
     """The end of a sentence about an unknown name: which valid ones may be meant, and all that are valid.
-
-    meant : another word -> the name that says the same
 
     >>> nearest("lenghts_mm", ["links_mm", "lengths_mm"])
     "did you mean 'lengths_mm'? allowed: lengths_mm, links_mm"
     """
     options = sorted(set(allowed))
-    return f"{suggestion(close_names(word, options, meant))}allowed: {', '.join(options)}"
+    return f"{suggestion(close_names(word, options))}allowed: {', '.join(options)}"
 
 
 def suggestion(names: Sequence[str]) -> str:

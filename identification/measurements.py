@@ -124,15 +124,6 @@ def condition_columns(n: int, further: Collection[str] = ()) -> dict[str, slice]
     return slices(sizes | {name: size for name, size in others.items() if name in further})
 
 
-def gaps_of(order: Array) -> NDArray[np.bool_]:
-    """(m,) True where numbers are left out of an `order` that counts measurements: the row before is missing. Where
-    numbers are left out before more than 3 of 4 rows they are frames or labels, no counts: none is missing."""
-    sequence = np.argsort(order, kind="stable")
-    gaps = np.zeros(len(order), dtype=bool)
-    gaps[sequence[1:]] = np.diff(order[sequence]) > 1.0
-    return gaps & (gaps.mean() <= 0.75)
-
-
 def directions_from_order(postures: Array, gaps: Array | None = None) -> Array:
     """(m, n) sign of the change from the posture before; first row +1, no change: as before.
 

@@ -1,5 +1,9 @@
 """Files of measurements, plans, targets and commands: columns in millimetres and degrees <-> arrays in millimetres and
-radians. `identification.measurements` makes `Measurements` of them."""
+radians. `identification.measurements` makes `Measurements` of them.
+
+All that reads raises `InputError`, one line naming file, row and column, what was found and what is allowed, and warns
+(`UserWarning`) once about columns that are not used.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ from identification.kinematics.chain import planar_chain
 from identification.kinematics.counting import counting_in
 from identification.kinematics.frames import from_angles, from_quaternions, to_angles
 from identification.kinematics.parameters import PRISMATIC
-from identification.measurements import VALUES, Measurements, directions_from_order, gaps_of
+from identification.measurements import VALUES, Measurements, directions_from_order
 
 if TYPE_CHECKING:
     from identification.instruments import Instrument
@@ -47,9 +51,6 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
     """The measurements of a CSV file, of an arm with `links` links if given.
 
     links : or the arm itself: a spatial one has positions of three coordinates, markers, and may have sliding joints
-
-    Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns (`UserWarning`)
-    once about columns that are not used.
     """
     table = read_table(path)
     types: JointTypes = links.joint_types if isinstance(links, Arm) else links
@@ -73,9 +74,13 @@ def load_measurements(path: PathLike, links: int | Arm | None = None) -> Measure
         if (differ := by_order != by_time).any():
             state = "order and time_s put the rows in different orders, allowed: the same order, or one column"
             raise InputError(f"{table.place(int(by_time[np.argmax(differ)]), 'time_s')}: {state}")
-    if order is not None and np.all(order == np.round(order)):
+    if order is not None and np.all(order == np.round(order)):  # it counts measurements, not all of which are there
         for rows in [slice(None)] if session is None else [session == name for name in np.unique(session)]:
-            gaps[rows] = gaps_of(order[rows])
+            sequence = np.argsort(order[rows], kind="stable")
+            left_out = np.zeros(len(sequence), dtype=bool)
+            left_out[sequence[1:]] = np.diff(order[rows][sequence]) > 1.0
+            # before more than 3 of 4 rows: they are frames or labels, no counts, and none is missing
+            gaps[rows] = left_out & (left_out.mean() <= 0.75)
     measurements = Measurements(
         postures,
         np.column_stack(read) if read else np.zeros((len(table), instrument.dimension)),
@@ -324,9 +329,6 @@ class Plan(ByValue):
         joints : how many the arm has, or the type of each: a prismatic one has a column `q1_mm`
         carried_out : the file is one of measurements, and has other columns
         vias : read the way-points of the moves too, which nobody measures
-
-        Raises `InputError`, one line naming file, row and column, what was found and what is allowed. Warns
-        (`UserWarning`) once about columns that are not used.
         """
         table = read_table(path, vias=vias)
         postures, weights, via, given = read_postures(table, joints), None, None, _units_of(table, "sigma", LENGTH)
@@ -394,7 +396,6 @@ def load_targets(path: PathLike, arm: Arm) -> dict[str, Any]:
     `z_mm` too, and angles where these matter, or with `q1_deg..qn_deg`; None: the file does not say.
 
     With both, positions are the targets and postures say which of the many solutions to stay near.
-    Raises `InputError` with file, row and column.
     """
     table, axes = read_table(path), arm.chain.axes
     has_positions = any(f"{axis}_{unit}" in table for axis in axes for unit in UNITS[LENGTH])
