@@ -129,14 +129,18 @@ def test_runs_without_a_free_approach_are_named() -> None:
     assert all(inside(problem, each.moves.postures) for each in (below, above))
 
 
-@pytest.mark.parametrize("approach", ["positive", "negative", "alternate"])
-def test_joints_come_from_the_side_that_is_asked_for(approach: str) -> None:
-    """Without bodies and with them, as the model counts and as the controller does: the other joint the other way round
-    and from where the first is."""
+@pytest.mark.parametrize(
+    ("approach", "room"),
+    [("positive", [[3, 0], [0, 3]]), ("negative", [[0, 3], [3, 0]]), ("alternate", [[3, 3], [3, 3]])],
+)
+def test_joints_come_from_the_side_that_is_asked_for(approach: str, room: list[list[float]]) -> None:
+    """With room there below and above, and no more; without bodies and with them, as the model counts and as the
+    controller does: the other joint the other way round and from where the first is."""
     counts = Counting((1, -1), (0, 1), (0.0, 0.0)).matrix
     signs = np.array([1, -1])
     for problem in (ring(), replace(ring(), constraints=())):
         asked = with_approach(problem, approach, counts)
+        np.testing.assert_allclose(np.degrees([asked.lower - problem.lower, problem.upper - asked.upper]), room)
         postures = np.random.default_rng(2).uniform(asked.lower, asked.upper, (40, 2))
         postures = postures[problem.feasible(postures) & (np.abs(postures[:, 0]) < 1.0)][:6]
         postures[0] = asked.lower * [0.3, 1.0]
@@ -188,23 +192,6 @@ def test_joints_are_turned_into_one_turn(effects: tuple[EffectSpec, ...], listed
     whole = drive(problem, Plan(postures))
     assert whole.data["travel_deg"]["saved"] > 0.3
     assert inside(problem, whole.moves.postures)
-
-
-@pytest.mark.parametrize(
-    ("approach", "below", "above"),
-    [
-        ("any", [0, 0], [0, 0]),
-        ("positive", [1, 0], [0, 1]),
-        ("negative", [0, 1], [1, 0]),
-        ("alternate", [1, 1], [1, 1]),
-    ],
-)
-def test_room_to_come_from_is_left_within_the_limits(approach: str, below: list[int], above: list[int]) -> None:
-    """And no more: of two joints, the other one counted the other way round, on the side that each comes from."""
-    problem = ring()
-    asked, away = with_approach(problem, approach, np.diag([1, -1])), np.radians([3.0, 3.0])
-    np.testing.assert_allclose(asked.lower, problem.lower + below * away)
-    np.testing.assert_allclose(asked.upper, problem.upper - above * away)
 
 
 def test_orders_that_are_asked_for(arm: Arm) -> None:

@@ -94,12 +94,6 @@ def test_sensitivity_is_below_the_bound_at_the_optimum(criterion: D | None) -> N
     assert exact.bound.value == pytest.approx(found.value, rel=1e-6)
 
 
-def test_choices_are_the_workspace() -> None:
-    listed = replace(PLAIN, choices=POSTURES)
-    assert workspace(listed) == pytest.approx(np.array(POSTURES))
-    assert robust_problem(listed).parameters > CASE.parameters
-
-
 def test_bad_input_is_said() -> None:
     with pytest.raises(InputError, match=r"^--robust needs the instrument's scatter"):
         robust_problem(DesignProblem.of(Model(Arm(LENGTHS))))
@@ -146,6 +140,7 @@ def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
     """Weights on postures climbed from the list beat every bound over the list, and not this one."""
     some = replace(CASE, choices=np.random.default_rng(0).uniform(ARM_ROBUST.lower, ARM_ROBUST.upper, (40, 2)))
     sampled = replace(some, sampled=True)
+    assert (with_choices(CASE).sampled, with_choices(some, POSTURES[:1]).sampled) == (True, False)
     listed, everywhere = best_known_bound(some, 12), best_known_bound(sampled, 12)
     assert (listed.source, listed.rigorous, listed.candidates) == ("grid", True, 40)
     assert (everywhere.source, everywhere.rigorous, everywhere.candidates) == ("continuous", False, None)
@@ -160,13 +155,6 @@ def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
     grid = np.stack(np.meshgrid(*np.linspace(ARM_ROBUST.lower, ARM_ROBUST.upper, 25).T), axis=-1).reshape(-1, 2)
     fine = column_generation(CASE, grid, **effort)
     assert float(CASE.criterion.value(fine.information)) < everywhere.value
-
-
-def test_only_a_list_of_its_own_making_is_a_sample() -> None:
-    assert with_choices(CASE).sampled
-    listed = replace(CASE, choices=POSTURES)
-    assert not with_choices(listed).sampled
-    assert not with_choices(listed, POSTURES[:1] + 0.1).sampled
 
 
 def test_the_workspace_is_on_one_side_of_what_no_move_passes() -> None:
