@@ -68,7 +68,7 @@ def design_verdict(design: Design) -> str:
     listed = design.problem.choices is not None and not design.problem.sampled
     where = "candidates" if listed and not getattr(design.problem.model, "tied", False) else "workspace"
     sentence += f"{in_a_sentence(error['plan'])} mm at the tip, RMS over the {where} or --test-poses"
-    sentence += f", if fitted by armcal identify --{design.plan.fit}" if design.plan.fit else ""
+    sentence += f", if fitted by armcal identify --{fit}" if (fit := design.problem.fit) else ""
     if bound is None or error["bound"] is None or design.efficiency is None or outside:
         return f"{sentence}."  # no bound applies to a plan outside the limits
     kind = "" if bound.rigorous else " (a numerical bound)"

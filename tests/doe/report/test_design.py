@@ -40,7 +40,7 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
     said = " ".join(str(Document(parts=[design_facts(design)])).split())
     assert design.expected_error is not None
     assert re.search(r"efficiency 0.0\d+ of the bound \(the list of 2,000 postures, proven\)", said)
-    assert "RMS over the workspace" in design_verdict(design)
+    assert "RMS over the workspace or --test-poses, if fitted by armcal identify --library" in design_verdict(design)
     few = replace(design, problem=replace(wide, choices=design.plan.postures))
     assert "RMS over the candidates" in design_verdict(few)
     assert "value of I" not in said
@@ -50,7 +50,7 @@ def test_a_robust_plan_is_judged_by_millimetres() -> None:
 def test_a_plan_in_a_sentence() -> None:
     def verdict(criterion: str = "D", outside: tuple[int, ...] = (), **values: Any) -> str:
         usual = {"efficiency": None, "certified_optimal": False, "expected_error": None, "bound": None}
-        stated = SimpleNamespace(criterion=SimpleNamespace(name=criterion), choices=None)
+        stated = SimpleNamespace(criterion=SimpleNamespace(name=criterion), choices=None, fit="")
         plan = Plan(np.zeros((20, 2)))
         return design_verdict(SimpleNamespace(problem=stated, plan=plan, outside=outside, **(usual | values)))  # type: ignore[arg-type]
 
