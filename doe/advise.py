@@ -121,7 +121,7 @@ def advise(
     if target is not None and not (np.isfinite(target) and target > 0.0):
         raise InputError(f"--target-mm: found {target:g}, allowed: > 0")
     began, budget = perf_counter(), np.inf if seconds is None else seconds
-    errors = TipErrors.of(problem)
+    errors = TipErrors.of(problem, max(runs))
     # of the time, at most
     bounds = bounds_of_runs(problem, sorted(runs), lambda: perf_counter() > began + 0.25 * budget)
     designs: dict[int, Design] = {}

@@ -55,12 +55,14 @@ class CriterionOptions:
 def design_problem(
     arm: Arm,
     wanted: CriterionOptions,
+    runs: int = 0,
     *,
     keep: Path | None = None,
     candidates: Path | None = None,
     repeats: bool = False,
 ) -> DesignProblem:
-    """The problem that the options describe. Raises `InputError` for files and names that do not fit."""
+    """The problem that the options describe, of a plan of so many runs. Raises `InputError` for files and names that do
+    not fit."""
     from doe.criteria import NAMES, criterion
     from doe.plan.accuracy import missing_effects, robust_problem, tip_jacobians
     from identification import Plan, design_model
@@ -89,7 +91,7 @@ def design_problem(
     if wanted.robust:
         missing = wanted.missing
         fit = "library-prior" + (f" --missing {','.join(missing)}" if missing else "")  # see `Plan`
-        counted = missing_effects(problem, missing)
+        counted = missing_effects(problem, missing, runs)
         if missing and counted.left_out:
             reasons = ", ".join(f"{effect} ({why})" for effect, why in counted.left_out.items())
             warnings.warn(f"--missing: the plan does not count {reasons}", UserWarning, stacklevel=2)
@@ -199,7 +201,7 @@ def design_files(
         raise InputError(f"--approach: found {approach} for contacts, allowed: any, as what is touched is in the way")
     counts = loaded.counting.matrix
     progress(0, None, "the arm and its cell")
-    problem = design_problem(loaded, criterion, keep=keep, candidates=candidates, repeats=repeats)
+    problem = design_problem(loaded, criterion, runs, keep=keep, candidates=candidates, repeats=repeats)
     problem = with_approach(problem, approach, counts)
     if criterion.robust and solver in (None, "exchange"):
         problem = with_choices(problem)
@@ -264,7 +266,7 @@ def score_files(
 
     loaded = load_arm(arm, package_dir)
     judged = Plan.load(plan, loaded.joint_types)
-    bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing))
+    bounded = design_problem(loaded, CriterionOptions(robust=robust, missing=missing), len(judged))
     if robust or bounded.choices is not None:
         bounded = with_choices(bounded, judged.postures)
     if len(judged) < bounded.fewest_runs:
@@ -384,7 +386,7 @@ def relax_files(
     held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
     if runs is not None and not robust and not held:
         raise InputError("--runs: found without --robust, allowed: with --robust")
-    problem = design_problem(loaded, criterion, candidates=candidates if robust else None)
+    problem = design_problem(loaded, criterion, runs or 0, candidates=candidates if robust else None)
     problem = with_choices(problem) if robust and grid is None else problem
     solver = solver or "column_generation"
     if seconds is not None and solver in LARGEST:

@@ -139,16 +139,19 @@ def criterion_values(problem: DesignProblem, postures: Array, weights: Array | N
 
 
 # -- arms whose model may lack something -----------------------------------------------------------------------------
-def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None) -> Any:
+def missing_effects(problem: DesignProblem, names: Sequence[str] | None = None, runs: int = 0) -> Any:
     """What a problem's model may lack of what postures can show; what order, time and temperature show is left out.
 
-    names : of effects, None: all. Raises `InputError` for a model that does not know, unknown names, no sigma.
+    names : of effects, None: all;  runs : of a plan, beside those measured already: many tell waves that few do not
+    Raises `InputError` for a model that does not know, unknown names, no sigma.
     """
     missing = offered(problem.model, "missing_effects", "robust")
     if problem.model.sigma is None:
         raise InputError(f"--robust {NEEDS_SIGMA}")
-    # the order of the fastest wave of an error curve that a plan is to show (doe/README.md, "Robust designs")
-    return missing(names, 24.0)
+    # the order of the fastest wave of an error curve that a plan is to show (doe/README.md, "Robust designs"): a wave
+    # has two parameters at each joint
+    equations = (runs + len(problem.kept)) * problem.model.dimension
+    return missing(names, max(24.0, 0.5 * equations / problem.joints))
 
 
 def robust_problem(problem: DesignProblem, missing: Any = None, poses: Array | None = None) -> DesignProblem:
@@ -220,8 +223,10 @@ class TipErrors:
     targets: Array
 
     @classmethod
-    def of(cls, problem: DesignProblem) -> TipErrors | None:
+    def of(cls, problem: DesignProblem, runs: int = 0) -> TipErrors | None:
         """Over the `workspace`, or where criterion I is judged; None without a sigma to weigh sizes by, or a library.
+
+        runs : of the longest plan
 
         Of a diagnosed arm nothing is missing: what its data could show is in the model, and would have been shown.
         """
@@ -232,7 +237,7 @@ class TipErrors:
             return cls(problem, problem, at.jacobians)
         poses, wide = workspace(problem), problem  # once: rare postures take long to find
         if not (problem.missing or getattr(model, "complete", False)):
-            wide = robust_problem(problem, missing_effects(problem), poses=poses)
+            wide = robust_problem(problem, missing_effects(problem, runs=runs), poses=poses)
         return cls(problem, wide, tip_jacobians(wide, poses))
 
     def of_plan(self, postures: Array, wanted: str = "effects_missing_prior") -> dict[str, float]:
@@ -299,7 +304,7 @@ class ExpectedTip:
         """
         m, plans, most = len(postures), 50, 2000  # random plans that it is compared with, and postures of all of them
         anywhere = replace(problem, choices=None) if problem.sampled else problem
-        errors = TipErrors.of(anywhere) if m <= most else None
+        errors = TipErrors.of(anywhere, m) if m <= most else None
         if errors is None or not errors.wide.missing:
             return None
         fitted = "effects_missing_prior" if problem.fit else "effects_missing"
