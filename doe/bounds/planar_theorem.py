@@ -27,19 +27,13 @@ def applies(problem: DesignProblem) -> bool:
     return offers(problem.model, "theorem_joints") and problem.criterion.name == "D" and problem.prior.empty
 
 
-def chain_joints(problem: DesignProblem) -> tuple[int, ...]:
-    """Joints (from 0) on which the value depends where the theorem `applies`: all but the first, and the first too with
-    a base offset."""
-    return tuple(offered(problem.model, "theorem_joints", "closed form"))
-
-
 def closed_form_log_det(problem: DesignProblem) -> float:
     """Largest log det M' of any design within the joint limits. Raises `InputError` where `applies` is False."""
     if not applies(problem):
         raise InputError(
             "closed form: this model or criterion has none, allowed: D with lengths, offsets and base_offset"
         )
-    joints = list(chain_joints(problem))
+    joints = list(offered(problem.model, "theorem_joints", "closed form"))
     ranges = np.minimum(problem.upper[joints] - problem.lower[joints], np.pi)
     return float(4.0 * np.sum(np.log(np.sin(ranges / 2.0))))
 

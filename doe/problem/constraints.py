@@ -179,10 +179,9 @@ def in_view(model: Offers, sight: Any, q: ca.SX) -> ca.SX:
         moved = offered(model, "with_tip_moved", "line_of_sight")(offset)
         looks = (moved.symbolic_points(q)[-1] - tip) / pointer
         expressions.append(ca.dot(looks, tracker - tip) - np.cos(sight.acceptance) * distance)
-    solid = offers(model, "cell") and model.cell.bodies
-    links = [] if solid else [*pairwise(points[:-1])]
-    gaps = [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in links]
-    return ca.vertcat(*expressions, *gaps)
+    if not (offers(model, "cell") and model.cell.bodies):
+        expressions += [_distance(tracker, tip, *link) - LINK_RADIUS * model.reach for link in pairwise(points[:-1])]
+    return ca.vertcat(*expressions)
 
 
 KINDS: dict[str, Callable[..., ca.SX]] = {

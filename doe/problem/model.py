@@ -69,7 +69,8 @@ class Offers(Protocol):
         rival_effects : -> the fields of `doe.discrimination.design.EffectLibrary`
     Theory
         planar : a chain of links in a plane: Table I of the paper
-        theorem_joints : joints (from 0) in the planar theorem, None: it does not hold
+        theorem_joints : joints (from 0) in the planar theorem, all but the first, which a base offset adds; None: it
+            does not hold
     """
 
     def __getattr__(self, name: str) -> Any: ...

@@ -143,8 +143,7 @@ class DesignProblem:
         free = cls(model, **{"constraints": constraints_of(model), "deviations": model.prior} | changes)
         if free.choices is not None or not getattr(model, "tied", False):
             return free
-        choices = model.tied_postures(free.lower, free.upper, free.joint_units, free.feasible)
-        return replace(free, choices=choices)
+        return replace(free, choices=model.tied_postures(free.lower, free.upper, free.joint_units, free.feasible))
 
     joints = property(lambda self: int(self.lower.size))  # n, joints of a posture
 
@@ -287,8 +286,7 @@ class DesignProblem:
     @cached_property
     def searched_joints(self) -> tuple[int, ...]:
         """Joints (from 0) that a solver must choose: the active ones, or all where constraints or a list tie them."""
-        tied = bool(self.constraints) or self.choices is not None
-        return tuple(range(self.joints)) if tied else self.active_joints
+        return tuple(range(self.joints)) if self.constraints or self.choices is not None else self.active_joints
 
     def jacobian_derivatives(self, joints: Sequence[int]) -> Derivatives:
         """Of B (d, p) by some joints."""

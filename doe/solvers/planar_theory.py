@@ -24,8 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from doe.bounds.planar_theorem import applies, chain_joints
+from doe.bounds.planar_theorem import applies
 from doe.plan.spacing import spread_free_joints, too_near
+from doe.problem.model import offered
 from doe.problem.problem import DesignProblem
 from doe.solvers.solver import Budget, Offer
 from identification import Array, JobError
@@ -64,7 +65,7 @@ def optimal_plans(problem: DesignProblem, runs: int, generator: Generator, tries
     """
     if not applies(problem) or problem.constraints:
         return
-    joints = list(chain_joints(problem))
+    joints = list(offered(problem.model, "theorem_joints", "solver"))
     lower, upper = problem.lower[joints], problem.upper[joints]
     widths, twos = upper - lower, (runs & -runs).bit_length() - 1
     groups = [(2,) * t + (runs // 2**t,) for t in range(twos + 1)]  # Z_2^t x Z_(b / 2^t), as lists of moduli
