@@ -6,8 +6,8 @@ more runs the more is known: each plan is begun from the one of fewer runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -31,12 +31,12 @@ class Advice:
 
     designs : in the order of `runs`
     target : wanted accuracy [mm], see `accuracy`, or None
-    tip_errors : of every design, see `TipErrors.of_plan`; empty where no sizes are known
+    tip_errors : number of runs -> `TipErrors.of_plan` of its design; empty where no sizes are known
     """
 
     designs: tuple[Design, ...]
     target: float | None = None
-    tip_errors: tuple[dict[str, float], ...] = ()
+    tip_errors: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def runs(self) -> tuple[int, ...]:
@@ -56,7 +56,7 @@ class Advice:
         """Accuracy of a design [mm]: the largest expected standard deviation of a length of the arm's geometry, or
         (`of_tip`) the expected error of the tip if the model is right. None without sigma."""
         if self.of_tip:
-            return next(e["model_right"] for d, e in zip(self.designs, self.tip_errors, strict=True) if d is design)
+            return self.tip_errors[len(design.plan)]["model_right"]
         return None if design.deviations is None else design.deviations.largest("mm")
 
     @property
@@ -74,12 +74,12 @@ class Advice:
     def to_json(self) -> dict[str, Any]:
         """One row per number of runs, and the smallest number for the target."""
         keys, rows = ("runs", "log_det", "bound", "efficiency", "certified_optimal", "std", "status"), []
-        for k, design in enumerate(self.designs):
+        for design in self.designs:
             data, expected = design.to_json(), design.deviations
             row = {key: data[key] for key in keys}
             row["largest_length_std_mm"] = None if expected is None else expected.largest("mm")
-            errors = self.tip_errors[k].items() if self.tip_errors else ()
-            finite = {key: error if np.isfinite(error) else None for key, error in errors}
+            errors = self.tip_errors.get(len(design.plan), {})
+            finite = {key: error if np.isfinite(error) else None for key, error in errors.items()}
             rows.append(row | {"tip_error_mm": finite or None})
         smallest = None if self.smallest is None else len(self.smallest.plan)
         return {"rows": rows, "target_mm": self.target, "smallest_runs": smallest}
@@ -157,7 +157,7 @@ def advise(
         if not designs:
             raise
     made = tuple(designs[m] for m in runs if m in designs)
-    return Advice(made, target, () if errors is None else tuple(errors.of_plan(d.plan.postures) for d in made))
+    return Advice(made, target, {len(d.plan): errors.of_plan(d.plan.postures) for d in made if errors is not None})
 
 
 def promised(problem: DesignProblem, postures: Array, errors: TipErrors | None) -> Array:

@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from doe.bounds.certificate import CERTIFIED, NUMERICAL, PROVEN, Bound
 from doe.bounds.column_generation import best_known_bound, bound_that_holds
@@ -70,18 +70,13 @@ class Design:
         """Runs (from 1) beyond a joint limit or a constraint by more than rounding: no bound holds for such a plan."""
         # [rad], [mm] by which a posture may miss limits and constraints: what rounding of a file does
         problem, q, fits = self.problem, self.plan.postures, 1e-6
-
-        def beyond(postures: Array) -> NDArray[np.bool_]:
-            return np.any((postures < problem.lower - fits) | (postures > problem.upper + fits), axis=1)
-
-        breaks = beyond(q)
-        if breaks.any():
-            # joints that may take every angle moved into their limits by whole turns, unless the model sees it
-            middle, rotary = 0.5 * (problem.lower + problem.upper), turns(problem.model)
-            rotary &= problem.upper - problem.lower >= 2.0 * np.pi - fits
-            moved = np.where(rotary, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
-            change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
-            breaks = beyond(moved) if change < 1e-9 else breaks  # relative to what a whole parameter does: rounding
+        # joints that may take every angle moved into their limits by whole turns, unless the model sees it
+        middle, rotary = 0.5 * (problem.lower + problem.upper), turns(problem.model)
+        rotary &= problem.upper - problem.lower >= 2.0 * np.pi - fits
+        moved = np.where(rotary, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)
+        change = np.abs(problem.scaled_jacobians(moved) - problem.scaled_jacobians(q)).max()
+        angles = moved if change < 1e-9 else q  # relative to what a whole parameter does: rounding
+        breaks = np.any((angles < problem.lower - fits) | (angles > problem.upper + fits), axis=1)
         breaks |= np.any(problem.walls.values(q) < -fits, axis=1)
         return tuple((np.flatnonzero(breaks) + 1).tolist())
 

@@ -120,11 +120,9 @@ class ContinuousSet:
         low, high = (np.broadcast_to(limit, shape) for limit in (problem.lower, problem.upper))
         places = np.stack([low, high, 0.5 * (low + high), generator.uniform(low, high)])
         on_faces = np.choose(generator.integers(0, 4, shape), places)
-        allowed, kinds = problem.feasible(on_faces), [random_postures(problem, count // 4, generator)]
-        if len(broken := on_faces[~allowed][: count // 10]):
-            at_walls = put_inside(problem, broken)
-            kinds.append(at_walls[problem.feasible(at_walls)])
-        return np.concatenate([*kinds, on_faces[allowed]])
+        allowed, anywhere = problem.feasible(on_faces), random_postures(problem, count // 4, generator)
+        at_walls = put_inside(problem, on_faces[~allowed][: count // 10])
+        return np.concatenate([anywhere, at_walls[problem.feasible(at_walls)], on_faces[allowed]])
 
     @cached_property
     def starts(self) -> Array:

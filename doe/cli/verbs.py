@@ -383,10 +383,9 @@ def relax_files(
     loaded, robust = load_arm(arm, package_dir), criterion.robust
     if robust and runs is None:
         raise InputError("--robust: no --runs given, allowed: with --runs, the number of measurements")
-    held = loaded.chain.redundant and loaded.sigma is not None  # by the prior of the machining
-    if runs is not None and not robust and not held:
-        raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = design_problem(loaded, criterion, runs or 0, candidates=candidates if robust else None)
+    if runs is not None and not problem.deviations:
+        raise InputError("--runs: found without --robust, allowed: with --robust")
     problem = with_choices(problem) if robust and grid is None else problem
     solver = solver or "column_generation"
     if seconds is not None and solver in LARGEST:

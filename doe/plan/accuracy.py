@@ -105,10 +105,9 @@ def plan_jacobians(problem: DesignProblem, postures: Array, weights: Array | Non
     jacobians = problem.scaled_jacobians(postures)
     if weights is not None:
         jacobians = jacobians * np.sqrt(len(jacobians) * weights)[:, None, None]
-    informed = np.flatnonzero(problem.precisions)
     d, p = problem.model.dimension, problem.parameters
-    rows = np.zeros((-(-len(informed) // d) * d, p))
-    rows[range(len(informed)), informed] = np.sqrt(problem.precisions[informed])
+    rows = np.zeros((-(-p // d) * d, p))
+    np.fill_diagonal(rows, np.sqrt(problem.precisions))
     return np.concatenate([jacobians, problem.kept_jacobians, rows.reshape(-1, d, p)])
 
 

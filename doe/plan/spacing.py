@@ -66,10 +66,9 @@ def too_near(problem: DesignProblem, postures: Array) -> NDArray[np.intp]:
 
 def with_room(problem: DesignProblem, places: Array, others: Array) -> Array:
     """Those of the places (k, n) that are feasible and no repeat of one of the `others` (j, n)."""
-    if problem.minimum_distance > 0.0:
-        distance = problem.minimum_distance / ROUNDING if problem.choices is None else 1e-300
-        places = places[(gaps(problem, places, others) >= distance).all(axis=1)]
-    return places[problem.feasible(places)] if len(places) else places
+    distance = min(problem.minimum_distance / ROUNDING, np.inf if problem.choices is None else 1e-300)
+    places = places[(gaps(problem, places, others) >= distance).all(axis=1)]
+    return places[problem.feasible(places)]
 
 
 def values_with(problem: DesignProblem, plan: Array, places: Array) -> Array:

@@ -299,18 +299,18 @@ MISSING = (
 
 def advice_document(advice: Advice) -> Document:
     """The answer in one sentence, a row for each number of runs, and what the figures do not promise."""
-    missing = any(np.isfinite(each["effects_missing"]) for each in advice.tip_errors)  # as before a diagnosis
+    missing = any(np.isfinite(each["effects_missing"]) for each in advice.tip_errors.values())  # before a diagnosis
     tips = dict([*TIP_ERRORS.items()][: 4 if missing else 2]) if advice.tip_errors else {}
     of_lengths = not advice.of_tip and any(design.deviations for design in advice.designs)
     headings = ["runs", "efficiency", *(["length\nstd\n[mm]", "angle\nstd\n[deg]"] if of_lengths else [])]
     rows = []
-    for k, design in enumerate(advice.designs):
+    for runs, design in zip(advice.runs, advice.designs, strict=True):
         star, sure = " *" if (design.efficiency or 0.0) >= 0.999 else "  ", design.deviations  # of the bound
-        row = [str(advice.runs[k]), f"{number(design.efficiency, 5)}{star}"]
+        row = [str(runs), f"{number(design.efficiency, 5)}{star}"]
         if of_lengths:
             largest = (None, None) if sure is None else (sure.largest("mm"), np.degrees(sure.largest("rad")))
             row += [number(value, 5) for value in largest]
-        rows.append([*row, *(number(advice.tip_errors[k][key], 4) for key in tips)])
+        rows.append([*row, *(number(advice.tip_errors[runs][key], 4) for key in tips)])
     parts: list[Any] = [Sheet([*headings, *tips.values()], rows, most=40)]
     parts += ["* within 0.1 % of the bound."] if advice.efficient_runs() else []
     parts += [BOUND_CUT] if any(design.bound and design.bound.cut for design in advice.designs) else []
@@ -331,10 +331,11 @@ def advice_sentence(advice: Advice) -> str:
     smallest = advice.smallest
     if smallest is None:
         return f"None of these plans, of up to {max(advice.runs)} runs, reaches {advice.target:g} mm. {efficient}"
-    of, missing = "at the tip" if advice.of_tip else "in each length", ""
-    for design, error in zip(advice.designs, advice.tip_errors, strict=False):
-        if design is smallest and np.isfinite(lacks := error["effects_missing"]):
-            missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing"
+    of = "at the tip" if advice.of_tip else "in each length"
+    lacks = advice.tip_errors.get(len(smallest.plan), {}).get("effects_missing", np.inf)
+    missing = f"; at the tip {in_a_sentence(lacks)} mm if effects of typical size are missing" * bool(
+        np.isfinite(lacks)
+    )
     suffice = f"{len(smallest.plan)} runs suffice for {advice.target:g} mm {of}, if the model is right{missing}."
     return f"{suffice} {efficient}"
 

@@ -156,7 +156,7 @@ def test_lengths_are_known_to_sigma_over_the_root_of_the_runs() -> None:
     said = advice_sentence(found)
     assert said.startswith("7 runs suffice for 0.04 mm in each length, if the model is right; at the tip ")
     assert said.endswith(
-        f" {found.tip_errors[3]['effects_missing']:.2f} mm if effects of typical size are missing. "
+        f" {found.tip_errors[7]['effects_missing']:.2f} mm if effects of typical size are missing. "
         "Plans within 0.1 % of the bound exist for m = 4 to 9."
     )
     data = json.loads(json.dumps(found.to_json(), allow_nan=False))
@@ -181,9 +181,9 @@ def test_one_joint_alone_by_its_lever() -> None:
     # nothing but joint 3 is uncertain: its lever to the tip, of links 3 and 4, times that
     assert advice.of_tip
     lever = np.hypot(120.0, 100.0)  # root mean square over angles of joint 4
-    assert advice.tip_errors[0]["model_right"] == pytest.approx(0.1 / 220.0 * lever, rel=0.02)
-    assert advice.tip_errors[0]["model_right_worst"] == pytest.approx(0.1, rel=1e-3)
-    assert np.isfinite(advice.tip_errors[0]["effects_missing"])
+    assert advice.tip_errors[1]["model_right"] == pytest.approx(0.1 / 220.0 * lever, rel=0.02)
+    assert advice.tip_errors[1]["model_right_worst"] == pytest.approx(0.1, rel=1e-3)
+    assert np.isfinite(advice.tip_errors[1]["effects_missing"])
     assert advice.smallest is advice.designs[0]
 
 
