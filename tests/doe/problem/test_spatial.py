@@ -42,7 +42,7 @@ def test_a_user_may_design_for_a_minimal_set_or_without_a_prior() -> None:
 def test_points_that_are_not_known_lie_beside_the_last_axis() -> None:
     three = replace(CHAIN, tools={name: np.zeros(3) for name in "abc"})
     with pytest.warns(UserWarning, match="a, b, c is not known, 100 mm beside the last axis"):
-        places = np.array(list(with_points(three).tools.values()))
+        places = np.array([tool[:3, 3] for tool in with_points(three).tools.values()])
     np.testing.assert_allclose(np.linalg.norm(places[:, :2], axis=1), 100.0)  # the last axis is z of the tip
     np.testing.assert_allclose(places.sum(axis=0), 0.0, atol=1e-9)
     assert with_points(CHAIN) is CHAIN
