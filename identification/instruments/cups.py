@@ -47,9 +47,7 @@ class Socket(AtTargets):
 
     distances: tuple[tuple[str, str, float], ...] = ()
 
-    @property
-    def dimension(self) -> int:
-        return len(AXES)
+    dimension = property(lambda self: len(AXES))
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         """From the cup of this number; where there is none from the nearest."""

@@ -124,9 +124,7 @@ class Model:
         """Name -> best known value of every parameter, estimated or known."""
         return self.parameters.mapping(self.values) | dict(self.fixed)
 
-    @property
-    def _calibrated(self) -> dict[str, float]:
-        return {} if self.arm.calibration is None else dict(self.arm.calibration.values)
+    _calibrated = property(lambda self: {} if self.arm.calibration is None else dict(self.arm.calibration.values))
 
     @property
     def needs(self) -> frozenset[str]:
@@ -203,9 +201,7 @@ class Model:
         """CasADi (q, c, p) -> position (d) [mm]."""
         return self._function([self.symbols[3]])
 
-    @cached_property
-    def _position(self) -> Evaluate:
-        return vectorize(self.position_function)
+    _position = cached_property(lambda self: vectorize(self.position_function))
 
     @cached_property
     def _jacobian(self) -> Evaluate:
