@@ -9,6 +9,7 @@ Broder, "On the resemblance and containment of documents", 1997).
 
 from __future__ import annotations
 
+import warnings
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -447,6 +448,53 @@ class Measurements(ByValue):
     def _picked(self, index: Any) -> Self:
         columns = [name for name in (*VALUES, "past") if getattr(self, name) is not None]
         return replace(self, **{name: getattr(self, name)[index] for name in columns})
+
+
+# -- several sessions --------------------------------------------------------------------------------------------------
+def pooled_sessions(tables: Mapping[str, Measurements]) -> Measurements:
+    """Sessions by name as one table; a table that names sessions of its own keeps them, its name before theirs. Columns
+    that not every table has are left out, with a warning. Raises `InputError` for tables of different arms."""
+    parts = []
+    for name, table in tables.items():
+        several = table.sessions if len(table.sessions) > 1 else ()
+        labels = [f"{name}/{session}" for session in table.session] if several else np.full(len(table), name)  # type: ignore[union-attr]
+        parts.append(replace(table, session=np.array(labels), session_names=()))
+    if len({part.dimension for part in parts}) > 1 and {part.dimension for part in parts} <= {3, 6}:
+        parts = [replace(part, positions=part.positions[:, POINT], orientations=None) for part in parts]
+        warnings.warn("not in all of the data, and left out: orientations", UserWarning, stacklevel=2)
+    first = parts[0]
+    for name, part in zip(tables, parts, strict=True):
+        if (part.links, part.dimension) != (first.links, first.dimension):
+            counted = f"found {part.links} joints and {part.dimension} coordinates"
+            raise InputError(f"{name}: {counted}, allowed: {first.links} and {first.dimension} as in the other data")
+    columns_of_all = frozenset.intersection(*(part.optional_columns for part in parts))
+    if missing := sorted(frozenset.union(*(part.optional_columns for part in parts)) - columns_of_all):
+        warnings.warn(f"not in all of the data, and left out: {', '.join(missing)}", UserWarning, stacklevel=2)
+    columns = {name: [getattr(part, name) for part in parts] for name in ("postures", "positions", *columns_of_all)}
+    if "repeats" in columns_of_all:
+        # numbered such that no two tables share one
+        ends = np.cumsum([0, *(int(np.ptp(repeats)) + 1 for repeats in columns["repeats"])])
+        starts = zip(columns["repeats"], ends, strict=False)
+        columns["repeats"] = [repeats - repeats.min() + start for repeats, start in starts]
+    if any(part.gaps is not None for part in parts):
+        columns["gaps"] = [np.zeros(len(part)) if part.gaps is None else part.gaps for part in parts]
+    joined: dict[str, Any] = {name: np.concatenate(values) for name, values in columns.items()}
+    origins = {key: [str(p.provenance[key]) for p in parts if key in p.provenance] for key in ("file", "sha256")}
+    provenance: dict[str, Any] = {"file": ", ".join(origins["file"])} if origins["file"] else {}
+    provenance |= {"sha256": origins["sha256"]} if origins["sha256"] else {}
+    return Measurements(**joined, provenance=MappingProxyType(provenance))
+
+
+def of_these_sessions(holdout: Measurements, measurements: Measurements) -> Measurements:
+    """A hold-out with the sessions numbered as in the data; raises `InputError` for a session that the data lack."""
+    if len(measurements.session_names) < 2:
+        return replace(holdout, session=None, session_names=())
+    names = measurements.session_names
+    for name in holdout.sessions or ("",):
+        if name not in names:
+            which = f"session {name!r}" if name else "no column session"
+            raise InputError(f"holdout: found {which}, allowed: {', '.join(names)}, as in the data; or armcal validate")
+    return replace(holdout, session_names=names)
 
 
 # -- which rows --------------------------------------------------------------------------------------------------------

@@ -26,9 +26,8 @@ from identification.kinematics.counting import TURN, joint_range, range_of
 from identification.kinematics.parameters import EFFECT, JOINT_OFFSET, LENGTH_ERROR, REVOLUTE
 from identification.measurements import MOST, ROW_DIGESTS, Measurements, digests_in, digests_text, shared_rows
 from identification.model import Model
-from identification.model.placed import with_markers
+from identification.model.placed import SESSIONS, with_base, with_markers
 from identification.provenance import HELD_FROM, without_prior_effects
-from identification.sessions import SESSIONS, with_base
 
 # word -> kinds of parameters
 KINDS: Mapping[str, tuple[str, ...]] = {

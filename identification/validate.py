@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from identification import sessions
 from identification.arm import Arm
 from identification.arrays import Array, readonly
 from identification.document import Document, Documented
@@ -26,9 +25,17 @@ from identification.kinematics.frames import to_angles
 from identification.kinematics.parameters import JOINT_OFFSET, error_names
 from identification.measurements import MOST, POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import one_unnamed, placed_model, with_markers
+from identification.model.placed import (
+    SESSIONS,
+    one_unnamed,
+    placed_model,
+    start_at_base,
+    with_markers,
+    with_open_base,
+    with_sessions,
+    without_sessions,
+)
 from identification.provenance import check_calibrated, extrapolated, outside, provenance_of, share_fitted
-from identification.sessions import SESSIONS, start_at_base
 
 if TYPE_CHECKING:  # a diagnosis imports this package
     from identification.gap.result import Diagnosis
@@ -186,7 +193,7 @@ def drawing_residuals(arm: Arm, measurements: Measurements) -> Array:
     if len(measurements.sessions) < 2:
         return _refitted(drawing, measurements, "base", arm)[1]
     chain = replace(arm.chain, settled=arm.chain.drawn)
-    model = Model(sessions.with_sessions(replace(drawing, chain=chain), measurements))
+    model = Model(with_sessions(replace(drawing, chain=chain), measurements))
     free = {p.name for p in model.parameters if p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.")}
     free |= {*chain.standing}
     held = {name: value for name, value in model.best_known.items() if name not in free}
@@ -227,7 +234,7 @@ def _refitted(
             model = Model(replace(arm, chain=with_markers(chain, named)))
         else:
             chain = replace(one_unnamed(chain, named), settled=chain.drawn)
-            model = placed_model(Model(replace(sessions.with_open_base(arm), chain=chain)), named)
+            model = placed_model(Model(replace(with_open_base(arm), chain=chain)), named)
             free |= {p.name for p in model.geometry_parameters if p.kind in (BASE, TOOL)} | {*chain.standing}
             if refit == "offsets":
                 free |= {f"{JOINT_OFFSET}:{j}" for j in range(2, arm.links + (TOOL in chain.settled))}
@@ -304,8 +311,8 @@ def judged(diagnosis: Diagnosis, arm: Arm, measurements: Measurements, holdout: 
         return replace(diagnosis, offered=offer(test.by, test.rows, after, before, p_value))
     kept = measurements.rows([k for k in range(len(measurements)) if k + 1 not in set(diagnosis.outlier_rows)])
     # as `identify` calibrates it, where it stands in the first session
-    fit = estimate(Model(sessions.with_sessions(arm, kept)), kept)
-    geometry = replace(arm, calibration=sessions.without_sessions(fit.calibration()))
+    fit = estimate(Model(with_sessions(arm, kept)), kept)
+    geometry = replace(arm, calibration=without_sessions(fit.calibration()))
     try:
         alone, extended = (validate(each, holdout).residuals for each in (geometry, diagnosis.extended_arm()))
     except InputError:  # too few rows to place the arm

@@ -73,7 +73,7 @@ def load_sessions(paths: Sequence[Path], arm: Arm) -> Measurements:
     `InputError` where they certainly are, and for a file given twice."""
     from identification.files.measurement import load_measurements
     from identification.inspection.readings import data_warnings, read_differently
-    from identification.sessions import pooled_sessions
+    from identification.measurements import pooled_sessions
 
     real = [os.path.realpath(path) for path in paths]
     for path, target in zip(paths, real, strict=True):
@@ -314,8 +314,8 @@ def identify_files(
     from identification.gap.library_prior import library_prior
     from identification.measurements import rms_distance
     from identification.model import Model
+    from identification.model.placed import SESSIONS, with_sessions, without_sessions
     from identification.provenance import diagnosed, provenance_of, without_prior_effects
-    from identification.sessions import SESSIONS, with_sessions, without_sessions
     from identification.simulate import with_servo_errors
     from identification.validate import drawing_residuals, prior_judged
 

@@ -23,8 +23,8 @@ from identification.document import (
     unit_or_dash,
 )
 from identification.effects import example
+from identification.model.placed import placing
 from identification.running import Status
-from identification.sessions import placing
 
 if TYPE_CHECKING:
     from identification.estimation.result import CorrectedValue, Identification

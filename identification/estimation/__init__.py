@@ -37,9 +37,8 @@ from identification.kinematics.parameters import JOINT_OFFSET
 from identification.levenberg_marquardt import GRADIENT_TOLERANCE, ITERATIONS, Index, Solution, outcomes
 from identification.measurements import Measurements
 from identification.model import Model
-from identification.model.placed import placed_model
+from identification.model.placed import placed_model, placing
 from identification.running import Status, single_thread
-from identification.sessions import placing
 
 
 def estimate(

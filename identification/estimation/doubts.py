@@ -20,9 +20,8 @@ from identification.kinematics.counting import turned_into
 from identification.kinematics.parameters import FILE_UNITS, JOINT_OFFSET, JOINT_UNITS, LENGTH_ERROR, REVOLUTE
 from identification.measurements import POINT, Measurements, distances, rms_distance
 from identification.model import Model
-from identification.model.placed import FEWEST, tip_jacobian
+from identification.model.placed import FEWEST, placing, tip_jacobian
 from identification.running import single_thread
-from identification.sessions import placing
 from identification.workspace import ColumnLimits
 
 if TYPE_CHECKING:

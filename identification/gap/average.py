@@ -19,7 +19,7 @@ from identification.gap.likelihood import Index, Key, mixed
 from identification.gap.search import Posterior
 from identification.information import VISIBLE
 from identification.model import Model
-from identification.sessions import SESSIONS
+from identification.model.placed import SESSIONS
 
 FAITHFUL = 0.01  # numerical: of an error curve, by which its table may miss it in the root mean square
 COLUMNS = ("angle_deg", "correction_deg", "std_deg", "error_deg")

@@ -32,10 +32,10 @@ from identification.gap.fit import Fitted, Rows, determined, fit
 from identification.gap.result import Candidate, Diagnosis, as_calibration, probabilities
 from identification.gap.search import MOST_ROWS, PASSES, Posterior, posterior_of
 from identification.inspection.readings import gap_notes
-from identification.measurements import Measurements, rms_distance
+from identification.measurements import Measurements, of_these_sessions, rms_distance
 from identification.model import Model
+from identification.model.placed import with_base, with_sessions, without_sessions
 from identification.running import Progress, Status, single_thread
-from identification.sessions import of_these_sessions, with_base, with_sessions, without_sessions
 
 
 @single_thread()

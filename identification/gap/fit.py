@@ -23,9 +23,8 @@ from identification.information import column_space, spectrum
 from identification.levenberg_marquardt import Index
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.model import Model
-from identification.model.placed import PRACTICAL, practical
+from identification.model.placed import PRACTICAL, practical, with_sessions
 from identification.running import Status
-from identification.sessions import with_sessions
 
 
 @dataclass(frozen=True)

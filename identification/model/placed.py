@@ -1,6 +1,6 @@
 """Where a spatial arm stands and where its measured points are, if the arm file does not say: the start of a fit. What
 an arm that is measured by no positions says of these, postures at which it touches something, and a minimal set of its
-parameters: as many as measurements can distinguish, the others as drawn.
+parameters: as many as measurements can distinguish, the others as drawn. Each session has a base of its own.
 
 Every combination of the geometry's errors that moves the measured points is one of the parameters that are kept (the
 continuous and complete set of the literature: L. J. Everett, M. Driels, B. W. Mooring, "Kinematic modelling for robot
@@ -18,11 +18,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.arm import Arm
+from identification.arm import Arm, Calibration, EffectSpec
 from identification.arrays import Array
 from identification.effects import library
 from identification.errors import InputError
-from identification.instruments import TRACKER, Tracker, Unplaced
+from identification.instruments import KINDS, TRACKER, Tracker, Unplaced
+from identification.instruments.base import registered
 from identification.kinematics.chain import (
     BASE,
     DIMENSION,
@@ -33,12 +34,13 @@ from identification.kinematics.chain import (
     standing_in,
 )
 from identification.kinematics.frames import nearest_rotation, pose
-from identification.kinematics.parameters import JOINT_OFFSET, error_names
+from identification.kinematics.parameters import JOINT_OFFSET, ParameterSet, error_names
 from identification.measurements import POINT, Conditions, Measurements
 from identification.model import Model
 
 DISTINCT = 1e-6  # [mm] RMS change of a coordinate by an error of machining size, beside those kept; rounding is 1e-12
 PRACTICAL = 1e-2  # [mm] the same without what measurements hardly determine: below what trackers resolve
+SESSIONS = "session_base"  # effect
 UNNAMED = "1"  # measured point, as an arm file has it that names none
 FEWEST = 4  # positions, of which a rigid motion explains half the coordinates
 
@@ -138,6 +140,90 @@ def session_bases(arm: Arm, measurements: Measurements) -> tuple[KinematicChain,
         bases.append(standing.base)
     later = {name: at for (name, at), seen in zip(standing.tools.items(), first.tolist(), strict=True) if not seen}
     return replace(arm.chain, tools={**arm.chain.tools, **later}), bases
+
+
+def placing(parameters: ParameterSet) -> list[int]:
+    """Numbers of the parameters that say where a spatial arm stands, in every session, and what is measured on it;
+    none where all of that is known."""
+    open_places = any(p.kind in (BASE, TOOL) for p in parameters)
+    places = (p.kind in (BASE, TOOL) or p.name.startswith(f"{SESSIONS}.") for p in parameters)
+    return [k for k, is_place in enumerate(places) if open_places and is_place]
+
+
+def with_sessions(arm: Arm, measurements: Measurements) -> Arm:
+    """The arm with a base offset, and a base for each session after the first, where the data name several; or with a
+    target for each, where these stand in the frame of the base.
+
+    Best known values of the bases are those that bring the best known arm nearest to each session's positions. In space
+    reflectors of one name are shared by the sessions, those of other names are not.
+    """
+    count, chain = len(measurements.session_names), arm.chain
+    if chain.instrument.own_targets:
+        return placed_model(Model(arm), measurements).arm
+    if count < 2:
+        return arm
+    spec, calibration, base_values = {"sessions": float(count)}, arm.calibration, dict[str, float]()
+    if chain.standing:
+        wide, model = with_base(arm), Model(with_open_base(arm))
+        at, conditions = np.tile(model.values, (count, 1)), replace(measurements.conditions, session=None)
+        for name, rows in zip(measurements.sessions, measurements.session_rows, strict=True):
+            nearest = start_at_base(model, measurements.rows(rows), conditions.rows(rows))
+            at[measurements.session_names.index(name)] = nearest
+        bases = at[:, [model.parameters.index(name) for name in chain.standing]]
+        first = dict(zip(chain.standing, bases[0].tolist(), strict=True))
+        values = Model(wide).best_known | first | dict(Model(wide).fixed)
+        # tip = R(w) (tip of the first session, before its shift) + shift of the first + (x, y)
+        for number, base in enumerate(bases[1:] - [values[name] for name in chain.standing], start=2):
+            base_values |= {f"{short}{number}": float(value) for short, value in zip("xyw", base, strict=True)}
+        calibration = Calibration({}, provenance={} if calibration is None else calibration.provenance)
+    else:
+        # base of session k = that of the first, shifted along the axes of the instrument and turned about its own
+        wide = arm if chain.fixed else placed_model(Model(arm), measurements).arm
+        chain, in_sessions = session_bases(wide, measurements)
+        wide, calibration = replace(wide, chain=chain), wide.calibration or Calibration({})
+        values = dict(calibration.values)
+        for number, base in enumerate(in_sessions[1:], start=2):
+            moved, hidden = chain.instrument.between(in_sessions[0], base)
+            base_values |= {f"{short}{number}": value for short, value in moved.items()}
+            spec |= {f"{short}{number}": moved[short] for short in hidden}
+    values |= {f"{SESSIONS}.{short}": value for short, value in base_values.items()}
+    wide = wide.with_effects(*wide.effects, EffectSpec(SESSIONS, values=spec))
+    return replace(wide, calibration=replace(calibration, values=values))
+
+
+def without_sessions(calibration: Calibration) -> Calibration:
+    """A calibration without bases of later sessions and targets in the frame of the base: the arm as in the first."""
+    words = [kind.own_targets for kinds in KINDS.values() for kind in kinds.values() if kind.own_targets]
+    dropped = (f"{SESSIONS}.", *(f"{word}[" for word in words))
+    kept = calibration.about(name for name in calibration.parameter_names if not name.startswith(dropped))
+    return replace(kept, values={name: x for name, x in kept.values.items() if not name.startswith(dropped)})
+
+
+def with_base(arm: Arm) -> Arm:
+    """The arm with the effects that say where it stands, its own where it has them."""
+    named = [spec.name for spec in arm.effects]
+    missing = (EffectSpec(name) for name in arm.chain.standing_effects if name not in named)
+    return arm.with_effects(*arm.effects, *missing)
+
+
+def with_open_base(arm: Arm) -> Arm:
+    """The arm with the effects that say where it stands, their values to be estimated."""
+    stands = arm.chain.standing_effects
+    return arm.with_effects(*(spec for spec in arm.effects if spec.name not in stands), *map(EffectSpec, stands))
+
+
+def start_at_base(model: Model, measurements: Measurements, conditions: Conditions) -> Array:
+    """(p,) best known values, where parameters that the chain names say where it stands with the shift and the rotation
+    that bring computed tips nearest to measured ones. Exact where nothing but the chain depends on where the base
+    stands; otherwise a start for least squares."""
+    standing, moved = model.arm.chain.standing, model.values.copy()
+    if standing and {*standing} <= {*model.names}:
+        x0, y0, turn = (model.parameters.index(name) for name in standing)
+        computed = model.position(measurements.postures, moved, conditions)
+        base = registered(computed - moved[[x0, y0]], measurements.positions)
+        moved[turn] += np.arctan2(base[1, 0], base[0, 0])
+        moved[[x0, y0]] = base[:2, 3]
+    return moved
 
 
 def with_markers(chain: KinematicChain, measurements: Measurements) -> KinematicChain:

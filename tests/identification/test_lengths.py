@@ -34,8 +34,7 @@ from identification.inspection.readings import data_warnings
 from identification.instruments import Distance, Instrument, Plane, Sphere, Tracker
 from identification.kinematics.chain import CorrectedGeometry
 from identification.kinematics.frames import pose
-from identification.model.placed import minimal, placed_model, practical
-from identification.sessions import with_sessions
+from identification.model.placed import minimal, placed_model, practical, with_sessions
 from identification.simulate import simulate
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN, REFLECTOR

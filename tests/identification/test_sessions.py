@@ -23,9 +23,9 @@ from identification import (
 from identification.inspection.readings import data_warnings
 from identification.instruments import Tracker
 from identification.kinematics.frames import pose, rotation_about
-from identification.model.placed import minimal, placed_model
+from identification.measurements import of_these_sessions, pooled_sessions
+from identification.model.placed import minimal, placed_model, with_sessions, without_sessions
 from identification.replications import ModelTable, Replications, StudyFile, TruthTable, true_values
-from identification.sessions import of_these_sessions, pooled_sessions, with_sessions, without_sessions
 from identification.validate import drawing_residuals
 
 LENGTHS = np.array([300.0, 200.0, 150.0])

@@ -21,7 +21,7 @@ from identification.gap.library_prior import library_prior
 from identification.inspection.readings import gap_notes
 from identification.instruments import Distance, PlanarDistance, Plane, Sphere
 from identification.kinematics.frames import from_angles
-from identification.sessions import pooled_sessions
+from identification.measurements import pooled_sessions
 from tests.refusals import refused
 
 PLAIN = "q1_deg,q2_deg,x_mm,y_mm\n30,-60,1.5,2.5\n90,0,-3,4\n"

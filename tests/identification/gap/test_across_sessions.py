@@ -14,7 +14,8 @@ from identification.documents.diagnosis import findings
 from identification.gap.across_sessions import SAME, replications
 from identification.gap.fit import Rows, fit
 from identification.gap.likelihood import SIZES
-from identification.sessions import pooled_sessions, with_sessions
+from identification.measurements import pooled_sessions
+from identification.model.placed import with_sessions
 
 LENGTHS, SIGMA, K = np.array([300.0, 200.0]), 0.1, 5
 BASES = [(0.0, 0.0), (0.7, 100.0 - 50.0j), (-2.0, 30.0j)]

@@ -28,7 +28,7 @@ from identification.documents.pictures import gap_figure
 from identification.instruments import TRACKER, Coordinate, Distance, Instrument, PlanarDistance, Plane, Sphere
 from identification.instruments.base import Unplaced, registered
 from identification.kinematics.frames import AXES, from_angles, pose
-from identification.sessions import with_sessions
+from identification.model.placed import with_sessions
 from identification.simulate import simulate
 from identification.validate import validate
 from tests.doe.six_axis import CHAIN

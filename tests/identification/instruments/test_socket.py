@@ -16,8 +16,7 @@ import pytest
 from identification import Arm, Array, Identification, InputError, Measurements, estimate, spectrum
 from identification.instruments import Socket
 from identification.model import Model
-from identification.model.placed import of_positions, practical
-from identification.sessions import with_sessions
+from identification.model.placed import of_positions, practical, with_sessions
 from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing, seated
 
 NOISE = 0.05  # [mm] of each coordinate of a seating

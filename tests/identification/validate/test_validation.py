@@ -33,9 +33,9 @@ from identification.inspection.readings import read_differently
 from identification.kinematics.chain import KinematicChain
 from identification.kinematics.counting import joint_range
 from identification.kinematics.frames import from_angles, pose
-from identification.measurements import Measurements, distances
+from identification.measurements import Measurements, distances, pooled_sessions
+from identification.model.placed import with_sessions
 from identification.provenance import outside
-from identification.sessions import pooled_sessions, with_sessions
 from identification.validate import Figures, beside_geometry, judged, prior_judged, validate
 from tests.doe.six_axis import CHAIN, REFLECTOR
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
