@@ -19,7 +19,7 @@ from doe.bounds.planar_theorem import closed_form_bound
 from doe.criteria import A
 from doe.report.design import BOUND_CUT, advice_document, advice_sentence, remarks
 from doe.solvers.solving import cross_check
-from identification import Arm, Calibration, EffectSpec, InputError, Model, Plan, Status
+from identification import Arm, Calibration, EffectSpec, InputError, Plan, Status
 from identification.document import Sheet
 from identification.reuse import only
 from identification.workspace import WorkspaceBox
@@ -243,10 +243,8 @@ EXPECTED = 4.0 * np.log(np.sin(np.radians(80.0)))
 
 
 def test_three_answers_agree() -> None:
-    lower, upper = np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90])
-    case = DesignProblem.of(Model(Arm([260.0, 180.0, 120.0, 100.0], lower=lower, upper=upper)))
-    relaxed = relax(case, 5, "clarabel")
-    found = cross_check(case, relaxed, 8)
+    case = problem(FOUR)
+    found = cross_check(case, relax(case, 5, "clarabel"), 8)
     methods = ["relaxation, clarabel", "column generation, column_generation", "exact plan, exchange", "closed form"]
     assert [row["method"] for row in found] == methods
     for row, tolerance in zip(found, (1e-4, 1e-8, 1e-7, 1e-12), strict=True):

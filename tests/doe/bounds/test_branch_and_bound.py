@@ -3,6 +3,7 @@ where the model allows, None where it does not."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -11,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from doe.bounds.branch_and_bound import TrigonometricPolynomial, maximum, trigonometric_jacobian
-from identification import Array, Calibration, EffectSpec, Gravity
+from identification import Array, Calibration, EffectSpec
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, regression
+from tests.identification.estimation.cases import GRAVITY
 
 
 def random_polynomial(generator: np.random.Generator, n: int, terms: int, degree: int) -> TrigonometricPolynomial:
@@ -29,11 +31,6 @@ def plainly(polynomial: TrigonometricPolynomial, q: Array) -> Array:
     return total
 
 
-def dense(lower: Array, upper: Array, levels: int) -> Array:
-    axes = [np.linspace(a, b, levels) for a, b in zip(lower, upper, strict=True)]
-    return np.array(list(product(*axes)))
-
-
 @settings(max_examples=30)
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 3), terms=st.integers(1, 8))
 def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
@@ -41,8 +38,10 @@ def test_upper_bound_holds_and_is_tight(seed: int, n: int, terms: int) -> None:
     polynomial = random_polynomial(generator, n, terms, 2)
     lower = generator.uniform(-3.0, 0.0, n)
     upper = lower + generator.uniform(0.1, 4.0, n)
-    found = maximum(polynomial, lower, upper, tried=((lower + upper) / 2)[None], tolerance=1e-6)
-    samples = plainly(polynomial, dense(lower, upper, {1: 2001, 2: 101, 3: 31}[n]))
+    tried, enough = ((lower + upper) / 2)[None], 10**6  # a ridge of equal maxima takes many boxes
+    found = maximum(polynomial, lower, upper, tried=tried, tolerance=1e-6, most_boxes=enough)
+    grid = product(*np.linspace(lower, upper, {1: 2001, 2: 101, 3: 31}[n]).T)
+    samples = plainly(polynomial, np.array(list(grid)))
     assert found.proven
     assert samples.max() <= found.upper
     assert found.upper <= found.value + 1e-6 + 1e-11
@@ -99,12 +98,8 @@ def numerical_slope(polynomial: TrigonometricPolynomial, point: Array) -> Array:
 
 
 # -- sensitivities of models -------------------------------------------------------------------------------------------
-GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.full(4, 0.5), 10.0)
-HEAVY = type(FOUR)(FOUR.lengths, FOUR.lower, FOUR.upper, 0.1, gravity=GRAVITY)
-CALIBRATED = type(FOUR)(
-    FOUR.lengths, FOUR.lower, FOUR.upper, 0.1,
-    calibration=Calibration.of(np.array([1.5, -0.6, -0.4, 0.7]), np.array([0.01, -0.02, 0.03, 0.0])),
-)  # fmt: skip
+HEAVY = replace(FOUR, gravity=GRAVITY)
+CALIBRATED = replace(FOUR, calibration=Calibration.of([1.5, -0.6, -0.4, 0.7], [0.01, -0.02, 0.03, 0.0]))
 CASES = {
     "base": problem(FOUR),
     "five links": problem(FIVE),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -23,30 +24,23 @@ from doe.bounds.column_generation import (
     generate_columns,
     relax,
 )
+from doe.bounds.planar_theorem import closed_form_log_det
 from doe.criteria import A, Criterion, D, Ds, E, I
 from doe.problem.postures import grid, listed_candidates, random_postures
 from doe.problem.problem import PriorInformation
 from identification import Arm, Array, EffectSpec, InputError, JobError, Status
-from identification.workspace import KeepOutCircle, LineOfSight, WorkspaceBox
+from identification.workspace import KeepOutCircle, WorkspaceBox
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem, random_box, regression
-
-
-def closed_form(lower: Array, upper: Array, offset: bool = False) -> float:
-    """4 sum_j log sin(min(Delta_j / 2, pi / 2)), j = 2..n; with a base offset j = 1 too.
-
-    doe/README.md, "Planar theorem".
-    """
-    half = np.minimum((upper - lower) / 2.0, np.pi / 2.0)
-    return float(4.0 * np.sum(np.log(np.sin(half[0 if offset else 1 :]))))
+from tests.doe.problem.test_constraints import ARM as WALLED
+from tests.doe.problem.test_constraints import BOX
 
 
 # -- the continuous box ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("links", [1, 2, 4, 7])
 def test_continuous_box_equals_the_closed_form(links: int) -> None:
-    arm = random_box(np.random.default_rng(links), links)
-    offset = [OFFSET] * (links % 2)  # the base is a link 0 with orientation 0: joint 1 counts as the others do
-    design = continuous_design(problem(arm, *offset))
-    expected = closed_form(arm.lower, arm.upper, bool(offset))
+    # the base is a link 0 with orientation 0: joint 1 counts as the others do
+    case = problem(random_box(np.random.default_rng(links), links), *[OFFSET] * (links % 2))
+    design, expected = continuous_design(case), closed_form_log_det(case)
     assert design.log_det == pytest.approx(expected, abs=1e-9)
     assert design.bound.rigorous
     assert design.bound.source == "continuous"
@@ -93,8 +87,7 @@ def test_effects_in_the_model(name: str, links: int) -> None:
 
 def test_what_the_multistart_misses_the_proof_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a search blind to large q_3 the loop ends early; branch and bound returns the posture that was missed."""
-    arm = Arm(FOUR.lengths[:3], FOUR.lower[:3], FOUR.upper[:3])
-    case = problem(arm)
+    case = problem(Arm(FOUR.lengths[:3], FOUR.lower[:3], FOUR.upper[:3]))
     real = module.ContinuousSet.best
 
     def blind(self, gradient, near, *rest):  # type: ignore[no-untyped-def]
@@ -106,7 +99,7 @@ def test_what_the_multistart_misses_the_proof_finds(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(module.ContinuousSet, "starts", starts)
     monkeypatch.setattr(module.ContinuousSet, "best", blind)
     design = continuous_design(case, tolerance=1e-8)
-    expected = closed_form(arm.lower, arm.upper)
+    expected = closed_form_log_det(case)
     if design.bound is None:  # it may give up, but it must not claim
         assert design.status is Status.almost_solved
     else:
@@ -136,7 +129,7 @@ def test_equivalence_theorem_on_every_candidate(seed: int, links: int) -> None:
 def test_brute_force_over_all_exact_plans() -> None:
     """Every exact plan of 3 new runs out of 6 candidates, around 4 measured ones, is below the bound."""
     generator = np.random.default_rng(1)
-    kept, choices = generator.uniform(FOUR.lower, FOUR.upper, (10, 4))[:4], None
+    kept = generator.uniform(FOUR.lower, FOUR.upper, (10, 4))[:4]
     choices = generator.uniform(FOUR.lower, FOUR.upper, (6, 4))
     case = problem(FOUR, kept=kept)
     design = column_generation(case, choices, runs=3)
@@ -275,15 +268,6 @@ def test_bad_input() -> None:
 
 
 # -- the climb ---------------------------------------------------------------------------------------------------------
-BOXED = Arm(FOUR.lengths, FOUR.lower, FOUR.upper, 0.1, constraints=(WorkspaceBox((-400.0, 600.0), (0.0, 650.0)),))
-WALLED = Arm(
-    FOUR.lengths, FOUR.lower, FOUR.upper, 0.1,
-    constraints=(
-        WorkspaceBox((-400.0, 600.0), (0.0, 650.0)),
-        KeepOutCircle((350.0, 200.0), 60.0),
-        LineOfSight((1500.0, 300.0), np.radians(25.0), (0.0, 200.0)),
-    ),
-)  # fmt: skip
 CASES = {
     "base": problem(FOUR),
     "five links, effects": problem(FIVE, OFFSET, EffectSpec("gear_ratio", 3)),
@@ -314,7 +298,7 @@ def test_slopes_by_finite_differences(case) -> None:  # type: ignore[no-untyped-
 
 def test_nothing_higher_within_walls_by_scipy() -> None:
     """Nor does SLSQP under the constraints."""
-    case = problem(BOXED, OFFSET, ECCENTRICITY)
+    case = problem(replace(FOUR, constraints=(BOX,)), OFFSET, ECCENTRICITY)
     generator = np.random.default_rng(3)
     everything, gradient = ContinuousSet(case, PriorInformation()), some_gradient(case, generator)
     best = everything.best(gradient, np.empty((0, 4)), generator)[1][0]

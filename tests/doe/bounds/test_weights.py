@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from doe.bounds.weights import interior_point_weights, optimal_weights, solve_program, sparsest
 from doe.criteria import A, Criterion, D, Ds, E
 from doe.problem.problem import PriorInformation
-from identification import Array, JobError
+from identification import JobError
 
 POINTS = np.linspace(-1.0, 1.0, 21)
 QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
@@ -41,14 +41,10 @@ def test_quadratic_regression(criterion: Criterion, ends: float, middle: float, 
     assert value == pytest.approx(optimum, rel=1e-4, abs=1e-5)  # Clarabel stops at 1e-8 of a scaled program
 
 
-def random_jacobians(generator: np.random.Generator, k: int, d: int, p: int) -> Array:
-    return generator.standard_normal((k, d, p))
-
-
 def test_a_part_of_the_runs_is_fixed() -> None:
     """With a fixed offset the multiplicative algorithm (Silvey, Titterington, Torsney) is the oracle."""
     generator = np.random.default_rng(4)
-    jacobians, kept = random_jacobians(generator, 15, 2, 4), random_jacobians(generator, 3, 2, 4)
+    jacobians, kept = (generator.standard_normal((k, 2, 4)) for k in (15, 3))
     known = np.einsum("kda,kdb->ab", kept, kept)
     prior = PriorInformation(known, 2.0).per_new_run(3)  # two of five runs are known
     atoms = 0.6 * np.einsum("kda,kdb->kab", jacobians, jacobians) + 0.2 * known

@@ -27,6 +27,8 @@ from doe.studies.blind.cells import arm_of
 from doe.studies.blind.simulator import TrueArm, base_jacobian, column, session
 from identification import Arm, Model, Status
 from identification.workspace import WorkspaceBox
+from tests.doe.arms import FOUR
+from tests.doe.bounds.test_planar_theorem import complex_log_det
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 
@@ -34,12 +36,6 @@ LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 def designed(lower: list[float], upper: list[float], runs: int, **options: Any) -> Discrimination:
     arm = Arm(LENGTHS[: len(lower)], np.radians(lower), np.radians(upper), sigma=0.1)
     return discrimination_design(DesignProblem.of(Model(arm)), arm, runs, **options)
-
-
-def log_det(postures: np.ndarray) -> float:
-    """2 log det H, H = mean z z^*, z_j = exp(i theta_j) (doe/README.md, "Information matrix")."""
-    z = np.exp(1j * np.cumsum(postures, axis=1))
-    return 2.0 * np.log(np.linalg.det(z.T @ z.conj() / len(z)).real)
 
 
 def visible_share(postures: np.ndarray, joint: int, order: int) -> float:
@@ -62,7 +58,7 @@ def visible_share(postures: np.ndarray, joint: int, order: int) -> float:
 
 def test_without_limits_everything_is_seen_and_nothing_looks_like_another() -> None:
     found = designed([-180] * 4, [180] * 4, 16)
-    assert 0.0 >= log_det(found.design.plan.postures) >= 8.0 * np.log(0.95)  # 0 is the bound
+    assert 0.0 >= complex_log_det(found.design.plan.postures) >= 8.0 * np.log(0.95)  # 0 is the bound
     for joint in range(4):
         for order in (1, 2):
             assert visible_share(found.design.plan.postures, joint, order) > 0.3
@@ -74,11 +70,11 @@ def test_joint_limits_cost_at_most_the_loss_and_effects_become_visible() -> None
     lower, upper = [-180, -120, -100, -90], [180, 120, 60, 90]
     found = designed(lower, upper, 16, loss=0.05)  # twice the factorial of eight: the best plan needs no search
     bound = 4 * np.log(np.sin(np.radians(80.0)))  # closed form, doe/README.md, "Planar theorem"
-    postures, best = found.design.plan.postures, log_det(found.best.plan.postures)
+    postures, best = found.design.plan.postures, complex_log_det(found.best.plan.postures)
     assert np.all(postures >= np.radians(lower))
     assert np.all(postures <= np.radians(upper))
     assert bound + 1e-12 >= best >= bound + 8.0 * np.log(0.998)  # the factorial reaches it, to rounding
-    assert log_det(postures) >= best + 8.0 * np.log(0.95)
+    assert complex_log_det(postures) >= best + 8.0 * np.log(0.95)
     assert visible_share(found.best.plan.postures, 2, 1) < 1e-6  # two levels hide it
     assert visible_share(postures, 2, 1) > 0.3
 
@@ -153,14 +149,12 @@ def test_ctrl_c_in_the_second_search_gives_the_plan_so_far() -> None:
 
 
 def test_out_of_a_list_of_postures_only_those() -> None:
-    arm = Arm(LENGTHS, np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]), sigma=0.1)
-    choices = np.random.default_rng(3).uniform(arm.lower, arm.upper, (60, 4))
-    problem = DesignProblem.of(Model(arm), choices=choices)
-    found = discrimination_design(problem, arm, 10)
+    choices = np.random.default_rng(3).uniform(FOUR.lower, FOUR.upper, (60, 4))
+    found = discrimination_design(DesignProblem.of(Model(FOUR), choices=choices), FOUR, 10)
     nearest = np.abs(found.design.plan.postures[:, None] - choices).max(axis=-1).argmin(axis=1)
     np.testing.assert_array_equal(found.design.plan.postures, choices[nearest])
     assert len(set(nearest.tolist())) == 10
-    lost = log_det(found.best.plan.postures) - log_det(found.design.plan.postures)
+    lost = complex_log_det(found.best.plan.postures) - complex_log_det(found.design.plan.postures)
     assert lost <= -8.0 * np.log(0.95) + 1e-9
 
 
@@ -188,8 +182,7 @@ def test_the_time_budget_holds_between_swaps(monkeypatch: pytest.MonkeyPatch) ->
 
     for module in ("doe.solvers.solving", "doe.solvers.solver", "doe.discrimination.design"):
         monkeypatch.setattr(f"{module}.perf_counter", clock)
-    arm = Arm(LENGTHS, np.radians([-180, -120, -100, -90]), np.radians([180, 120, 60, 90]), sigma=0.1)
-    found = discrimination_design(DesignProblem.of(Model(arm)), arm, 42, loss=0.2, seconds=1.0)
+    found = discrimination_design(DesignProblem.of(Model(FOUR)), FOUR, 42, loss=0.2, seconds=1.0)
     assert found.design.status is Status.time_limit
     assert looks <= 210
     assert found.relative_efficiency >= 0.8

@@ -12,10 +12,11 @@ import pytest
 
 from doe.discrimination.t_optimal import RivalPredictions, discriminate
 from doe.problem.constraints import constraints_of
-from identification import Arm, DHRow, Diagnosis, Gravity, InputError, Model, Status, chain_of, diagnose
+from identification import Arm, Diagnosis, Gravity, InputError, Model, Status, chain_of, diagnose
 from identification.kinematics.frames import from_roll_pitch_yaw, pose
 from identification.measurements import Conditions, Measurements, rms_distance
 from identification.workspace import WorkspaceBox
+from tests.identification.test_sessions import DRAWN, TABLE_ROWS
 
 ARM = Arm(
     [260.0, 180.0, 120.0],
@@ -136,11 +137,7 @@ def test_bad_input() -> None:
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
-ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
-CHAIN = chain_of(ROWS)
-STANDS = replace(
-    CHAIN, tools={"1": np.array([40.0, 30.0, 20.0])}, base=pose((2e3, 5.0, -1.0), from_roll_pitch_yaw(0.1, 0.2, 2))
-)
+STANDS = replace(DRAWN, base=pose((2e3, 5.0, -1.0), from_roll_pitch_yaw(0.1, 0.2, 2)))
 SIGMA = 0.1
 
 
@@ -151,7 +148,7 @@ def test_rivals_are_told_apart_where_they_differ() -> None:
     real = postures + np.eye(3)[1] * 2e-3 * np.cos(postures[:, 1:2] - 1.2)
     exact = Model(Arm(STANDS)).position(real)
     data = Measurements(postures, exact + SIGMA * generator.standard_normal((16, 3)))
-    found = diagnose(Arm(CHAIN, sigma=SIGMA), data)
+    found = diagnose(Arm(chain_of(TABLE_ROWS), sigma=SIGMA), data)
     assert found.verdict == "ambiguous"
     chosen = discriminate(found.arm, found, 4, seed=0)
     rivals = [Model(found.extended_arm(candidate)) for candidate in found.candidates]

@@ -10,7 +10,7 @@ from doe.criteria import A, E
 from doe.plan.ascent import PlanAscent
 from doe.problem.postures import random_postures
 from identification import Array
-from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+from tests.doe.arms import FOUR, problem
 from tests.doe.problem.test_spatial_constraints import ARM
 from tests.doe.six_axis import LIMITED, SIX_AXIS, six_axis
 
@@ -18,8 +18,6 @@ STEP = 1e-5  # central differences: truncation and rounding about 1e-10, relativ
 KEPT = np.random.default_rng(8).uniform(FOUR.lower, FOUR.upper, (3, 4))
 WALLS = six_axis(ARM)  # box, sphere, pillar and line of sight
 CASES = {
-    "base": problem(FIVE),
-    "an effect": problem(FOUR, OFFSET, ECCENTRICITY),
     "around measured postures, A": problem(FOUR, kept=KEPT, criterion=A()),
     "smooth E": problem(FOUR, criterion=E()),
     "six axes with a prior": six_axis(LIMITED),

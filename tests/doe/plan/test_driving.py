@@ -15,8 +15,8 @@ from doe.problem.clearance import SIGHT, Clearance
 from doe.problem.constraints import constraints_of
 from identification import Arm, ArmModel, Array, EffectSpec, Model, Plan
 from identification.kinematics.counting import Counting
-from identification.workspace import Body, Cell, LineOfSight, WorkspaceBox
-from tests.doe.problem.test_clearance import cell_of
+from identification.workspace import Cell, LineOfSight, WorkspaceBox
+from tests.doe.problem.test_clearance import ball, cell_of
 from tests.doe.six_axis import SIX_AXIS
 
 
@@ -35,12 +35,9 @@ def arm() -> Arm:
 
 def test_a_wall_may_be_left_and_reached_again() -> None:
     """Both postures are on the side of the box, 300 mm from the base, and bodies are nowhere near."""
-    ball = (
-        Body("ball", 2, np.array([200.0, 0, 0, 200, 0, 0, 5])),
-        Body("post", 0, np.array([900.0, 0, 0, 900, 0, 0, 5])),
-    )
+    balls = ball("ball", 2, 200.0, 0.0, 5.0), ball("post", 0, 900.0, 0.0, 5.0)
     box = WorkspaceBox((-600.0, 300.0), (-600.0, 600.0))
-    arm = Arm(np.array([300.0, 200.0]), cell=Cell(ball), constraints=(box,))
+    arm = Arm(np.array([300.0, 200.0]), cell=Cell(balls), constraints=(box,))
     room = room_of(ArmModel(arm), constraints_of(arm))
     out = np.arccos(200.0 / 300.0 - 1.0 / 3.0)  # the tip is 300 cos q1 + 200 cos (q1 + q2)
     ends = np.array([[out, -out], [-out, out]])
@@ -54,10 +51,6 @@ def test_a_wall_may_be_left_and_reached_again() -> None:
 
 
 # -- plans -------------------------------------------------------------------------------------------------------------
-def ball(name: str, joint: int, x: float, y: float, radius: float) -> Body:
-    return Body(name, joint, np.array([x, y, 0.0, x, y, 0.0, radius]))
-
-
 def ring(clearance: float = 20.0) -> DesignProblem:
     """Two links of 300 and 200 mm and a ball at the tip, which gets between two posts with its elbow on one side only:
     all around is free, and a pocket between joint limits and posts is cut off."""

@@ -113,16 +113,16 @@ def test_long_plans_have_no_exchange_left_and_gain() -> None:
 
 # -- postures apart ----------------------------------------------------------------------------------------------------
 NARROW = Arm([200.0, 150.0], np.radians([-40, -50]), np.radians([40, 60]))
+CORNERS = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
 
 
 def smallest_gap(postures: np.ndarray) -> float:
-    return min(np.abs(a - b).max() for k, a in enumerate(postures) for b in postures[:k])
+    """[rad] least difference of two postures, each in the joint where it is greatest."""
+    return min(np.abs(postures[k + 1 :] - postures[k]).max(axis=1).min() for k in range(len(postures) - 1))
 
 
 def test_repeats_are_moved_apart_at_little_loss() -> None:
-    case = problem(NARROW, OFFSET)
-    corners = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
-    plan = np.vstack([corners, corners])
+    case, plan = problem(NARROW, OFFSET), np.vstack([CORNERS, CORNERS])
     assert len(too_near(case, plan)) == 4
     apart = separated(case, plan)
     assert smallest_gap(apart) >= np.radians(1.0) * (1 - 1e-9)
@@ -164,9 +164,8 @@ def test_a_free_joint_has_no_more_places_than_fit_at_the_minimum_distance() -> N
 
 
 def test_measured_postures_are_not_repeated() -> None:
-    kept = np.array([[a, b] for a in (NARROW.lower[0], NARROW.upper[0]) for b in (NARROW.lower[1], NARROW.upper[1])])
-    design = solve(problem(NARROW, OFFSET, kept=kept), 4, starts=10)
-    assert smallest_gap(np.vstack([design.plan.postures, kept])) >= np.radians(1.0) * (1 - 1e-9)
+    design = solve(problem(NARROW, OFFSET, kept=CORNERS), 4, starts=10)
+    assert smallest_gap(np.vstack([design.plan.postures, CORNERS])) >= np.radians(1.0) * (1 - 1e-9)
 
 
 @pytest.mark.parametrize("rows", [150, 400])

@@ -12,18 +12,16 @@ from doe import DesignProblem, score, solve
 from doe.bounds.column_generation import ContinuousSet, best_known_bound, column_generation, continuous_design
 from doe.criteria import A, D
 from doe.plan.accuracy import missing_effects, robust_problem, with_choices, workspace
-from identification import Arm, Array, Conditions, DHRow, InputError, Model, chain_of
+from identification import Arm, Array, Conditions, InputError, Model, chain_of
 from identification.instruments import Tracker
 from identification.workspace import KeepOutCircle
+from tests.doe.plan.test_accuracy import ARM, PLAIN, POSTURES
+from tests.doe.plan.test_accuracy import WIDE as CASE
+from tests.identification.test_sessions import TABLE_ROWS
 
-LENGTHS = np.array([300.0, 200.0])
-ARM_ROBUST = Arm(LENGTHS, np.radians([-170, -100]), np.radians([170, 100]), 0.1)
-NAMES = ("encoder_eccentricity", "gear_ratio", "base_offset")
+LENGTHS = ARM.lengths
 DEVIATIONS = np.array([1.0, 1.0, *[5e-4] * 4, *[1e-4] * 2])  # base x, y; a, b of joint 1, then 2; e of 1 and 2
-PLAIN = DesignProblem.of(Model(ARM_ROBUST))
-CASE = robust_problem(PLAIN, missing_effects(PLAIN, NAMES))
 FOURS = list(combinations(range(8), 4))
-POSTURES = np.random.default_rng(3).uniform(ARM_ROBUST.lower, ARM_ROBUST.upper, (6, 2))
 
 
 def tip(q: Array, x: Array) -> complex:
@@ -109,10 +107,9 @@ def test_the_best_of_all_plans_of_several_points() -> None:
     """Two reflectors, and two frames with their orientations, on three joints: every plan of 4 of 8 postures, by
     central differences of positions that are compared with those of the arm itself."""
     generator = np.random.default_rng(8)
-    rows = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
     tools = {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10.0, 60.0])}
     for angle_scale, each in ((None, 3), (200.0, 6)):
-        chain = replace(chain_of(rows), tools=tools, instrument=Tracker(angle_scale))
+        chain = replace(chain_of(TABLE_ROWS), tools=tools, instrument=Tracker(angle_scale))
         choices = generator.uniform(-2.0, 2.0, (8, 3))
         problem = DesignProblem.of(Model(Arm(chain, sigma=0.05)), choices=choices)
         case = robust_problem(problem, missing_effects(problem, ["encoder_eccentricity", "gear_ratio"]))
@@ -138,7 +135,7 @@ def test_the_best_of_all_plans_of_several_points() -> None:
 
 def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
     """Weights on postures climbed from the list beat every bound over the list, and not this one."""
-    some = replace(CASE, choices=np.random.default_rng(0).uniform(ARM_ROBUST.lower, ARM_ROBUST.upper, (40, 2)))
+    some = replace(CASE, choices=np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (40, 2)))
     sampled = replace(some, sampled=True)
     assert (with_choices(CASE).sampled, with_choices(some, POSTURES[:1]).sampled) == (True, False)
     listed, everywhere = best_known_bound(some, 12), best_known_bound(sampled, 12)
@@ -152,14 +149,14 @@ def test_the_bound_of_a_random_list_holds_for_all_postures() -> None:
     assert listed.value < value - 1e-3 * abs(value)  # what was called a bound of all plans
     assert value < everywhere.value
     # and against another set of postures altogether, a fine grid with its exact bound
-    grid = np.stack(np.meshgrid(*np.linspace(ARM_ROBUST.lower, ARM_ROBUST.upper, 25).T), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(*np.linspace(ARM.lower, ARM.upper, 25).T), axis=-1).reshape(-1, 2)
     fine = column_generation(CASE, grid, **effort)
     assert float(CASE.criterion.value(fine.information)) < everywhere.value
 
 
 def test_the_workspace_is_on_one_side_of_what_no_move_passes() -> None:
     """A post beside the base, which the first link would hit within 32 degrees; and the list that is chosen from."""
-    post = replace(ARM_ROBUST, constraints=(KeepOutCircle((150.0, 0.0), 80.0),))
+    post = replace(ARM, constraints=(KeepOutCircle((150.0, 0.0), 80.0),))
     case = DesignProblem.of(Model(post))
     for postures in (workspace(case), with_choices(case).choices):
         assert np.abs(np.sign(postures[:, 0]).sum()) == len(postures) > 200

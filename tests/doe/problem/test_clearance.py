@@ -23,6 +23,10 @@ TRACKER = np.array([2000.0, 300.0, 500.0])
 POSTURES = 40
 
 
+def ball(name: str, joint: int, x: float, y: float, radius: float) -> Body:
+    return Body(name, joint, np.array([x, y, 0.0, x, y, 0.0, radius]))
+
+
 def cell_of(arm: Arm) -> Cell:
     """Links of four crooked capsules each, a table of two boxes, a post, and a floor."""
     generator = np.random.default_rng(1)
@@ -103,8 +107,7 @@ def test_which_pairs_are_looked_at(clearance: Clearance) -> None:
 @pytest.mark.parametrize(("place", "touching", "asked"), [(15.0, 1, []), (28.0, 0, [2.0]), (80.0, 0, [10.0])])
 def test_what_is_always_near_may_stay_near(place: float, touching: int, asked: list[float]) -> None:
     """Two balls of radius 10 at and behind a planar arm's elbow, whose distance no joint changes."""
-    places = ((1, 400.0), (2, place))
-    balls = tuple(Body(f"ball {j}", j, np.array([x, 0.0, 0, x, 0, 0, 10])) for j, x in places)
+    balls = ball("first", 1, 400.0, 0.0, 10.0), ball("second", 2, place, 0.0, 10.0)
     clearance = Clearance(design_model(Model(Arm(np.array([400.0, 300.0]), cell=Cell(balls, clearance=10.0)))))
     assert len(clearance.touching) == touching
     assert clearance.asked.tolist() == pytest.approx(asked)
@@ -183,11 +186,8 @@ def test_nearest_point_of_a_segment_to_a_box(numbers: list[float], sizes: list[f
 
 def test_a_planar_arm_and_spheres() -> None:
     """Two links of 400 mm that fold: the tip's ball is 2 * 400 * sin(q / 2) from that of the base."""
-    balls = [
-        Body("foot", 0, np.array([0.0, 0, 0, 0, 0, 0, 30])),
-        Body("hand", 2, np.array([400.0, 0, 0, 400, 0, 0, 20])),
-    ]
-    arm = Arm(np.array([400.0, 400.0]), cell=Cell(tuple(balls), clearance=10.0))
+    balls = ball("foot", 0, 0.0, 0.0, 30.0), ball("hand", 2, 400.0, 0.0, 20.0)
+    arm = Arm(np.array([400.0, 400.0]), cell=Cell(balls, clearance=10.0))
     fold = np.array([0.5, 1.0, 2.0, 3.0])
     postures = np.column_stack([np.full(4, 0.7), fold])
     (clearance,) = constraints_of(Model(arm))

@@ -20,7 +20,6 @@ from doe.plan.accuracy import ExpectedDeviations, TipErrors, robust_problem
 from doe.problem.constraints import Expression
 from doe.problem.model import REQUIRED
 from doe.problem.postures import grid, listed_candidates
-from doe.problem.problem import PriorInformation
 from identification import Array, InputError, Measurements, Parameter, ParameterSet, diagnose, estimate, vectorize
 from tests.doe.arms import ECCENTRICITY, FOUR, OFFSET, problem
 
@@ -64,20 +63,6 @@ def test_measured_postures_need_the_number_of_runs() -> None:
     for runs in (None, 0):
         with pytest.raises(InputError, match="runs"):
             case.prior.per_new_run(runs)
-
-
-def test_a_prior_without_runs_adds_to_the_sum_and_leaves_the_number_of_runs() -> None:
-    """A calibration's covariance C, as it would be added: inverse of C times sigma^2, no run of this plan."""
-    case = problem(FOUR, OFFSET)
-    jacobians = case.scaled_jacobians(np.random.default_rng(2).uniform(FOUR.lower, FOUR.upper, (5, 4)))
-    known = 3.0 * np.eye(case.parameters)
-    total = sum(b.T @ b for b in jacobians)
-    prior = PriorInformation(known)
-    assert not prior.empty
-    assert prior.information(total, 5) == pytest.approx((total + known) / 5, rel=1e-12, abs=1e-12)
-    assert prior.per_new_run(5).mixture(jacobians, np.full(5, 0.2)) == pytest.approx(
-        (total + known) / 5, rel=1e-12, abs=1e-12
-    )
 
 
 # -- grids and lists ---------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from doe.solvers.ipopt import Climber
 from doe.solvers.solver import Budget
 from identification import InputError, Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, problem
+from tests.doe.plan.test_ascent import KEPT, STEP
 
 
 def test_ends_are_stationary_within_the_limits() -> None:
@@ -82,9 +83,6 @@ def test_more_variables_than_dense_second_derivatives_allow() -> None:
 
 
 # -- derivatives -------------------------------------------------------------------------------------------------------
-STEP = 1e-5  # central differences: truncation about 1e-10, rounding 1e-16 / 1e-5 = 1e-11, relative
-KEPT = np.random.default_rng(8).uniform(FOUR.lower, FOUR.upper, (3, 4))
-
 CASES = {
     "base": problem(FIVE),
     "base offset and an effect": problem(FOUR, OFFSET, ECCENTRICITY),

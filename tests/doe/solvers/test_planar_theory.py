@@ -13,6 +13,7 @@ from doe.solvers import solve
 from identification import Arm, EffectSpec, JobError, Status
 from tests.doe.arms import ECCENTRICITY, FIVE, FOUR, OFFSET, SIX, problem, random_box
 from tests.doe.bounds.test_planar_theorem import complex_log_det
+from tests.doe.plan.test_plan import smallest_gap
 
 
 @pytest.mark.parametrize("links", range(2, 9))
@@ -26,11 +27,6 @@ def test_without_limits_any_number_of_runs_is_optimal_without_a_solver(links: in
     for runs in (links + 1, 3 * links):
         with_offset = solve(problem(arm, OFFSET), runs)
         assert abs(complex_log_det(with_offset.plan.postures, offset=True)) < 1e-8
-
-
-def smallest_gap(postures: np.ndarray) -> float:
-    """[rad] least difference of two postures, each in the joint where it is greatest."""
-    return min(np.abs(postures[k + 1 :] - postures[k]).max(axis=1).min() for k in range(len(postures) - 1))
 
 
 def check(arm: Arm, runs: int, *effects: EffectSpec) -> None:

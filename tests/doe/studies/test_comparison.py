@@ -21,6 +21,7 @@ from doe.jobs import frame_of
 from doe.report.studies import comparison_parts
 from doe.studies.comparison import compare, evaluated, summary, with_hits
 from identification import Arm, InputError, Model, Plan
+from tests.doe.bounds.test_planar_theorem import complex_log_det
 
 LIMITS = np.radians([180.0, 120.0, 100.0])
 ARM = Arm(np.array([260.0, 180.0, 120.0]), -LIMITS, LIMITS, sigma=0.1, name="three")
@@ -71,9 +72,7 @@ def test_judged_by_the_problem() -> None:
     """Not correct are a plan outside the limits, one without a run, and a claim that the problem does not confirm."""
     postures = np.random.default_rng(3).uniform(-LIMITS, LIMITS, (5, 3))
     honest = evaluated(PROBLEM, 5, score(PROBLEM, Plan(postures)))
-    theta = np.exp(1j * np.cumsum(postures, axis=1))
-    hermitian = theta.conj().T @ theta / 5
-    assert honest["value"] == pytest.approx(2.0 * np.linalg.slogdet(hermitian)[1], abs=1e-10)  # 2 log det H
+    assert honest["value"] == pytest.approx(complex_log_det(postures), abs=1e-10)
     assert honest["correct"]
     assert not evaluated(PROBLEM, 6, score(PROBLEM, Plan(postures)))["correct"]
     other = replace(PROBLEM, kept=postures)  # the solver worked on another problem

@@ -18,10 +18,11 @@ from doe.jobs import frame_of, seed_of
 from doe.problem.postures import random_postures
 from doe.report.studies import monte_carlo_parts
 from doe.studies.monte_carlo import Study, pooled_rows, run_study
-from identification import Arm, Calibration, Conditions, DHRow, InputError, Model, Plan, chain_of, without_prior
+from identification import Arm, Calibration, Conditions, InputError, Model, Plan, without_prior
 from identification.instruments import Tracker
 from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox
+from tests.identification.test_sessions import DRAWN, ELBOW, SIZES, TABLE_ROWS
 from tests.refusals import refused
 
 LENGTHS, ERRORS = np.array([260.0, 180.0, 120.0, 100.0]), np.array([1.5, -0.6, -0.4, 0.7])
@@ -31,13 +32,9 @@ ARM = Arm(LENGTHS, sigma=0.1, name="paper-4-link")
 HIDDEN = {"name": "encoder_eccentricity", "joint": 2, "a_deg": 0.03, "b_deg": -0.012}
 WAVE = {"name": HIDDEN["name"], "joint": 2}
 
-ROWS = [DHRow(0.0, np.pi / 2.0, 300.0), DHRow(400.0, 0.1, 20.0), DHRow(350.0, -1.0, 10.0)]
-CHAIN = replace(chain_of(ROWS), tools={"1": np.array([40.0, 30.0, 20.0])})
-ELBOW = Arm(CHAIN, sigma=0.05, name="elbow")
-SIZES = {"translation_x:2": 0.4, "translation_y:3": -0.3, "rotation_y:3": 0.1, "base.x": 2.0}
 MACHINED: dict[str, Any] = {"name": "machined", "values": SIZES}
 ELBOW_FILE = 'name = "elbow"\nkind = "spatial"\n' + "".join(
-    f"[[dh]]\na_mm = {r.a}\nalpha_deg = {np.degrees(r.alpha)}\nd_mm = {r.d}\n" for r in ROWS
+    f"[[dh]]\na_mm = {r.a}\nalpha_deg = {np.degrees(r.alpha)}\nd_mm = {r.d}\n" for r in TABLE_ROWS
 )
 ELBOW_FILE += (
     "[measurement]\nsigma_mm = 0.05\n[calibration.values]\n[calibration.tools.1]\nx_mm = 40\ny_mm = 30\nz_mm = 20\n"
@@ -193,7 +190,7 @@ SEVERAL = {"tools": {"a": np.array([40.0, 30.0, 20.0]), "b": np.array([-50.0, 10
 def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, Any]) -> None:
     """Expected deviations from (sum of J^T J)^-1 with J by central differences of the model's own positions and turned
     axes; the fits scatter by as much, and the intervals hold."""
-    chain = replace(CHAIN, **measured)
+    chain = replace(DRAWN, **measured)
     arm, plans = Arm(chain, sigma=0.05, name="elbow"), {"plan": Plan(PLAN.postures[:8]), "random": None}
     study = Study.of([arm], plans, runs=[9], truths=[MACHINED], replications=100)
     cells = run_study(study, seed=5)["cells"]
