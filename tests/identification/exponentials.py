@@ -9,6 +9,7 @@ import numpy as np
 
 from identification import Array
 from identification.kinematics.chain import DHRow, KinematicChain, chain_of
+from tests.identification.kinematics.test_spatial import twist
 
 HALF = np.pi / 2.0
 STEP = 1e-6  # [rad] of central differences
@@ -28,13 +29,9 @@ def drawing(table: tuple[tuple[float, float, float], ...] = TABLE) -> KinematicC
     return chain_of([DHRow(*row) for row in table])
 
 
-def twist(axis: Array, point: Array) -> Array:
+def about(axis: Array, point: Array) -> Array:
     """(4, 4) generator of a rotation about a line."""
-    x, y, z = axis
-    found = np.zeros((4, 4))
-    found[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-    found[:3, 3] = -np.cross(axis, point)
-    return found
+    return twist(np.r_[-np.cross(axis, point), axis])
 
 
 def rotations(line: Array, angles: Array) -> Array:
@@ -59,14 +56,14 @@ class Exponentials:
         home, lines = np.eye(4), []
         for a, alpha, d in table:
             axis = home[:3, 2] + 2e-3 * generator.standard_normal(3)
-            lines.append(twist(axis / np.linalg.norm(axis), home[:3, 3] + 0.5 * generator.standard_normal(3)))
+            lines.append(about(axis / np.linalg.norm(axis), home[:3, 3] + 0.5 * generator.standard_normal(3)))
             along, across = np.eye(4), np.eye(4)
             along[2, 3], across[0, 3] = d, a
             across[1:3, 1:3] = [[np.cos(alpha), -np.sin(alpha)], [np.sin(alpha), np.cos(alpha)]]
             home = home @ along @ across
         if tool is None:
-            tool = rotations(twist(np.array([0.48, 0.6, 0.64]), np.array([60.0, -40.0, 70.0])), np.ones(1))[0]
-        self.base = rotations(twist(np.array([0.6, 0.64, 0.48]), np.array([900.0, 0.0, 500.0])), np.full(1, 2.0))[0]
+            tool = rotations(about(np.array([0.48, 0.6, 0.64]), np.array([60.0, -40.0, 70.0])), np.ones(1))[0]
+        self.base = rotations(about(np.array([0.6, 0.64, 0.48]), np.array([900.0, 0.0, 500.0])), np.full(1, 2.0))[0]
         self.lines, self.home = lines, home @ tool
 
     def poses(self, postures: Array) -> Array:

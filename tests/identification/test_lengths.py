@@ -47,10 +47,6 @@ BASE = pose(-CENTER)
 STEP = 1e-5  # [mm, rad] of central differences of some 1e3 mm: rounding 1e3 * 1e-16 / 1e-5 = 1e-8, error of order 1e-10
 
 
-def bar(**changes: object) -> Arm:
-    return Arm(replace(CHAIN, instrument=BAR, base=BASE), sigma=0.01, **changes)
-
-
 @pytest.mark.parametrize("instrument", [BAR, Plane(), Sphere(30.0)], ids=["distance", "plane", "ball"])
 def test_jacobian(instrument: Instrument) -> None:
     """Against differences of products of exponentials."""
@@ -72,15 +68,12 @@ def test_jacobian(instrument: Instrument) -> None:
     np.testing.assert_array_equal(model.position(q), read)
 
 
-def rank(model: Model, q: Array) -> int:
-    return spectrum(model.jacobian(q), model.scales).rank
-
-
 def test_distances_show_24_parameters() -> None:
-    q, model = np.random.default_rng(0).uniform(-2.0, 2.0, (200, 6)), Model(bar())
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (200, 6))
+    model = Model(Arm(replace(CHAIN, instrument=BAR, base=BASE), sigma=0.01))
     assert model.dimension == 1
     assert not {"base.rx", "base.ry", "base.rz", "joint_offset:1"} & set(model.names)
-    assert rank(model, q) == len(minimal(model).names) == 24
+    assert spectrum(model.jacobian(q), model.scales).rank == len(minimal(model).names) == 24
 
 
 def fit(arm: Arm, q: Array, lengths: Array, session: Array | None = None) -> Identification:

@@ -177,21 +177,23 @@ def test_damped_steps_by_either_route(shape: tuple[int, int], damping: float) ->
         assert np.all(steps[:, 1] == 0.0)
 
 
-def test_statuses_say_how_it_ended() -> None:
-    def rosenbrock(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residual = np.stack([-10.0 * (x[:, 1] - x[:, 0] ** 2), x[:, 0] - 1.0 + 0.0 * x[:, 1]], axis=1)
+def rosenbrock(steepness: float) -> Linearize:
+    """His function, whose minimum is at (1, 1), with such walls."""
+
+    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residual = np.stack([-steepness * (x[:, 1] - x[:, 0] ** 2), 1.0 - x[:, 0]], axis=1)
         jacobian = np.zeros((len(x), 2, 2))
-        jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -20.0 * x[:, 0], 10.0, -1.0
+        jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -2.0 * steepness * x[:, 0], steepness, 1.0
         return residual, jacobian
 
-    start, rounding = np.array([[-1.2, 1.0]]), np.array([1e-12])
-    found = minima(rosenbrock, start, rounding=rounding)
-    assert found.status[0] is Status.converged
-    np.testing.assert_allclose(found.parameters, 1.0, rtol=1e-9)
-    cut = minima(rosenbrock, start, rounding=rounding, iterations=2)
+    return linearize
+
+
+def test_statuses_say_how_it_ended() -> None:
+    cut = minima(rosenbrock(10.0), np.array([[-1.2, 1.0]]), rounding=np.array([1e-12]), iterations=2)
     assert cut.status[0] is Status.iteration_limit
     assert cut.iterations[0] == 2
-    nowhere = minima(rosenbrock, np.array([[np.inf, 1.0]]))
+    nowhere = minima(rosenbrock(10.0), np.array([[np.inf, 1.0]]))
     assert nowhere.status[0] is Status.solver_failed
 
 
@@ -220,14 +222,7 @@ def test_a_valley_takes_as_few_steps_however_flat(steepness: float, bend: float)
 def test_a_curved_valley_takes_as_few_steps_however_steep(steepness: float) -> None:
     """Rosenbrock's function, with steeper walls: a step along the valley climbs them by far more than it gains, and
     damped ones that do not are as short as the walls are steep."""
-
-    def linearize(x: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residual = np.stack([-steepness * (x[:, 1] - x[:, 0] ** 2), 1.0 - x[:, 0]], axis=1)
-        jacobian = np.zeros((len(x), 2, 2))
-        jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 1, 0] = -2.0 * steepness * x[:, 0], steepness, 1.0
-        return residual, jacobian
-
-    found = minima(linearize, np.array([[-1.2, 1.0]]), rounding=np.array([1e-12]))
+    found = minima(rosenbrock(steepness), np.array([[-1.2, 1.0]]), rounding=np.array([1e-12]))
     assert found.status[0] is Status.converged
     assert found.iterations[0] <= PATIENCE + 5
     np.testing.assert_allclose(found.parameters, 1.0, rtol=1e-9)

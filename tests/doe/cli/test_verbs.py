@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -20,7 +19,6 @@ from click.testing import CliRunner
 
 from doe.cli import main
 from doe.cli.verb import FOLDER, FilePath, WholeNumbers, check_outputs, command, shown_progress, stoppable, stopped_by
-from doe.studies.monte_carlo import StudyFile
 from identification import InputError, Progress
 from identification.document import Answer, Document
 from identification.workflow import Names
@@ -104,9 +102,6 @@ def test_help_formats_and_versions(folder: Folder) -> None:
     shown = folder.armcal("--version")
     assert shown.code == 0
     assert shown.out == f"armcal {version('armcal')}\n"
-    example = formats["text"].partition("## Study file")[2].partition("```toml")[2].partition("```")[0]
-    study = StudyFile.model_validate(tomllib.loads(example))
-    assert (study.replications, [truth.name for truth in study.truths]) == (10_000, ["eccentric"])
 
 
 @pytest.mark.parametrize("name", main.commands)

@@ -22,31 +22,22 @@ from doe.report.page import page
 from identification import Arm, Calibration, Measurements, Model, Plan, design_model
 from identification.document import Document
 from identification.instruments import Distance
-from identification.kinematics.chain import DHRow, Joint, KinematicChain, chain_of
+from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import pose
 from identification.validate import Validation
 from identification.workspace import Body, Cell, LineOfSight
 from tests.doe.report.conftest import Watched
+from tests.doe.six_axis import SIX_AXIS
 
 RANDOM = np.random.default_rng(31)
-TURN = np.pi / 2.0
-ROWS = (
-    (0.0, TURN, 127.3),
-    (-612.0, 0.0, 0.0),
-    (-572.3, 0.0, 0.0),
-    (0.0, TURN, 163.9),
-    (0.0, -TURN, 115.7),
-    (0.0, 0.0, 92.2),
-)
 ELBOW = Body("upper arm", 2, np.array([[0.0, 0.0, 150.0, -612.0, 0.0, 150.0, 60.0]]))
 TABLE = Body("table", 0, boxes=np.array([[0.0, 0.0, -100.0, *np.eye(3).ravel(), 400.0, 400.0, 90.0]]))
-ARM = Arm(
-    replace(chain_of([DHRow(*row) for row in ROWS]), tools={"1": np.array([60.0, 40.0, 100.0])}),
-    sigma=0.05,
+ARM = replace(
+    SIX_AXIS,
     constraints=(LineOfSight((2000.0, 800.0, 600.0), 0.9, (0.0, 0.0, 500.0)),),
     cell=Cell((ELBOW, TABLE), floor=-190.0),
 )
-POSTURES = RANDOM.uniform(-1.2, 1.2, (14, 6)) * [1.0, 0.3, 1.0, 1.0, 1.0, 1.0] - [0.0, TURN, 0.0, 0.0, 0.0, 0.0]
+POSTURES = RANDOM.uniform(-1.2, 1.2, (14, 6)) * [1.0, 0.3, 1.0, 1.0, 1.0, 1.0] - [0.0, np.pi / 2.0, 0.0, 0.0, 0.0, 0.0]
 POSTURES[13, 1] = 0.5  # the upper arm in the table
 
 

@@ -163,8 +163,6 @@ def test_calibrated_arm_computes_what_was_fitted() -> None:
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------
-
-
 def test_bad_arguments() -> None:
     model, measurements = Model(arm()), data(Model(arm()), plan(10))
     with pytest.raises(InputError, match=r"2 m = 6 < p = 8, allowed: m >= 4"):
@@ -186,9 +184,7 @@ def test_bad_arguments() -> None:
         estimate(model, "data.csv")
 
 
-# -- real data -------------------------------------------------------------------------------------------------------
-
-
+# -- without outliers ------------------------------------------------------------------------------------------------
 def test_rows_are_numbered_as_given_and_the_fit_is_that_of_the_others() -> None:
     """Lost beams in rows 3 and 9 and a larger one in row 6 that hides them; oracle: SciPy on the rows without them."""
     model = Model(arm(sigma=0.1))

@@ -11,20 +11,8 @@ from scipy import stats
 from identification import Arm, Measurements, Model, estimate
 from identification.documents.identification import fit_facts
 from identification.estimation.repeats import NoiseFloor, misfit, noise_floor, repeat_finding, with_repeats_doubted
-from identification.gap.fit import Rows, fit
 
 ARM = Arm([300.0, 200.0, 150.0])
-
-
-def test_repeats_tell_ripple_from_noise() -> None:
-    """A ripple that is too fast to be seen is the same at each repeat."""
-    rng, model = np.random.default_rng(5), Model(ARM)
-    q = np.repeat(rng.uniform(-np.pi, np.pi, (12, 3)), 4, axis=0)
-    shared = np.repeat(0.4 * rng.normal(size=(12, 2)), 4, axis=0)
-    for ripple in (0.0, 1.0):
-        data = Measurements(q, model.position(q) + 0.05 * rng.normal(size=(48, 2)) + ripple * shared)
-        fitted = fit(model, Rows.of(data))
-        assert len(repeat_finding(fitted.residuals(data), fitted.rank, data, np.ones(48, dtype=bool))) == ripple
 
 
 def repeated(times: int, blocks: bool = False, seed: int = 1) -> tuple[Measurements, np.ndarray]:

@@ -19,6 +19,7 @@ from identification.kinematics.chain import BASE
 from identification.kinematics.frames import rotation_about
 from identification.validate import validate
 from tests.identification.exponentials import Exponentials, drawing
+from tests.identification.kinematics.test_spatial import printed
 
 LENGTHS = np.array([500.0, 400.0, 200.0])
 ARM = Arm(LENGTHS, lower=np.full(3, -2.5), upper=np.full(3, 2.5))
@@ -101,16 +102,9 @@ ROWS = ((0.0, np.pi / 2.0, 350.0), (-400.0, 0.0, 0.0), (-300.0, np.pi / 2.0, 0.0
 
 
 def points(q: np.ndarray, tool: np.ndarray, rows: Sequence[tuple[float, float, float]] = ROWS) -> np.ndarray:
-    """(m, 3) of a three-axis arm, by 4 x 4 matrices."""
-    found = np.empty((len(q), 3))
-    for row, angles in enumerate(q):
-        pose = np.eye(4)
-        for (a, alpha, d), t in zip(rows, angles, strict=True):
-            ct, st, ca, sa = np.cos(t), np.sin(t), np.cos(alpha), np.sin(alpha)
-            top = [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0.0, sa, ca, d]]
-            pose = pose @ np.array([*top, [0.0, 0.0, 0.0, 1.0]])
-        found[row] = (pose @ [*tool, 1.0])[:3]
-    return found
+    """(m, 3) of an arm of these rows, by 4 x 4 matrices."""
+    table = [DHRow(*row) for row in rows]
+    return np.array([(np.linalg.multi_dot([*map(printed, table, angles)]) @ [*tool, 1.0])[:3] for angles in q])
 
 
 def test_the_drawing_leaves_the_same_in_check_identify_and_validate() -> None:
