@@ -87,7 +87,7 @@ def campaign_document(
     if len(calibrated) > 1:
         why = f"it leaves the smallest error on {' and '.join(fresh)}" if fresh else "it is the last given"
         others = " and ".join(name for name in calibrated if name != model)
-        lines.append(f"Of the calibrations the next steps use {model}: {why}. {others} is shown beside it.")
+        lines.append(f"Of the calibrations the next steps use {model}: {why}. Beside it: {others}.")
     lines += [f"The plan {name} has {count_of(len(plan.measured), 'run')}." for name, plan in plans.items()]
     verdict = lines or [f"{name}: {kind}." for name, kind in kinds.items()]
 
