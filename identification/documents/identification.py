@@ -270,6 +270,8 @@ def validation_actions(data: Data, model: str, rows: str) -> list[Action]:
     """What to do with a model that predicts other measurements, or does not, by the JSON of `validate`."""
     if is_better(data):
         return [correct(model)]
+    if data["refit"] == "none":
+        return [Action("See whether it is only that the arm stands elsewhere:", f"armcal validate {model} {rows}")]
     asked = f"armcal validate {model} {rows} --refit offsets"
     moved = Action("See whether the zeros of the joints have moved, and what refitting them gains:", asked)
     zeros = Action("Find the zeros of the joints again:", f"armcal identify {model} {rows} --only joint_offsets,base")

@@ -73,7 +73,8 @@ def test_what_follows_from_a_validation_and_from_a_fit() -> None:
     refit = "armcal validate m.toml d.csv --refit offsets"
     again = "armcal identify m.toml d.csv --only joint_offsets,base"
     use = "armcal compensate m.toml targets.csv --out commands.csv"
-    for better, how, expected in ((True, "base", [use]), (False, "base", [refit, again]), (False, "offsets", [again])):
+    elsewhere, more = (False, "none", ["armcal validate m.toml d.csv"]), (False, "base", [refit, again])
+    for better, how, expected in ((True, "base", [use]), elsewhere, more, (False, "offsets", [again])):
         data = {"rms_mm": 1.0, "rms_nominal_mm": 2.0 if better else 1.0, "refit": how, "notes": []}
         actions = validation_actions(data, "m.toml", "d.csv")
         assert [action.command for action in actions] == expected
