@@ -74,7 +74,7 @@ def signed_figures(arm: Arm, postures: Array, pairs: Pairs, conditions: Conditio
 def workspace_arrows(arm: Arm, positions: Array, pairs: Pairs) -> Figure:
     """Residual arrows (m, d) of two models, with their names, at positions (m, d), in two columns with a row for each
     projection, on one scale: the largest arrow is an eighth of the reach."""
-    dimension, names = pairs[0][0].shape[1], [each.name for each in arm.chain.instrument.coordinates]
+    dimension, names = pairs[0][0].shape[1], [each.name for each in arm.chain.instrument.coordinates] or arm.chain.axes
     views, unit = [(0, 1)] if dimension < 3 else [(0, 1), (0, 2)], reading_unit(arm)  # in space from the side too
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
     grid = figure.subplots(len(views), 2, sharex=True, sharey="row", squeeze=False)

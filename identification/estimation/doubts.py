@@ -303,7 +303,7 @@ def hardly_determined(fit: Identification) -> list[str]:
     if not (few or far_off):
         return []
     # what more postures do not help against: readings that an arm twice as large would give as well
-    readings, remedy_of_size = arm.chain.instrument.size_is_open
+    readings, remedy_of_size = arm.chain.size_is_open
     open_size = f"; but however many, {readings} fit an arm of any size: {remedy_of_size}" if readings else ""
     far = f"{fit.rms_before:{'.3g' if fit.rms_before < 1000.0 else '.0f'}} mm"
     was = f"; before the fit the arm was {far} off where it was measured" if spare > 0 else ""

@@ -35,7 +35,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import accumulate
+from itertools import accumulate, product
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -182,6 +182,17 @@ class KinematicChain(ByValue):
         if self.angle_scale is not None:
             return 2 * DIMENSION
         return self.dimension if self.instrument.reads_positions else self.instrument.dimension
+
+    @property
+    def size_is_open(self) -> tuple[str, str]:
+        """What is read so of an arm twice as large, and what to do about it (`Instrument`); nothing where a joint that
+        slides across an axis that turns tells the size, as a length that is read."""
+        frame, slides, turns = np.eye(3), list[Array](), list[Array]()
+        for joint in self.joints:
+            frame = frame @ joint.origin[:3, :3]
+            (turns if joint.type == REVOLUTE else slides).append(frame @ joint.axis)
+        across = any(np.linalg.norm(np.cross(*pair)) > 1e-9 for pair in product(slides, turns))
+        return ("", "") if across else self.instrument.size_is_open
 
     @cached_property
     def link_poses(self) -> tuple[Array, ...]:

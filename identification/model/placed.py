@@ -387,7 +387,7 @@ def practical(arm: Arm, measurements: Measurements, least: float = PRACTICAL) ->
     # readings that do not show the size of the arm would all the same, where they do not fit, fit an arm better that is
     # next to nothing: the longest step from joint to joint stays as drawn, and what is kept takes its place
     steps, sessions = dict[str, float](), [measurements.rows(index) for index in measurements.session_rows]
-    for j, joint in enumerate(arm.chain.joints if placed.arm.chain.instrument.size_is_open[0] else (), start=1):
+    for j, joint in enumerate(arm.chain.joints if placed.arm.chain.size_is_open[0] else (), start=1):
         along = np.abs(joint.origin[:3, :3].T @ joint.origin[:3, 3]).tolist()
         steps |= {name: size for name, size in zip(error_names(j), along, strict=False) if name in placed.names}
     longest = [max(steps, key=steps.__getitem__)] if steps else []

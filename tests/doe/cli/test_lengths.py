@@ -136,3 +136,4 @@ def test_the_loop_of_a_socket(folder: Folder) -> None:
     folder.refused("validate extended.toml freshd.csv --refit none", "no calibrated file says where each cup is")
     again = folder.said("validate extended.toml freshd.csv")
     assert again["rms_mm"] < 0.03 < 0.5 < again["rms_nominal_mm"]
+    folder.said("report arm.toml extended.toml freshd.csv --out page.html")

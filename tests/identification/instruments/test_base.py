@@ -63,13 +63,6 @@ def test_bases_of_later_planes(normal: list[float]) -> None:
     assert np.linalg.svd(tilts, compute_uv=False)[-1] > 0.5
 
 
-def test_bases_of_later_centers() -> None:
-    found, hidden = Distance().between(np.eye(4), pose([1.0, 2.0, 3.0]))
-    assert found == {"x": 1.0, "y": 2.0, "z": 3.0, "wx": 0.0, "wy": 0.0, "wz": 0.0}
-    assert hidden == {"wx", "wy", "wz"}
-    assert TRACKER.between(np.eye(4), np.eye(4))[1] == frozenset()
-
-
 TOOL, REACH = np.array([60.0, -40.0, 120.0]), 1500.0  # [mm]
 BASE = pose([500.0, -300.0, 800.0], Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix())  # above the plane
 GENERATOR = np.random.default_rng(0)

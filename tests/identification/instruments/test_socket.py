@@ -15,9 +15,10 @@ import pytest
 
 from identification import Arm, Array, Identification, InputError, Measurements, estimate, spectrum
 from identification.instruments import Socket
+from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
 from identification.model.placed import of_positions, practical, with_sessions
-from tests.identification.exponentials import SEVEN, TABLE, Exponentials, drawing, seated
+from tests.identification.exponentials import HALF, SEVEN, TABLE, Exponentials, drawing, seated
 
 NOISE = 0.05  # [mm] of each coordinate of a seating
 CUPS = {
@@ -99,6 +100,15 @@ def test_without_a_distance_the_size_is_open() -> None:
     # the size apart, distances are as good as with a bar
     lengths = np.array([apart(UNSEEN, a, b) for a, b in combinations(UNSEEN, 2)])
     assert np.std(errors / lengths) * lengths.mean() < 2.0 * NOISE
+
+
+def test_a_slide_across_an_axis_tells_the_size() -> None:
+    """One along all axes does not: a flat arm twice as wide lifts as high."""
+    turn, slide = DHRow(300.0, 0.0, 0.0), DHRow(0.0, 0.0, 0.0, type="prismatic", limits=(0.0, 100.0))
+    across = DHRow(0.0, HALF, 0.0, type="prismatic", limits=(0.0, 100.0))
+    for rows_of, is_open in (((turn, turn, slide), True), ((across, turn, turn), False), ((turn, turn), True)):
+        chain = replace(chain_of(rows_of), instrument=Socket())
+        assert bool(chain.size_is_open[0]) is is_open
 
 
 def test_no_motion_of_arm_and_cups_together_is_a_parameter() -> None:
