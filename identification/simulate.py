@@ -55,7 +55,8 @@ def simulate(
     noisy = [effect for effect in effects if effect.scatter]
     for effect in noisy:  # without values it would be none
         if missing := [p.toml_key for p in effect.parameters if p.short not in effect.fixed]:
-            raise InputError(f"effects: {effect.place}: no value of {', '.join(missing)}, allowed: a number for each")
+            lacks = f"no value of {', '.join(missing)}"
+            raise InputError(f"effects: {effect.spec.key}: {lacks}, allowed: a number for each")
     if "temperature" in model.needs and temperature is None:
         needed = "an effect of the truth needs a temperature per row, none is given"
         raise InputError(f"temperature_C: {needed}, allowed: a plan with it")

@@ -187,8 +187,7 @@ class Effect:
         self, chain: KinematicChain, joint: int | None = None, chosen: Mapping[str, Any] = NOTHING, tagged: bool = False
     ) -> None:
         self.chain, self.joint, self.chosen, self.tagged = chain, joint, dict(chosen), tagged
-        self.place = self.name if joint is None else f"{self.name}:{joint}"
-        self.key = self.label if tagged else self.place  # in reports
+        self.key = self.label if tagged else self.spec.key  # in reports
         self.parameters: tuple[Parameter, ...] = self.define()
 
     def define(self) -> tuple[Parameter, ...]:
@@ -210,7 +209,7 @@ class Effect:
     def label(self) -> str:
         """Unique name from name, joint and settings: `transmission_ripple:2[k=6]`."""
         settings = ";".join(f"{name}={value:g}" for name, value in self.chosen.items())
-        return self.place + (f"[{settings}]" if settings else "")
+        return self.spec.key + (f"[{settings}]" if settings else "")
 
     @property
     def joint_index(self) -> int:

@@ -78,7 +78,7 @@ class Block:
     @property
     def key(self) -> str:
         """`name` or `name:joint` of an effect, without the scanned setting; else its place."""
-        return self.place if self.effect is None else self.effect.place
+        return self.place if self.effect is None else self.effect.spec.key
 
     # whether it is an effect of the library, that can be named, or something outside the library, at a place
     listed = cached_property(lambda self: self.effect is not None and not self.effect.unlisted)

@@ -76,26 +76,23 @@ def library_prior(
     left_out = {key: why for key, why in every.skipped.items() if names is None or key.partition(":")[0] in names}
     with_curve = {spec.joint for spec in arm.effects if spec.curve is not None}
     effects = [b.effect for b in every.members if b.effect]
-    settings = Counter(effect.place for effect in effects)
+    settings = Counter(effect.spec.key for effect in effects)
     whole = {effect.name for effect in effects if effect.joint is None}  # then not at single joints besides
     added, deviations, faster = list[EffectSpec](), list[float](), np.zeros(arm.links)
-    for effect in effects:
+    for effect, key in ((effect, effect.spec.key) for effect in effects):
         wanted = effect.prior == 1.0 if names is None else effect.name in names  # the rare ones only by name
         if not wanted or (effect.joint is not None and effect.name in whole):
             continue
         if missing := sorted((effect.needs - conditions) & {"time", "directions", "past", "temperature"}):
-            left_out[effect.place] = f"needs {', '.join(missing)}"
+            left_out[key] = f"needs {', '.join(missing)}"
         elif any(p.typical is None for p in effect.parameters):
-            left_out[effect.place] = "no typical size"
+            left_out[key] = "no typical size"
         elif effect.joint in with_curve and slope_by_angle(effect, (effect.joint or 0) - 1, every.base):
-            left_out[effect.place] = "its joint has an error curve"
+            left_out[key] = "its joint has an error curve"
         else:
             wave = effect.chosen[RIPPLE_ORDER] if effect.name == RIPPLE else 0.0
             # [rad] of an error curve's wave once per turn, as `a` and `b`: a typical compliance under 100 N m
-            curve, share = (
-                1e-3 / wave if wave and names is None else 0.0,
-                np.sqrt(effect.prior / settings[effect.place]),
-            )
+            curve, share = 1e-3 / wave if wave and names is None else 0.0, np.sqrt(effect.prior / settings[key])
             each = [float(np.hypot((p.typical or 0.0) * share, curve)) for p in effect.parameters]
             if wave > fastest:
                 faster[effect.joint_index] += each[0] ** 2
@@ -110,7 +107,7 @@ def library_prior(
         values = {renamed.get(name, name): value for name, value in arm.calibration.values.items()}
         calibration = replace(arm.calibration, values=values, parameter_names=(), covariance=None)
         wide = replace(wide, calibration=calibration)
-    parameters = [p.name for effect in Model(wide).effects[-len(added) :] for p in effect.parameters]
+    parameters = [p.name for effect in Model(wide).effects[len(every.base.effects) :] for p in effect.parameters]
     # a posture's own error, in one coordinate; calibrated robots keep 1e-4 of the reach in three coordinates
     own_error = 6e-5 * arm.reach if names is None else 0.0
     sizes = dict(zip(parameters, deviations, strict=True))

@@ -57,6 +57,9 @@ def test_joints_have_error_curves_beside_ripples() -> None:
     assert ripples(dict(slow.prior.deviations), 2) == {k: size for k, size in sizes.items() if k <= 24}
     assert slow.faster == pytest.approx([sum(size**2 for k, size in sizes.items() if k > 24)] * 2)
     assert not library.faster.any()
+    arm = replace(ARM, effects=(EffectSpec("base_offset"),))
+    alone = library_prior(arm, names=["transmission_ripple"], fastest=2.0)
+    assert (alone.added, dict(alone.prior.deviations)) == ((), {})  # the arm's own effect is none of them
 
 
 def test_what_the_rows_cannot_show_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
