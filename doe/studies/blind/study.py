@@ -125,7 +125,7 @@ def examine(key: dict[str, Any], _: np.random.SeedSequence) -> list[Row]:
             "verdict": verdict,
             "named": sorted(named.keys),
             "candidates": [" + ".join(sorted(candidate.keys)) for candidate in diagnosis.candidates],
-            "probability": diagnosis.probability[verdict] if verdict in ("none", "unknown") else chances.of(named.keys),
+            "probability": chances.of(None if verdict == "unknown" else named.keys),
             "credible_set": ["unknown" if names is None else " + ".join(names) or "none" for names in chances.credible],
             "where": diagnosis.where,
             "outlier_rows": list(diagnosis.outlier_rows),
