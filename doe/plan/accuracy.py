@@ -335,4 +335,4 @@ class ExpectedTip:
         if self.plan < 0.95 * self.median:  # differences below change with the arm
             return f"{where}: {beside}"
         instead = "" if self.fit else " armcal design --robust chooses postures for that."
-        return f"{where}: {beside} In this the plan is no better than postures chosen at random.{instead}"
+        return f"{where}: {beside} In this the plan is hardly better than random postures, if at all.{instead}"
