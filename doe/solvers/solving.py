@@ -182,7 +182,7 @@ def solve(
         else:
             many = listed_candidates(problem, problem.choices)
         aliases = replace(design, plan=Plan(many)).not_identifiable
-        if aliases and problem.choices is not None:
+        if aliases and problem.choices is not None and not problem.sampled:
             raise JobError(f"design: the {len(many)} candidates cannot identify all {p} parameters, whatever the plan")
         reason = f"design: no plan that identifies all {p} parameters was found by {design.solver}"
         reason += f"; {NEUTRAL}: {'; '.join(aliases)}" if aliases else ""

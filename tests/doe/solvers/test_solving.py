@@ -13,6 +13,7 @@ import pytest
 from doe import DesignProblem, score_plan
 from doe.bounds.certificate import Bound
 from doe.criteria import A, Criterion, Ds, DStar, E, I
+from doe.plan.accuracy import with_choices
 from doe.solvers import Offer, Random, solve
 from doe.solvers.solving import AGREEMENT, SOLVERS, available_solvers
 from identification import Arm, DHRow, EffectSpec, InputError, JobError, Progress, Status, chain_of
@@ -174,9 +175,10 @@ def test_candidates_that_cannot_identify_are_no_plan() -> None:
 @pytest.mark.filterwarnings("ignore:tool. the measured point is not known")
 def test_a_scara_whose_height_no_posture_tells_is_asked_for_its_tool() -> None:
     table = [DHRow(325.0, 0.0, 400.0), DHRow(275.0, np.pi, 0.0), DHRow(0.0, 0.0, 20.0), DHRow(0.0, 0.0, 30.0)]
-    scara = Arm(chain_of(table), sigma=0.02)
-    with pytest.raises(JobError, match=r"base.z - tool\[1\].z; add \[tool\] or \[base\] to the arm file"):
-        solve(DesignProblem.of(scara), 16, "random")
+    scara = DesignProblem.of(Arm(chain_of(table), sigma=0.02))
+    for case, solver in ((scara, "random"), (with_choices(scara), "exchange")):
+        with pytest.raises(JobError, match=r"base.z - tool\[1\].z; add \[tool\] or \[base\] to the arm file"):
+            solve(case, 16, solver, seconds=0.1)
 
 
 # -- solvers by name ---------------------------------------------------------------------------------------------------
