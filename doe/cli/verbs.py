@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -74,14 +75,8 @@ def design_problem(
         if value is not None and name in NAMES and name != needed:
             raise InputError(f"{option}: criterion {name} does not use it, allowed: with criterion {needed}")
     model, restrictions = design_model(arm), dict[str, Any]()
-    if keep is not None:  # measurements, or a plan carried out
-        measured = Plan.load(keep, arm.joint_types, carried_out=True)
-        names = measured.cells.get(arm.chain.point_column)
-        most = names and max(set(names), key=names.count)  # a run reads all reflectors: it counts with one of them
-        rows = [row for row in range(len(measured)) if not names or names[row] == most]
-        restrictions["kept"] = measured.postures[rows]
-        if arm.sigma is not None and (sigma := measured.conditions["sigma"]) is not None:
-            restrictions["kept_excess"] = sigma[rows] ** 2 - arm.sigma**2
+    if keep is not None:
+        restrictions["kept"], restrictions["kept_excess"] = measured_already(keep, arm)
     if candidates is not None:
         choices = restrictions["choices"] = Plan.load(candidates, arm.joint_types).postures
         tell_of_candidates(candidates, doe.DesignProblem.of(model, choices=choices), choices)
@@ -110,6 +105,32 @@ def design_problem(
         )
         problem = replace(problem, criterion=chosen)
     return problem
+
+
+def measured_already(path: Path, arm: Arm) -> tuple[Any, Any]:
+    """`kept` and `kept_excess` of a problem: of measurements at each posture as many runs as a point was read there,
+    each with the points that were; of a plan carried out all. Raises `InputError` for points that the arm lacks."""
+    import numpy as np
+
+    from identification import Plan
+
+    measured, points = Plan.load(path, arm.joint_types, carried_out=True), [*arm.chain.tools]
+    names, sigma = measured.cells.get(arm.chain.point_column), measured.conditions["sigma"]
+    excess = np.zeros(len(measured)) if arm.sigma is None or sigma is None else sigma**2 - arm.sigma**2
+    if not names:  # a run reads all points
+        return measured.postures, excess
+    if len(points) == 1:  # whatever the file calls it
+        points = [max(set(names), key=names.count)]
+    postures, places = np.unique(measured.postures.round(9), axis=0, return_inverse=True)
+    runs, read = dict[tuple[int, int], Any](), Counter[tuple[int, str]]()
+    for place, name, more in zip(places.reshape(-1).tolist(), names, excess, strict=True):
+        if name in points:
+            run = runs.setdefault((place, read[place, name]), np.full(len(points), np.inf))
+            run[points.index(name)] = more
+            read[place, name] += 1
+        elif len(points) > 1:
+            raise InputError.unknown(f"{path}: {arm.chain.point_column}: unknown name", name, points)
+    return postures[[place for place, _ in runs]], np.repeat([*runs.values()], arm.chain.coordinates, axis=1)
 
 
 def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> None:

@@ -81,7 +81,8 @@ class DesignProblem:
     lower, upper : (n,) joint limits [rad], of prismatic joints [mm]; None: the model's
     constraints : what a posture must satisfy besides the limits, see `doe.problem.constraints`
     kept : (k, n) postures already measured, which count in the information (`prior`); None: none
-    kept_excess : [mm^2] of them all or of each, (k,), by how much their variance exceeds that of the new runs
+    kept_excess : [mm^2] of them all, of each, (k,), or of each coordinate, (k, d), by how much their variance exceeds
+        that of the new runs; inf: it was not read
     choices : (N, n) postures to choose from, None: anything within limits and constraints
     sampled : True if the choices are a random sample that a search makes do with: bounds are then over all postures
     minimum_distance : [rad] two postures of a plan differ by this in some joint at least, in `joint_units`; 0: repeats
@@ -230,7 +231,8 @@ class DesignProblem:
     def kept_jacobians(self) -> Array:
         """(k, d, p) B of the postures measured already, in units of the noise of a new run."""
         excess = np.asarray(self.kept_excess) / (self.model.sigma or 1.0) ** 2
-        return np.asarray(self.scaled_jacobians(self.kept) / np.sqrt(1.0 + excess)[..., None, None])
+        of_each = excess if excess.ndim == 2 else excess[..., None]
+        return np.asarray(self.scaled_jacobians(self.kept) / np.sqrt(1.0 + of_each)[..., None])
 
     @cached_property
     def precisions(self) -> Array:

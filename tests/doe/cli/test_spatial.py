@@ -118,10 +118,30 @@ def test_from_urdf_and_tracker_to_a_corrected_urdf(spatial: Folder) -> None:
         np.testing.assert_allclose(pose(place, turn) @ motion, joint.origin, atol=1e-9)
 
 
-def test_a_kept_run_counts_once_however_many_reflectors_were_read(spatial: Folder) -> None:
+def test_a_kept_run_counts_once_with_the_reflectors_that_were_read(spatial: Folder) -> None:
+    """Of a plan all; of measurements by generalized least squares of their rows, one of four of which is missing."""
     drawn = "design truth.toml --runs 3 --solver random --seconds 0.01 --keep"  # without a tight bound
-    plan, data = (spatial.said(f"{drawn} {name}.csv")["std"]["parameters"] for name in ("plan", "data"))
-    assert data == {name: [pytest.approx(std, rel=1e-6), unit] for name, (std, unit) in plan.items()}
+    head, *lines = spatial.read("data.csv").splitlines()
+    spatial.write("some.csv", "\n".join([head, *(line for k, line in enumerate(lines) if k % 4 != 1)]))
+    plan, data, some = (spatial.said(f"{drawn} {name}.csv") for name in ("plan", "data", "some"))
+    expected = plan["std"]["parameters"].items()
+    assert data["std"]["parameters"] == {name: [pytest.approx(std, rel=1e-6), unit] for name, (std, unit) in expected}
+    arm = load_arm(spatial.path / "truth.toml")
+    problem, rows = DesignProblem.of(arm), load_measurements(spatial.path / "some.csv", arm)
+    scales = problem.model.parameters.scales
+    new = np.array(some["postures"])
+    new[:, 1:] = np.radians(new[:, 1:])
+    read = Model(arm).jacobian(rows.postures, None, rows.conditions) / scales
+    known = [
+        np.diag(problem.precisions),
+        *(np.einsum("kdp,kdq->pq", j, j) for j in (read, problem.scaled_jacobians(new))),
+    ]
+    deviations = 0.02 * np.sqrt(np.diag(np.linalg.inv(sum(known)))) / scales
+    for parameter, deviation in zip(problem.model.parameters, deviations, strict=True):
+        std, _ = some["std"]["parameters"][parameter.name]
+        assert std == pytest.approx(deviation * parameter.to_file, rel=1e-6)
+    spatial.write("other.csv", spatial.read("data.csv").replace(",top\n", ",bottom\n"))
+    spatial.refused(f"{drawn} other.csv", "bottom")
 
 
 def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:
