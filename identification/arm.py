@@ -102,7 +102,10 @@ class ErrorCurve(ByValue):
         at_nodes = (padded[:-2] + 4.0 * padded[1:-1] + padded[2:]) / 6.0
         return cls(start, stop, np.radians(np.round(np.degrees(at_nodes), 7)), geometry)
 
-    spacing = property(lambda self: (self.stop - self.start) / (len(self.values) - 1))  # from node to node [rad]
+    @property
+    def spacing(self) -> float:
+        """Angle from node to node [rad]."""
+        return (self.stop - self.start) / (len(self.values) - 1)
 
     @cached_property
     def coefficients(self) -> Array:
@@ -297,7 +300,11 @@ class Arm(ByValue):
         for field_name, value in ({"chain": chain, "gear_ratios": ratios, "counting": counting} | limits).items():
             object.__setattr__(self, field_name, value)
 
-    links = property(lambda self: len(self.chain))  # n, the number of links (and joints)
+    @cached_property
+    def links(self) -> int:
+        """n, the number of links (and joints)."""
+        return len(self.chain)
+
     lengths = property(attrgetter("chain.lengths"))  # (n,) nominal lengths [mm] of the links
     dimension = property(attrgetter("chain.dimension"))  # d, coordinates of a position: 2 in the plane, 3 in space
     reach = property(attrgetter("chain.reach"))  # length of the stretched nominal arm [mm]

@@ -211,7 +211,10 @@ class Problem:
         """The problem of some of the data sets."""
         return replace(self, positions=self.positions[index])
 
-    root_weights = cached_property(lambda self: np.sqrt(self.weights)[:, None])  # (m, 1) square roots of the weights
+    @cached_property
+    def root_weights(self) -> Array:
+        """(m, 1) square roots of the weights."""
+        return np.sqrt(self.weights)[:, None]
 
     @property
     def equations(self) -> int:

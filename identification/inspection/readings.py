@@ -14,6 +14,7 @@ from itertools import accumulate, combinations, pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.arm import Arm, Calibration
 from identification.arrays import Array
@@ -58,7 +59,10 @@ class Reading:
     base: Array | None = field(default=None, compare=False)
     rms: float = field(default=np.inf, compare=False)
 
-    matrix = property(lambda self: np.array(self.sums or np.eye(len(self.order)), dtype=np.int64))  # (n, n) `sums`
+    @property
+    def matrix(self) -> NDArray[np.int64]:
+        """(n, n) `sums`."""
+        return np.array(self.sums or np.eye(len(self.order)), dtype=np.int64)
 
     @property
     def changes(self) -> int:
@@ -73,7 +77,10 @@ class Reading:
         """Nothing but zeros of joints that are off by no whole quarter turns: a fit takes them for what they are."""
         return self.changes == np.count_nonzero(self.quarters) and any(k % 1.0 for k in self.quarters)
 
-    other_units = property(lambda self: (self.turned, self.scaled) != (1.0, 1.0))  # angles or lengths are in others
+    @property
+    def other_units(self) -> bool:
+        """Angles or lengths are in others."""
+        return (self.turned, self.scaled) != (1.0, 1.0)
 
     @property
     def zeros(self) -> tuple[float, ...]:

@@ -276,7 +276,9 @@ class AtTargets(Instrument):
             for axis, start in zip(self.axes, place, strict=True)
         )
 
-    targets = property(lambda self: {name: np.array(place) for name, place in self.at})
+    @property
+    def targets(self) -> dict[str, Array]:
+        return {name: np.array(place) for name, place in self.at}
 
     def of_row(self, each: Sequence[ca.SX], target: ca.SX, otherwise: ca.SX) -> ca.SX:
         """What belongs to the target of this number, of one for each target."""

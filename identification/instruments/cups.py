@@ -47,7 +47,9 @@ class Socket(AtTargets):
 
     distances: tuple[tuple[str, str, float], ...] = ()
 
-    dimension = property(lambda self: len(AXES))
+    @property
+    def dimension(self) -> int:
+        return len(AXES)
 
     def reading(self, point: ca.SX, values: ca.SX, target: ca.SX) -> ca.SX:
         """From the cup of this number; where there is none from the nearest."""

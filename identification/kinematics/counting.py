@@ -89,7 +89,10 @@ class Counting:
                 parents[j, abs(other) - 1] = np.sign(other)
         return np.array(self.sign)[:, None] * np.round(np.linalg.inv(np.eye(n) - parents))
 
-    inverse = cached_property(lambda self: np.round(np.linalg.inv(self.matrix)))  # (n, n) of q = inverse (c - zero)
+    @cached_property
+    def inverse(self) -> Array:
+        """(n, n) of q = inverse (c - zero)."""
+        return np.round(np.linalg.inv(self.matrix))
 
     # joints (from 0) in whose column the angle of another is
     coupled = property(lambda self: tuple(j for j, other in enumerate(self.coupled_to) if other))

@@ -93,7 +93,11 @@ def _column(field: str) -> cached_property[Array]:
 class ParameterSet(tuple[Parameter, ...]):
     """An immutable sequence of p parameters, in the order of every vector and matrix of them."""
 
-    names = cached_property(lambda self: tuple(p.name for p in self))  # (p)
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """(p) names."""
+        return tuple(p.name for p in self)
+
     units = property(lambda self: tuple(p.unit for p in self))  # (p) of the API
     scales = _column("scale")  # length per unit [mm/unit]
     lower, upper = _column("lower"), _column("upper")  # physical bounds

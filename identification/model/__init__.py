@@ -124,7 +124,9 @@ class Model:
         """Name -> best known value of every parameter, estimated or known."""
         return self.parameters.mapping(self.values) | dict(self.fixed)
 
-    _calibrated = property(lambda self: {} if self.arm.calibration is None else dict(self.arm.calibration.values))
+    @property
+    def _calibrated(self) -> dict[str, float]:
+        return {} if self.arm.calibration is None else dict(self.arm.calibration.values)
 
     @property
     def needs(self) -> frozenset[str]:
@@ -201,7 +203,9 @@ class Model:
         """CasADi (q, c, p) -> position (d) [mm]."""
         return self._function([self.symbols[3]])
 
-    _position = cached_property(lambda self: vectorize(self.position_function))
+    @cached_property
+    def _position(self) -> Evaluate:
+        return vectorize(self.position_function)
 
     @cached_property
     def _jacobian(self) -> Evaluate:
