@@ -111,7 +111,10 @@ class Library:
     skipped: Mapping[str, str]
     aliases: Mapping[str, str]
 
-    base = cached_property(lambda self: self.model(()))  # model of the arm without further effects
+    @cached_property
+    def base(self) -> Model:
+        """Model of the arm without further effects."""
+        return self.model(())
 
     def model(self, chosen: Sequence[Block]) -> Model:
         """Model of the arm with these effects."""
@@ -364,8 +367,10 @@ class Linearized:
         response = self.response[:, self.products.columns_of(kept)]
         return Linearized(blocks, self.products.of_blocks(kept), roots, response, self.base, self.normal, columns)
 
-    # label of each block -> its number
-    numbers = cached_property(lambda self: {block.label: k for k, block in enumerate(self.blocks)})
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Label of each block -> its number."""
+        return {block.label: k for k, block in enumerate(self.blocks)}
 
 
 def linearized(library: Library, at: Fitted, wrong: Sequence[int] = (), outside: bool = True) -> Linearized:

@@ -82,7 +82,10 @@ class Probabilities:
         pairs = ((names, p) for names, p in self.explanations.items() if names)
         return dict(sorted(pairs, key=lambda pair: (round(pair[1], 9), pair[0]), reverse=True))
 
-    best = property(lambda self: next(iter(self.sets), ()))  # the likeliest set of effects, empty without any
+    @property
+    def best(self) -> Names:
+        """The likeliest set of effects, empty without any."""
+        return next(iter(self.sets), ())
 
     @property
     def verdict(self) -> str:

@@ -68,8 +68,15 @@ class TrueArm:
         others = {"gravity": np.array([0.0, -G, 0.0]), "dimension": 2, "load": np.zeros(3), **others}
         return cls(table, np.tile(UPRIGHT, (n, 1)), along[:-1], offsets, np.eye(4), tip, **others)
 
-    in_plane = property(lambda self: self.dimension < 3)  # whether x and y of the tip alone are measured
-    n = property(lambda self: len(self.table))  # number of joints
+    @property
+    def in_plane(self) -> bool:
+        """Whether x and y of the tip alone are measured."""
+        return self.dimension < 3
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.table)
 
     @cached_property
     def home(self) -> Array:
@@ -91,8 +98,10 @@ class TrueArm:
             return np.diff(np.vstack([self.points, self.at_home(self.tools[0])]), axis=0)
         return np.diff(self.home[:, :3, 3], axis=0)
 
-    # (n,) of the links as drawn
-    lengths = cached_property(lambda self: np.linalg.norm(np.diff(self.home[:, :3, 3], axis=0), axis=1))
+    @cached_property
+    def lengths(self) -> Array:
+        """(n,) of the links as drawn."""
+        return np.linalg.norm(np.diff(self.home[:, :3, 3], axis=0), axis=1)
 
 
 @dataclass(frozen=True)
