@@ -206,11 +206,25 @@ class Curve:
     table: ErrorCurve
     std: Array
 
-    # (a,) every half node, and the values of the function there [rad]
-    angles = property(lambda self: np.linspace(self.table.start, self.table.stop, len(self.std)))
-    error = property(lambda self: self.table.at(self.angles))
-    spec = property(lambda self: EffectSpec("joint_error_curve", self.joint, curve=self.table))  # of an arm file
-    described = cached_property(lambda self: shape_and_waves(self.angles, self.error, self.std))
+    @property
+    def angles(self) -> Array:
+        """(a,) every half node [rad]."""
+        return np.linspace(self.table.start, self.table.stop, len(self.std))
+
+    @property
+    def error(self) -> Array:
+        """(a,) values of the function [rad]."""
+        return self.table.at(self.angles)
+
+    @property
+    def spec(self) -> EffectSpec:
+        """The effect as an entry of an arm file."""
+        return EffectSpec("joint_error_curve", self.joint, curve=self.table)
+
+    @cached_property
+    def described(self) -> tuple[str, list[dict[str, Any]]]:
+        """Description of its shape, and the waves that it consists of, strongest first."""
+        return shape_and_waves(self.angles, self.error, self.std)
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `curves` (identification/files/README.md, "JSON keys"): at every half node the correction that,

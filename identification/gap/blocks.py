@@ -80,10 +80,20 @@ class Block:
         """`name` or `name:joint` of an effect, without the scanned setting; else its place."""
         return self.place if self.effect is None else self.effect.spec.key
 
-    # whether it is an effect of the library, that can be named, or something outside the library, at a place
-    listed = cached_property(lambda self: self.effect is not None and not self.effect.unlisted)
-    outside = cached_property(lambda self: not self.listed and self.row is None)
-    size = cached_property(lambda self: 0 if self.effect is None else len(self.effect.parameters))  # its parameters
+    @cached_property
+    def listed(self) -> bool:
+        """Whether it is an effect of the library that can be named."""
+        return self.effect is not None and not self.effect.unlisted
+
+    @cached_property
+    def outside(self) -> bool:
+        """Whether it is something outside the library, at a place."""
+        return not self.listed and self.row is None
+
+    @cached_property
+    def size(self) -> int:
+        """Number of parameters of an effect."""
+        return 0 if self.effect is None else len(self.effect.parameters)
 
     @cached_property
     def bounded(self) -> bool:

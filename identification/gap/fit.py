@@ -79,9 +79,20 @@ class Rows:
             spread=None if self.spread is None else self.spread[index],
         )
 
-    dimension = property(lambda self: self.positions.shape[1])  # d, coordinates per row
-    sequence = property(lambda self: np.argsort(self.order, kind="stable"))  # (m,) rows in the order of measurement
-    _inverse = cached_property(lambda self: np.linalg.inv(self.spread))  # (m, d, d), where there is a spread
+    @property
+    def dimension(self) -> int:
+        """d, coordinates per row."""
+        return int(self.positions.shape[1])
+
+    @property
+    def sequence(self) -> NDArray[np.int64]:
+        """(m,) row numbers in the order of measurement."""
+        return np.argsort(self.order, kind="stable")
+
+    @cached_property
+    def _inverse(self) -> Array:
+        """(m, d, d) inverse of `spread`."""
+        return np.asarray(np.linalg.inv(np.eye(self.dimension) if self.spread is None else self.spread))
 
     @property
     def log_determinant(self) -> float:
@@ -130,7 +141,10 @@ class Fitted:
         """The same model at other rows, or with another noise."""
         return Fitted(self.model, self.values, rows)
 
-    by_name = property(lambda self: self.model.parameters.mapping(self.values))  # parameter name -> value
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Parameter name -> value."""
+        return self.model.parameters.mapping(self.values)
 
     @cached_property
     def linearized(self) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
@@ -27,7 +26,7 @@ from identification.estimation.uncertainty import LEVEL_95 as LEVEL
 from identification.estimation.uncertainty import Uncertainty, WhiteRows, freedom_kept, limits_95, uncertainty
 from identification.gap.average import Curve
 from identification.gap.confirmation import Confirmation, Gap
-from identification.gap.detectability import Detectability
+from identification.gap.detectability import Detectability, Size
 from identification.gap.fit import Fitted
 from identification.gap.search import CREDIBLE, MOST, NEGLIGIBLE, Posterior
 from identification.information import spectrum
@@ -193,9 +192,15 @@ class Candidate:
             sure,
         )
 
-    # all effects with their settings: `axes_skew + transmission_ripple:2[k=18]`; each without: `transmission_ripple:2`
-    title = property(lambda self: " + ".join(self.effects))
-    keys = property(lambda self: tuple(spec.key for spec in self.specs))
+    @property
+    def title(self) -> str:
+        """All effects with their settings: `axes_skew + transmission_ripple:2[k=18]`."""
+        return " + ".join(self.effects)
+
+    @property
+    def keys(self) -> Names:
+        """Names and joints without settings: `transmission_ripple:2`."""
+        return tuple(spec.key for spec in self.specs)
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
@@ -269,13 +274,30 @@ class Diagnosis(Documented):
     unexplained_rows: tuple[int, ...] = ()
     offered: Mapping[str, Any] | None = None
 
-    verdict = property(attrgetter("probabilities.verdict"))
-    # place of an unknown effect
-    where = property(lambda self: self.probabilities.place if self.verdict == "unknown" else None)
-    effects = property(attrgetter("named.effects"))  # labels of the best set; empty if nothing is named
-    # effect -> smallest size that these data would have shown with 90 % power
-    excluded = property(attrgetter("detectability.detectable"))
-    sentence = property(lambda self: self.to_json()["sentence"])  # the verdict in one line
+    @property
+    def verdict(self) -> str:
+        """That of the probabilities."""
+        return self.probabilities.verdict
+
+    @property
+    def where(self) -> str | None:
+        """Place of an unknown effect."""
+        return self.probabilities.place if self.verdict == "unknown" else None
+
+    @property
+    def effects(self) -> Names:
+        """Labels of the best set; empty if nothing is named."""
+        return self.named.effects
+
+    @property
+    def excluded(self) -> Mapping[str, Size]:
+        """Effect -> smallest size that these data would have shown with 90 % power."""
+        return self.detectability.detectable
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line."""
+        return str(self.to_json()["sentence"])
 
     @property
     def probability(self) -> dict[str, float]:

@@ -244,8 +244,15 @@ class Explanation:
     noise: int
     probability: float
 
-    effects = cached_property(lambda self: tuple(b for b in self.blocks if b.listed))  # of the library
-    outside = cached_property(lambda self: tuple(b for b in self.blocks if b.outside))  # outside the library
+    @cached_property
+    def effects(self) -> tuple[Block, ...]:
+        """Its effects of the library."""
+        return tuple(b for b in self.blocks if b.listed)
+
+    @cached_property
+    def outside(self) -> tuple[Block, ...]:
+        """Its blocks outside the library."""
+        return tuple(b for b in self.blocks if b.outside)
 
     @cached_property
     def named(self) -> tuple[str, ...] | None:
@@ -268,7 +275,10 @@ class Posterior:
     library: Library
     at: Fitted
 
-    best = property(lambda self: self.explanations[0])
+    @property
+    def best(self) -> Explanation:
+        """The likeliest."""
+        return self.explanations[0]
 
     @cached_property
     def shares(self) -> Array:
