@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -214,8 +213,15 @@ class Calibration(ByValue):
         values = parameters.chain_parameters(np.ones(len(errors))).mapping(np.r_[errors, offsets]) | dict(effects)
         return cls(values, parameter_names, covariance, provenance)
 
-    length_errors = property(lambda self: parameters.by_joint(self.values, LENGTH_ERROR))  # (n,) [mm]
-    joint_offsets = property(lambda self: parameters.by_joint(self.values, JOINT_OFFSET))  # (n,) [rad]
+    @property
+    def length_errors(self) -> Array:
+        """(n,) [mm]."""
+        return parameters.by_joint(self.values, LENGTH_ERROR)
+
+    @property
+    def joint_offsets(self) -> Array:
+        """(n,) [rad]."""
+        return parameters.by_joint(self.values, JOINT_OFFSET)
 
     @property
     def scatter(self) -> float | None:
@@ -305,9 +311,15 @@ class Arm(ByValue):
         """n, the number of links (and joints)."""
         return len(self.chain)
 
-    lengths = property(attrgetter("chain.lengths"))  # (n,) nominal lengths [mm] of the links
-    dimension = property(attrgetter("chain.dimension"))  # d, coordinates of a position: 2 in the plane, 3 in space
-    reach = property(attrgetter("chain.reach"))  # length of the stretched nominal arm [mm]
+    @property
+    def lengths(self) -> Array:
+        """(n,) nominal lengths [mm] of the links."""
+        return self.chain.lengths
+
+    @property
+    def dimension(self) -> int:
+        """d, coordinates of a measured position: 2 in the plane, 3 in space."""
+        return self.chain.dimension
 
     @property
     def joint_types(self) -> JointKinds:
@@ -330,6 +342,11 @@ class Arm(ByValue):
     def payload(self) -> float:
         """[kg] at the tip, 0 where nothing is said of it."""
         return 0.0 if self.gravity is None else self.gravity.payload
+
+    @property
+    def reach(self) -> float:
+        """Length of the stretched nominal arm [mm]."""
+        return self.chain.reach
 
     def with_effects(self, *effects: EffectSpec) -> Arm:
         """The same arm with these effects instead of its own."""

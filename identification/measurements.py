@@ -286,8 +286,15 @@ class Measurements(ByValue):
     def __len__(self) -> int:
         return len(self.postures)
 
-    links = property(lambda self: int(self.postures.shape[1]))  # n, the number of joints measured
-    dimension = property(lambda self: int(self.positions.shape[1]))  # d, coordinates measured of each position
+    @property
+    def links(self) -> int:
+        """n, the number of joints measured."""
+        return int(self.postures.shape[1])
+
+    @property
+    def dimension(self) -> int:
+        """d, the number of coordinates measured of each position."""
+        return int(self.positions.shape[1])
 
     @property
     def optional_columns(self) -> frozenset[str]:

@@ -253,6 +253,8 @@ def simulate_files(arm: Path, plan: Path, *, truth: Path, out: Written, force: b
     from identification.simulate import simulate
 
     loaded, true_arm = load_arm(arm), load_arm(truth)
+    if true_arm.links != loaded.links:
+        raise InputError(f"{truth}: {true_arm.links} links, allowed: {loaded.links} as in {arm}")
     if true_arm.dimension < loaded.dimension or true_arm.joint_types != loaded.joint_types:
         kinds = [f"{a.chain.kind}, {', '.join(a.joint_types)}" for a in (true_arm, loaded)]
         raise InputError(f"{truth}: found an arm that is {kinds[0]}, allowed: {kinds[1]} as in {arm}")

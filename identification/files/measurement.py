@@ -287,7 +287,10 @@ class Plan(ByValue):
     def __len__(self) -> int:
         return len(self.postures)
 
-    links = property(lambda self: int(self.postures.shape[1]))  # n, the number of joints
+    @property
+    def links(self) -> int:
+        """n, the number of joints."""
+        return int(self.postures.shape[1])
 
     @property
     def measured(self) -> Plan:
