@@ -156,7 +156,10 @@ class Fitted:
         """(m, d, n) of the joints [mm/rad]."""
         return self.model.joint_levers(self.rows.postures, self.values, self.rows.conditions)
 
-    errors = property(lambda self: self.rows.positions - self.linearized[0])  # (m, d) measured less computed [mm]
+    @property
+    def errors(self) -> Array:
+        """(m, d) measured less computed positions [mm], not whitened."""
+        return self.rows.positions - self.linearized[0]
 
     def columns_of(self, *effects: Effect) -> Index:
         """Numbers of the parameters of these effects among those that are fitted."""
@@ -171,14 +174,21 @@ class Fitted:
 
     # -- of a least-squares fit to the rows ------------------------------------------------------------------------
     residual = cached_property(lambda self: self.rows.whiten(self.errors))  # (N,) whitened
-    jacobian = cached_property(lambda self: self.rows.whiten(self.linearized[1]))  # (N, p) of the whitened positions
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """(N, p) derivative of the whitened positions with respect to the parameters."""
+        return self.rows.whiten(self.linearized[1])
 
     @cached_property
     def rank(self) -> int:
         """Number of parameter combinations that the data determine."""
         return int(column_space(self.jacobian, self.model.scales)[0].shape[1])
 
-    freedom = cached_property(lambda self: len(self.residual) - self.rank)  # residual degrees of freedom
+    @cached_property
+    def freedom(self) -> int:
+        """Residual degrees of freedom; parameter combinations that the data do not determine cost none."""
+        return len(self.residual) - self.rank
 
     @cached_property
     def sigma(self) -> float:
