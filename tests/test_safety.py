@@ -16,7 +16,7 @@ from doe.studies.monte_carlo import Study
 from identification import InputError, load_arm
 from identification.document import Document, Section, Sheet
 from identification.files.first_files import urdf_files
-from identification.files.urdf import parse_urdf
+from identification.files.urdf import read_urdf
 from tests.test_house import ROOT, modules
 
 # module -> what it may use, and why
@@ -84,7 +84,7 @@ LAUGHS = '<!ENTITY a0 "ha">' + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' 
 def test_xml_without_entities(kind: str) -> None:
     """A billion laughs, a file, an address: refused before a parser sees them."""
     with pytest.raises(InputError, match="found <!DOCTYPE, allowed: XML without document types and entities"):
-        parse_urdf(f'<!DOCTYPE robot {kind}><robot name="&x;"/>', "robot.urdf")
+        read_urdf("robot.urdf", f'<!DOCTYPE robot {kind}><robot name="&x;"/>')
 
 
 URDF = (

@@ -401,7 +401,7 @@ def with_calibration(text: str, calibration: Calibration, folder: PathLike = "."
     """
     text, tables, arm, effects = _parsed(text, folder)
     chain = replace(arm.chain, tools=calibration.tools or arm.chain.tools)
-    values = dict.fromkeys(chain.held, 0.0) | dict(calibration.values)
+    values = dict.fromkeys(chain.unestimated, 0.0) | dict(calibration.values)
     named, order = (
         _named(chain.every_parameter, effects, names, "calibration", in_file=False)
         for names in (values, calibration.parameter_names)

@@ -26,7 +26,7 @@ import numpy as np
 from identification.arrays import SHOWN, Array, ByValue
 from identification.errors import InputError
 from identification.files.io import PathLike, decode, read_bytes
-from identification.files.urdf import METER, Urdf, parse_urdf, xml_root
+from identification.files.urdf import METER, Urdf, read_urdf, xml_root
 from identification.kinematics.frames import pose, rotation_to_z
 from identification.workspace import Body, brick, revolved
 
@@ -223,7 +223,7 @@ class ShapedBodies(ByValue, Sequence[Body]):
     def _of_urdf(self) -> tuple[list[tuple[str, int, Shape]], tuple[str, ...]]:
         if not self.urdf:
             return [], ()
-        urdf, shapes, missing, loose = parse_urdf(self.urdf, self.path), [], dict[str, str](), dict[str, None]()
+        urdf, shapes, missing, loose = read_urdf(self.path, self.urdf), [], dict[str, str](), dict[str, None]()
         for link, (joint, place, aside) in urdf.links_on(*self.ends).items():
             for shape in collisions(urdf, link):
                 file = mesh_file(shape.file, self.folders) if shape.kind == "mesh" else ""

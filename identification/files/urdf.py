@@ -17,7 +17,7 @@ import numpy as np
 
 from identification.arrays import Array
 from identification.errors import InputError, printable
-from identification.files.io import PathLike, decode, read_bytes
+from identification.files.io import PathLike, read_text
 from identification.kinematics.chain import Joint, KinematicChain
 from identification.kinematics.frames import from_roll_pitch_yaw, pose, roll_pitch_yaw
 from identification.kinematics.parameters import PRISMATIC, REVOLUTE
@@ -205,14 +205,10 @@ class Urdf:
         return values
 
 
-def read_urdf(path: PathLike) -> Urdf:
-    """Reads a URDF file. Raises `InputError` for a missing file, and as `parse_urdf` does."""
-    return parse_urdf(decode(path, read_bytes(path)), path)
-
-
-def parse_urdf(text: str, path: PathLike) -> Urdf:
-    """The text of a URDF file; `path` is its name in messages. Raises `InputError` for text that is no XML or has a
-    document type, equal names, links with two parents."""
+def read_urdf(path: PathLike, text: str = "") -> Urdf:
+    """A URDF file, or its text. Raises `InputError` for a missing file, text that is no XML or has a document type,
+    equal names, links with two parents."""
+    text = text or read_text(path)
     root = xml_root(text, path, "a URDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: the root element is <{root.tag}>, allowed: <robot>")

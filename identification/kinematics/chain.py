@@ -171,7 +171,7 @@ class KinematicChain(ByValue):
 
     # whether it has more free errors than measurements can show, so that a fit needs a prior of them
     redundant = property(lambda self: not self.fixed)
-    held = property(attrgetter("fixed"))  # names of those of the parameters that are not estimated
+    unestimated = property(attrgetter("fixed"))  # names of those of its parameters that never are
     # names of the parameters that say where it stands, where these are of no kind `base`, and the effects that add some
     standing = standing_effects = property(lambda self: tuple[str, ...]())
     as_in_paper = False  # whether its readings are eq. 1 of the paper: of these are Table I and the planar theorem
@@ -414,7 +414,8 @@ class PlanarChain(KinematicChain):
             raise InputError("orientations: found for a planar arm, allowed: for a spatial one")
 
     redundant = property(lambda self: False)
-    held = property(lambda self: self.fixed | self.instrument.hidden(self.base))  # what no reading shows, too
+    # what no reading shows, too
+    unestimated = property(lambda self: self.fixed | self.instrument.hidden(self.base))
     standing = property(lambda self: (*self.base_shift, f"{JOINT_OFFSET}:1") if self.as_in_paper else ())
     standing_effects = property(lambda self: ("base_offset",) if self.as_in_paper else ())
     as_in_paper = property(attrgetter("instrument.reads_positions"))

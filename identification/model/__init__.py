@@ -78,7 +78,7 @@ class Model:
     @cached_property
     def fixed(self) -> Mapping[str, float]:
         """Name -> value of the parameters that are known."""
-        values = {name: self._calibrated.get(name, 0.0) for name in self.arm.chain.held} | dict(self.held or {})
+        values = {name: self._calibrated.get(name, 0.0) for name in self.arm.chain.unestimated} | dict(self.held or {})
         for effect in self.effects:
             values |= {p.name: float(effect.fixed[p.short]) for p in effect.parameters if p.short in effect.fixed}
         return values

@@ -271,7 +271,7 @@ def of_positions(model: Model) -> Model:
     if (chain := model.arm.chain).instrument.reads_positions:
         return model
     shown = Model(_as_tracker(model.arm))
-    unseen = {*shown.geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.held - chain.fixed)
+    unseen = {*shown.geometry_parameters.names} - {*model.geometry_parameters.names} | (chain.unestimated - chain.fixed)
     held = {name: value for name, value in (model.held or {}).items() if name in shown.all_parameters.names}
     return replace(shown, held={**held, **dict.fromkeys(unseen, 0.0)})
 

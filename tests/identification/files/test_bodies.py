@@ -13,7 +13,7 @@ import pytest
 
 from identification import Arm, Array, InputError, load_arm
 from identification.files.bodies import collisions, mesh_file, read_mesh
-from identification.files.urdf import parse_urdf
+from identification.files.urdf import read_urdf
 from identification.workspace import Body
 from tests.identification.files.test_arm import CELL, DATA, PLAIN, PLANAR_CELL
 from tests.refusals import refused
@@ -72,7 +72,7 @@ def test_links_are_where_pinocchio_puts_them(tmp_path: Path) -> None:
     model = pinocchio.buildModelFromXML(text)
     (tmp_path / "r.urdf").write_text(text)
     geometry = pinocchio.buildGeomFromUrdf(model, str(tmp_path / "r.urdf"), pinocchio.GeometryType.COLLISION)
-    urdf = parse_urdf(text, "r.urdf")
+    urdf = read_urdf("r.urdf", text)
     places = urdf.links_on("base", "tip")
     base = pinocchio.SE3(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.0, 1.0, 0.5]))
     seen = 0
