@@ -270,12 +270,11 @@ def diagnosis_document(
 
 def missing_parts(data: Data) -> list[Part]:
     """What is named, how likely it is, and its values; what is named beside an unknown effect."""
-    tests, figures, estimates = tests_of(data), [], list[Part]()
-    several, spelt = len(data["candidates"]) > 1, len(data["effects"]) <= MOST
+    tests, figures, estimates, several = tests_of(data), [], list[Part](), len(data["candidates"]) > 1
     for c in (list(data["candidates"]) or [data["named"]]) if data["effects"] else []:
         p = c["probability"]  # a small one is never rounded to zero
-        chance = "its cause is unknown" if is_described(data) else "< 0.01" if p and p < 0.005 else number(p, 2)
-        figures.append([" +\n".join(c["effects"]), chance, *(f"{c[key]:.1f}" for key in ("delta_bic", "f"))])
+        chance = "< 0.01" if p and p < 0.005 else number(p, 2)
+        figures.append([" +\n".join(c["effects"]), chance, f"{c['delta_bic']:.1f}"])
         labels = {key: label for label in c["effects"] for key in (label.partition("[")[0], label)}  # with settings
         rows = []
         for row in c["parameters"]:
@@ -294,8 +293,9 @@ def missing_parts(data: Data) -> list[Part]:
     short = [one for one in data["other_sets"] if len(one["effects"]) <= MOST]
     other = ", ".join(f"{' + '.join(one['effects'])} {one['probability']:.2f}" for one in short)
     parts: list[Part] = [*findings(data), f"Probability{among}: {every}{f' (of that {other})' if other else ''}."]
-    parts += ["Every explanation with at least a twentieth of the best one's probability:"] if several else []
-    parts += [Sheet(("effects", "probability", "-2 log odds", "F"), figures)] if several or spelt else []
+    if several:
+        parts.append("Every explanation with at least a twentieth of the best one's probability:")
+        parts.append(Sheet(("effects", "probability", "-2 log odds"), figures))
     return [*parts, *estimates]
 
 

@@ -118,7 +118,6 @@ def diagnose(
         noise = posterior.noises[one.noise]
         fits.append(fit(library.model(one.effects), noise.rows.pick(kept), posterior.at.by_name))
         made = Candidate.of(fits[-1], len(one.effects), library.arm.sigma, doubtful=bool(noise.name))
-        made = replace(made, f=products.f_of([whole.numbers[block.label] for block in one.effects]))
         if not unknown:
             share, highest = (max(likely.of(keys), 1e-300) for keys in (one.named, likely.best))
             behind = 2.0 * float(np.log(highest / share)) if likely.rivals else 0.0

@@ -84,15 +84,6 @@ class Products:
         gram = self.gram - rows.T @ large.solve(rows)
         return Products(gram, large.remaining[0], large.squares, freedom, self.starts, self.signs)
 
-    def f_of(self, blocks: Sequence[int]) -> float:
-        """F statistic of a few blocks against the base model."""
-        columns = self.columns_of(blocks)
-        count, spare = max(len(columns), 1), max(self.freedom - len(columns), 1)
-        # of unit size; a row that is left out may have a column alone
-        inner = self.gram[np.ix_(columns, columns)] + 1e-12 * np.eye(len(columns))
-        gain = float(self.right[columns] @ np.linalg.solve(inner, self.right[columns]))
-        return gain / count / (max(self.squares - gain, 1e-300) / spare)
-
     def added(self, state: State) -> Array:
         """(B, S) log likelihood ratio of each block added to a set, or in it, for each size."""
         values, parts = np.empty(len(self.right)), np.empty(len(self.right))

@@ -145,7 +145,6 @@ class Candidate:
     calibration : all estimates with their covariance;  parameters : those of the effects, for people
     limits_95 : name of a parameter of base or effects -> its 95 % interval [API units], cut at physical bounds
     uncertainty : of these estimates, the basis of the 95 % intervals
-    f : F statistic of the set against the base model
     probability : that exactly these effects are missing, None where it is not that of these names
     delta_bic : -2 log odds to the best set
     """
@@ -157,7 +156,6 @@ class Candidate:
     parameters: tuple[Estimate, ...]
     limits_95: Mapping[str, tuple[float, float]]
     uncertainty: Uncertainty
-    f: float = 0.0
     probability: float | None = None
     delta_bic: float = 0.0
 
@@ -204,7 +202,7 @@ class Candidate:
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `candidates` (identification/files/README.md, "JSON keys")."""
-        entry = {name: getattr(self, name) for name in ("probability", "delta_bic", "f")}
+        entry = {name: getattr(self, name) for name in ("probability", "delta_bic")}
         owners, settings = {p.name.rpartition(".")[0] for p in self.parameters}, dict[str, float]()
         for label, spec in zip(self.effects, self.specs, strict=True):
             # `transmission_ripple:2.k` -> 17: under the name that the effect's parameters have

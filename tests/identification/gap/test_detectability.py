@@ -89,10 +89,8 @@ def test_effects_beside_rows_that_are_left_out(effects: tuple[str, ...]) -> None
     np.testing.assert_allclose(beside.gram[np.ix_(places, places)], projected.T @ projected, atol=1e-6)
     y = (noisy - library.base.position(POSTURES, at.values, rows.conditions))[kept].ravel()
     without, there = (np.sum(left(y, columns) ** 2) for columns in (base, np.hstack([base, own])))
-    freedom = 56 - 6 - own.shape[1]
-    f = (without - there) / own.shape[1] / (there / freedom)
-    assert beside.freedom == 50
-    assert beside.f_of(blocks) == pytest.approx(f, rel=1e-4)
+    gain = beside.right[places] @ np.linalg.solve(beside.gram[np.ix_(places, places)], beside.right[places])
+    assert (beside.freedom, beside.squares, gain) == pytest.approx((50, without, without - there), rel=1e-4)
     sees = assess(library, problem, beside, rows, 0.1)
     assert sees.freedom == 50
     size = sees.detectable["gear_ratio:2"].value
