@@ -27,21 +27,18 @@ from identification.measurements import of_these_sessions, pooled_sessions
 from identification.model.placed import minimal, placed_model, with_sessions, without_sessions
 from identification.replications import ModelTable, Replications, StudyFile, TruthTable, true_values
 from identification.validate import drawing_residuals
+from tests.identification.estimation.cases import tip
 
 LENGTHS = np.array([300.0, 200.0, 150.0])
 ERRORS, OFFSETS = np.array([1.0, -0.5, 0.3]), np.radians([0.4, -0.6, 0.2])
 BASES = [(0.02, 3.0 - 2.0j), (2.5, -400.0 + 900.0j), (-1.2, 80.0 + 10.0j)]  # turn [rad] and shift [mm]
 
 
-def tip(q: np.ndarray, turn: float, shift: complex) -> np.ndarray:
-    z = ((LENGTHS + ERRORS) * np.exp(1j * np.cumsum(q + OFFSETS, axis=1))).sum(axis=1)
-    z = np.exp(1j * turn) * z + shift
-    return np.column_stack([z.real, z.imag])
-
-
 def session(number: int, m: int = 20, **columns: object) -> Measurements:
-    q = np.random.default_rng(number).uniform(-1.5, 1.5, (m, 3))
-    return Measurements(q, tip(q, *BASES[number]), **columns)
+    """Exact, of an arm that stands elsewhere: the base turned is joint 1 turned."""
+    q, (turn, shift) = np.random.default_rng(number).uniform(-1.5, 1.5, (m, 3)), BASES[number]
+    there = tip(q + OFFSETS + turn * np.eye(3)[0], LENGTHS + ERRORS) + np.array([shift.real, shift.imag])
+    return Measurements(q, there, **columns)
 
 
 def test_each_session_has_a_base_of_its_own() -> None:

@@ -15,11 +15,6 @@ ECCENTRIC = '\n[[effects]]\nname = "encoder_eccentricity"\njoint = 2\na_deg = 0.
 IDENTIFY = "identify arm.toml data.csv"
 
 
-def origin(folder: Folder, name: str) -> dict:
-    """Where a calibration comes from."""
-    return tomllib.loads(folder.read(name))["calibration"]["provenance"]
-
-
 def some(folder: Folder, **files: list[int]) -> None:
     """Write some rows of data.csv, NAME -> numbers from 0."""
     frame = pl.read_csv(folder.path / "data.csv")
@@ -135,7 +130,7 @@ def test_what_stays_keeps_its_angles_and_its_data(folder: Folder) -> None:
     old = frame["q1_deg"].to_numpy()
     for words, kept in (("--only joint_offset:2", True), ("--prior-from calibrated.toml", True), ("", False)):
         folder.armcal(f"identify calibrated.toml few.csv {words} --out again.toml --force")
-        found = origin(folder, "again.toml")
+        found = tomllib.loads(folder.read("again.toml"))["calibration"]["provenance"]
         assert (found["file"], found["rows"]) == ("few.csv", 6)
         expected = [old.min(), old.max()] if kept else [old[:6].min() + 360.0, old[:6].max() + 360.0]
         np.testing.assert_allclose(found["joint_range_deg"][0], expected, atol=1e-6)

@@ -181,7 +181,8 @@ def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
     spatial_i = replace(case, criterion=average_error(case, poses)).objective(postures)
     assert found["model_right"] ** 2 == pytest.approx(-spatial_i * 0.05**2 / len(postures), rel=1e-9)
     rows, targets = (wide.scaled_jacobians(q).reshape(-1, wide.parameters) for q in (postures, poses))
-    held = np.diag(0.05 / (case.model.parameters.scales * deviations(case)))
+    known = [case.deviations.get(name, np.inf) for name in case.model.parameters.names]
+    held = np.diag(0.05 / (case.model.parameters.scales * known))
     sizes = wide.model.parameters.vector(wide.deviations, default=np.inf)[own:] * wide.model.parameters.scales[own:]
     seen = np.vstack([rows[:, own:] * sizes, np.zeros((own, len(sizes)))])
     taken = np.linalg.lstsq(np.vstack([rows[:, :own], held]), seen, rcond=None)[0]
@@ -192,11 +193,6 @@ def test_of_a_spatial_arm_with_the_prior_of_its_machining() -> None:
     at = targets[:, :own].reshape(len(poses), 3, own)
     squares = 0.05**2 * np.trace(at @ np.linalg.inv(own_rows.T @ own_rows) @ np.swapaxes(at, 1, 2), axis1=1, axis2=2)
     assert found["model_right_worst"] ** 2 == pytest.approx(squares.max(), rel=1e-6)
-
-
-def deviations(case: DesignProblem) -> Array:
-    """(p,) of the prior [mm, rad], infinite where nothing is known."""
-    return np.array([case.deviations.get(name, np.inf) for name in case.model.parameters.names])
 
 
 @pytest.mark.parametrize("runs", [30, 300])

@@ -76,19 +76,12 @@ def test_distances_have_one_coordinate() -> None:
     problem = DesignProblem.of(Model(bar(base=base)))
     assert problem.model.dimension == 1
     model = Model(bar(base=base))
-    rows = np.array(
-        [
-            [
-                sum(
-                    sign * np.linalg.norm(tip_by_exponentials(model.arm.chain, q, {name: sign * STEP}, REFLECTOR))
-                    for sign in (1.0, -1.0)
-                )
-                for name in model.names
-            ]
-            for q in POSTURES[:5]
-        ]
-    )
-    scaled = rows / (2.0 * STEP) / model.scales
+
+    def read(q: Array, name: str, step: float) -> float:
+        return float(np.linalg.norm(tip_by_exponentials(model.arm.chain, q, {name: step}, REFLECTOR)))
+
+    rows = [[read(q, name, STEP) - read(q, name, -STEP) for name in model.names] for q in POSTURES[:5]]
+    scaled = np.array(rows) / (2.0 * STEP) / model.scales
     sizes = np.array([problem.deviations.get(name, np.inf) for name in model.names])
     expected = (scaled.T @ scaled + np.diag((0.01 / (model.scales * sizes)) ** 2)) / 5.0
     np.testing.assert_allclose(problem.information(POSTURES[:5]), expected, atol=1e-6)

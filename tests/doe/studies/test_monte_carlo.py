@@ -22,6 +22,7 @@ from identification import Arm, Calibration, Conditions, InputError, Model, Plan
 from identification.instruments import Tracker
 from identification.replications import TruthTable, true_values
 from identification.workspace import WorkspaceBox
+from tests.identification.estimation.cases import tip
 from tests.identification.test_sessions import DRAWN, ELBOW, SIZES, TABLE_ROWS
 from tests.refusals import refused
 
@@ -46,12 +47,6 @@ def paper(plans: Any = ("dft",), truth: Any = PAPER, **others: Any) -> dict[str,
     """A study of the paper's arm."""
     seed = others.pop("seed", 0)
     return run_study(Study.of([ARM], plans, truths=[truth], **others), seed=seed)
-
-
-def positions(postures: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Eq. 1 written out."""
-    theta = np.cumsum(postures + offsets, axis=-1)
-    return np.stack([(lengths * np.cos(theta)).sum(-1), (lengths * np.sin(theta)).sum(-1)], axis=-1)
 
 
 def test_cells_pool_blocks_as_if_there_were_none() -> None:
@@ -85,7 +80,7 @@ def test_random_plans_are_new_for_each_hundred_replications() -> None:
     for key, count in zip(result["blocks"]["key"].unique(maintain_order=True), (100, 30), strict=True):
         generator = np.random.default_rng(seed_of(json.loads(key), 3))
         postures = generator.uniform(-np.pi, np.pi, (6, 4))
-        measured = positions(postures, LENGTHS + ERRORS, OFFSETS) + 0.2 * generator.standard_normal((count, 6, 2))
+        measured = tip(postures + OFFSETS, LENGTHS + ERRORS) + 0.2 * generator.standard_normal((count, 6, 2))
         columns = np.exp(1j * np.cumsum(postures, axis=1))
         for p in measured:
             u = np.linalg.lstsq(columns, p[:, 0] + 1j * p[:, 1], rcond=None)[0]
@@ -108,7 +103,7 @@ def test_plans_keep_to_the_constraints(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("doe.studies.monte_carlo.random_postures", spy)
     found = run_study(Study.of([boxed], ["random", "dft"], runs=[8], truths=[PAPER], replications=300))["cells"]
-    heights = positions(np.array(seen), LENGTHS, np.zeros(4))[..., 1]
+    heights = tip(np.array(seen), LENGTHS)[..., 1]
     assert heights.shape == (3, 8)
     assert heights.min() >= 0.0
     assert found.filter(plan="random")["status"].to_list() == ["done"] * 12
@@ -158,10 +153,6 @@ def test_cells_that_cannot_be_done_are_rows() -> None:
 
 
 # -- in space ----------------------------------------------------------------------------------------------------------
-def truth_of(arm: Arm) -> Model:
-    return Model(TruthTable(**MACHINED).of(arm))
-
-
 def test_intervals_hold_and_a_missing_effect_is_a_bias() -> None:
     truths, sets = [MACHINED, MACHINED | {"name": "eccentric", "effects": [HIDDEN]}], 400
     models = [{"name": "geometry", "effects": []}, {"name": "full", "effects": [WAVE]}]
@@ -195,7 +186,7 @@ def test_every_point_and_frame_is_measured_at_every_posture(measured: dict[str, 
     study = Study.of([arm], plans, runs=[9], truths=[MACHINED], replications=100)
     cells = run_study(study, seed=5)["cells"]
     model, count = Model(without_prior(arm)), len(chain.tools)
-    values = true_values(model, truth_of(study.arms[0]))
+    values = true_values(model, Model(TruthTable(**MACHINED).of(study.arms[0])))
     q, marker = np.repeat(PLAN.postures[:8], count, axis=0), Conditions(marker=np.arange(8 * count) % count)
     if chain.angle_scale is not None:
         known = Calibration(dict(zip(model.names, values.tolist(), strict=True)))

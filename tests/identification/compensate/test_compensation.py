@@ -15,8 +15,9 @@ import pytest
 from scipy.stats import chi2
 
 from identification import Array, Conditions, DHRow, InputError, Measurements, Model, chain_of, estimate
-from identification.arm import Arm, Calibration, EffectSpec, Gravity
+from identification.arm import Arm, Calibration, EffectSpec
 from identification.compensate import TOLERANCE, Compensation, compensate
+from tests.identification.estimation.cases import GRAVITY, tip
 from tests.identification.kinematics.test_spatial import tip_by_exponentials
 
 # of three targets the first is reached, the second 0.25 mm off, and the third's command misses a constraint by 3 mm
@@ -72,18 +73,12 @@ def test_a_pose_is_reached_if_its_angle_is_too() -> None:
 
 LENGTHS = np.array([260.0, 180.0, 120.0, 100.0])
 CALIBRATION = Calibration.of(np.array([1.5, -0.6, -0.4, 0.7]), np.radians([0.5, -0.5, 0.7, -0.3]))
-GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.full(4, 0.5), 10.0)
 LIMITS = np.radians([180.0, 120.0, 100.0, 90.0])
 
 
 def arm(*effects: EffectSpec, values: dict[str, float] | None = None) -> Arm:
     calibration = replace(CALIBRATION, values={**CALIBRATION.values, **(values or {})})
     return Arm(LENGTHS, -LIMITS, LIMITS, gravity=GRAVITY, effects=effects, calibration=calibration)
-
-
-def tip(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    z = (lengths * np.exp(1j * np.cumsum(q + offsets, axis=1))).sum(axis=1)
-    return np.column_stack([z.real, z.imag])
 
 
 def test_shortest_correction_of_a_redundant_arm() -> None:
@@ -158,7 +153,7 @@ class TipAbove:
     kind: str = "tip_above"
 
     def margin(self, postures: np.ndarray) -> np.ndarray:
-        return tip(postures, LENGTHS, np.zeros(4))[:, 1:] - self.least
+        return tip(postures, LENGTHS)[:, 1:] - self.least
 
 
 def test_nobody_may_drive_to_what_misses_a_constraint() -> None:
@@ -194,7 +189,7 @@ def test_targets_are_reached_at_the_angles_of_the_identification() -> None:
     low, high = np.radians([[-100.0, 20.0, 20.0, -60.0], [100.0, 100.0, 80.0, 60.0]])
     inside = np.random.default_rng(3).uniform(low + 0.2, high - 0.2, (20, 4))
     known = replace(arm().calibration, provenance={"joint_range_deg": np.degrees([low, high]).T.tolist()})
-    targets = tip(inside, LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets)
+    targets = tip(inside + CALIBRATION.joint_offsets, LENGTHS + CALIBRATION.length_errors)
     found = compensate(replace(arm(), calibration=known), targets)
     assert found.reached.all()
     assert np.count_nonzero((found.commands < low) | (found.commands > high)) == 0
@@ -208,7 +203,7 @@ def test_out_of_reach_the_command_stays_at_the_angles_of_the_identification() ->
     targets = np.array([[700.0, 100.0], [300.0, 900.0], [20.0, 10.0]])  # two beyond 500 mm, one within 100 mm
     found = compensate(two, targets)
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 901).T, indexing="ij"), axis=-1).reshape(-1, 2)
-    tips = tip(grid, np.array([300.0, 200.0]), np.zeros(2))
+    tips = tip(grid, [300.0, 200.0])
     inside = [np.linalg.norm(tips - goal, axis=1).min() for goal in targets]
     assert np.all((found.commands >= low) & (found.commands <= high))
     assert np.all(found.errors >= inside - np.array(0.7))  # of the grid: its step times the reach
@@ -236,7 +231,7 @@ def test_nominal_postures_are_those_of_the_arm_where_it_stands() -> None:
     real = replace(arm(EffectSpec("base_offset")), calibration=known)
 
     def seen(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-        z = tip(q, lengths, np.r_[turn, offsets[1:]]) @ [1.0, 1.0j] + shift
+        z = tip(q + np.r_[turn, offsets[1:]], lengths) @ [1.0, 1.0j] + shift
         return np.column_stack([z.real, z.imag])
 
     nominal = np.random.default_rng(4).uniform(-0.8, 0.8, (20, 4)) * LIMITS
@@ -259,8 +254,8 @@ def test_the_side_of_the_approach_is_said() -> None:
     assert said.startswith("backlash: the error depends on the side that a joint comes from. Drive the targets in this")
     assert found.to_json()["warnings"] == [said]
     lengths, offsets = LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets
-    np.testing.assert_allclose(tip(found.commands + play, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
-    missed = np.linalg.norm(tip(found.commands - play, lengths, offsets) - found.targets, axis=1)
+    np.testing.assert_allclose(tip(found.commands + offsets + play, lengths), found.targets, rtol=0, atol=TOLERANCE)
+    missed = np.linalg.norm(tip(found.commands + offsets - play, lengths) - found.targets, axis=1)
     assert np.all(missed > 1.0)  # 2 x 2e-3 rad on some 390 mm
     late = arm(EffectSpec("servo_error", 2, {"b": 0.0, "h": 2e-3}))
     assert compensate(late, postures=nominal).warnings == [said.replace("backlash", "servo_error")]
@@ -277,7 +272,7 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     found = compensate(jumped, postures=nominal)
     lengths, offsets = LENGTHS + CALIBRATION.length_errors, CALIBRATION.joint_offsets
     jump = np.array([0.0, 2e-3, 0.0, 0.0])
-    np.testing.assert_allclose(tip(found.commands + jump, lengths, offsets), found.targets, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(tip(found.commands + offsets + jump, lengths), found.targets, rtol=0, atol=TOLERANCE)
     assert found.warnings == [
         "joint_step:2: the value at the end of the session of the identification is used",
         "thermal_growth: taken at the mean temperature of the identification",
@@ -285,7 +280,7 @@ def test_what_happened_in_the_session_is_over_and_the_temperature_is_its_mean() 
     given = Conditions(time=np.zeros(2), temperature=np.zeros(2))
     before = compensate(jumped, postures=nominal, conditions=given)
     assert before.warnings == []
-    np.testing.assert_allclose(tip(before.commands, lengths, offsets), before.targets, rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(tip(before.commands + offsets, lengths), before.targets, rtol=0, atol=TOLERANCE)
     # in the second session, which has a base of its own: the file has that of the first
     moved = arm(
         EffectSpec("base_step", None, {"at": 1.2, "side": 1.0}), values={"base_step.x": 1.0, "base_step.y": 0.0}

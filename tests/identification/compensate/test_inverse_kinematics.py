@@ -21,17 +21,16 @@ from identification.instruments import Tracker
 from identification.workspace import KeepOutCircle, WorkspaceBox
 from tests.doe.six_axis import CHAIN
 
-CENTER, RADIUS = np.array([150.0, 120.0]), 70.0
-CIRCLE = KeepOutCircle((150.0, 120.0), RADIUS)
+CIRCLE = KeepOutCircle((150.0, 120.0), 70.0)
 TRUE = np.array([301.0, 198.0])
 OFFSETS = np.array([0.01, -0.02])
 
 
-def clearance(joints: np.ndarray, radius: float = RADIUS) -> np.ndarray:
+def clearance(joints: np.ndarray) -> np.ndarray:
     """(k,) distance of polylines (k, points) of the complex plane from the circle, by many points on each link."""
     share = np.linspace(0.0, 1.0, 2001)
     points = joints[:, :-1, None] + share * np.diff(joints, axis=1)[..., None]
-    return np.min(np.abs(points - complex(*CENTER)), axis=(1, 2)) - radius
+    return np.min(np.abs(points - complex(*CIRCLE.center)), axis=(1, 2)) - CIRCLE.radius
 
 
 def chain(q: np.ndarray, lengths: np.ndarray, offsets: np.ndarray) -> np.ndarray:
@@ -87,16 +86,11 @@ def test_targets_outside_the_workspace_say_so() -> None:
 LENGTHS = np.array([200.0, 150.0, 120.0])
 
 
-def three(*constraints: WorkspaceBox | KeepOutCircle) -> Arm:
-    """A redundant arm in the plane, as drawn."""
-    return Arm(LENGTHS, constraints=constraints, calibration=Calibration.of(np.zeros(3), np.zeros(3)))
-
-
 def test_a_target_that_a_link_bars_is_searched_for() -> None:
     """A circle on the straight way to every target, which links of most postures cross by different amounts: a target
     is reached if a fine scan of the last link's direction reaches it with a millimetre to spare."""
     circle = KeepOutCircle((170.0, 0.0), 60.0)
-    arm = three(circle)
+    arm = Arm(LENGTHS, constraints=(circle,), calibration=Calibration.of(np.zeros(3), np.zeros(3)))
     generator = np.random.default_rng(2)
     targets = np.column_stack([generator.uniform(250.0, 330.0, 30), generator.uniform(-60.0, 60.0, 30)])
     found = compensate(arm, targets, constraints=constraints_of(Model(arm)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from identification.documents.diagnosis import (
     gap_parts,
 )
 from identification.effects import library
+from tests.identification.estimation.cases import tip
 
 GAP = {"rms_before_mm": 0.5, "rms_after_mm": 0.125}
 TEST = {"rows": 30, "before_mm": 0.6, "after_mm": 0.25, "predicted_mm": 0.2}
@@ -162,16 +162,9 @@ def diagnosed(play: float) -> Diagnosis:
     """Two links by hand; joint 2 has play, by the side from which it comes."""
     generator = np.random.default_rng(3)
     q, sides = generator.uniform(-1.5, 1.5, (40, 2)), np.sign(generator.normal(size=(40, 2)))
-    angles = np.cumsum(q + play * sides * [0.0, 1.0], axis=1)
-    tips = np.stack([np.cos(angles) @ LENGTHS, np.sin(angles) @ LENGTHS], axis=1)
-    measured = Measurements(q, tips + generator.normal(0.0, 0.02, (40, 2)), directions=sides)
+    seen = tip(q + play * sides * [0.0, 1.0], LENGTHS)
+    measured = Measurements(q, seen + generator.normal(0.0, 0.02, (40, 2)), directions=sides)
     return diagnose(Arm(LENGTHS, sigma=0.02), measured)
-
-
-def tables(page: str) -> list[list[list[str]]]:
-    """The cells of each table, row by row."""
-    rows = [re.findall(r"<tr>(.*?)</tr>", part, re.S) for part in page.split("</table>")[:-1]]
-    return [[re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.S) for row in part] for part in rows]
 
 
 HELD_OUT = {"transfer": "another session", "file": "more.csv", "by": "holdout", "groups": 8, "refitted": []} | TEST

@@ -23,6 +23,7 @@ from identification.documents.identification import (
 )
 from identification.documents.pictures import AFTER, BEFORE, dots, joint_errors, signed_figures
 from identification.estimation.result import CorrectedValue
+from tests.identification.estimation.cases import tip
 
 
 def test_hundreds_of_effects_without_intervals_are_counted_and_not_listed() -> None:
@@ -110,17 +111,11 @@ def test_a_prior_that_may_help_is_not_advised_against() -> None:
         assert ("no worse" in first.text) is (rms > 0.35)
 
 
-def commands(errors: list[float], missed: list[float]) -> Compensation:
-    """One joint turned by 0.5 rad for every target."""
-    k = len(errors)
-    angles, targets = np.full((k, 1), 0.5), np.zeros((k, 2))
-    barred = tuple("constraint 1 (box) is missed by 2 mm" if by > 0.0 else "" for by in missed)
-    return Compensation(Arm([100.0]), targets, angles, np.array(errors), barred=barred)
-
-
 def test_counts_of_targets_without_a_command() -> None:
-    """Row 2 is out of reach, row 3 barred; both lack angles, and a sentence says how many and why."""
-    found = commands([0.0, 3.0, 0.0], [-1.0, -1.0, 2.0])
+    """One joint turned by 0.5 rad for every target: row 2 is out of reach, row 3 barred; both lack angles, and a
+    sentence says how many and why."""
+    errors, barred = np.array([0.0, 3.0, 0.0]), ("", "", "constraint 1 (box) is missed by 2 mm")
+    found = Compensation(Arm([100.0]), np.zeros((3, 2)), np.full((3, 1), 0.5), errors, barred=barred)
     assert np.isnan(found.safe_commands).tolist() == [[False], [True], [True]]
     document = found.document()
     why = "2 have no command (angles left empty): 1 out of reach, 1 barred by a constraint (rows 2, 3)."
@@ -135,20 +130,14 @@ def test_counts_of_targets_without_a_command() -> None:
 LENGTHS = np.array([300.0, 200.0])
 
 
-def tip(q: np.ndarray) -> np.ndarray:
-    """(m, 2) of two links in a plane, by hand."""
-    angles = np.cumsum(q, axis=1)
-    return np.stack([np.cos(angles) @ LENGTHS, np.sin(angles) @ LENGTHS], axis=1)
-
-
 def test_a_joint_that_turns_too_far_has_a_positive_error_of_that_size() -> None:
     q = np.random.default_rng(1).uniform(-1.0, 1.0, (40, 2))
-    small = 1e-6
-    levers = np.stack([(tip(q + small * unit) - tip(q - small * unit)) / (2.0 * small) for unit in np.eye(2)], axis=2)
+    ends = [tip(q + step, LENGTHS) - tip(q - step, LENGTHS) for step in 1e-6 * np.eye(2)]
+    levers = np.stack(ends, axis=2) / 2e-6
     wrong = 1e-4 * np.sin(q[:, 1])
-    measured = tip(q + wrong[:, None] * [0.0, 1.0])  # the real joint 2 is turned farther than is read
+    measured = tip(q + wrong[:, None] * [0.0, 1.0], LENGTHS)  # the real joint 2 is turned farther than is read
     # the second link's lever is always 200 mm long; the tip moves along the arc by error * 200 to first order
-    np.testing.assert_allclose(joint_errors(levers, measured - tip(q))[:, 1], wrong, atol=1e-8)
+    np.testing.assert_allclose(joint_errors(levers, measured - tip(q, LENGTHS))[:, 1], wrong, atol=1e-8)
     short = np.zeros((1, 2, 1))
     np.testing.assert_array_equal(joint_errors(np.concatenate([short, np.ones((1, 2, 1))]), np.ones((2, 2)))[0], 0.0)
 
@@ -157,7 +146,7 @@ def test_a_picture_of_each_joint_has_what_both_models_leave() -> None:
     """Of the rows of a gear ripple in joint 2 the earlier model lacks it, the later one has it."""
     q = np.random.default_rng(7).uniform(-1.5, 1.5, (40, 2))
     wave = 1e-6 * np.sin(9.0 * q[:, 1])
-    left = tip(q + wave[:, None] * [0.0, 1.0]) - tip(q)
+    left = tip(q + wave[:, None] * [0.0, 1.0], LENGTHS) - tip(q, LENGTHS)
     read, *figures = signed_figures(Arm(LENGTHS), q, [(left, "the drawing"), (np.zeros_like(left), "the model")], None)
     assert str(read).endswith("Red: the drawing. Blue: the model.")
     first, second = (figure.axes[0] for figure in figures if isinstance(figure, Figure))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
@@ -15,6 +17,12 @@ GRAVITY = Gravity(np.array([0.0, -9.81]), np.array([12.0, 8.0, 5.0, 3.0]), np.fu
 
 def arm(*effects: EffectSpec, sigma: float | None = None) -> Arm:
     return Arm(LENGTHS, sigma=sigma, gravity=GRAVITY, effects=effects)
+
+
+def tip(q: np.ndarray, lengths: Sequence[float] | np.ndarray) -> np.ndarray:
+    """(..., 2) of links in a plane at angles (..., n), by complex numbers."""
+    z = np.exp(1j * np.cumsum(q, axis=-1)) @ lengths
+    return np.stack([z.real, z.imag], axis=-1)
 
 
 def plan(m: int, seed: int = 1) -> np.ndarray:

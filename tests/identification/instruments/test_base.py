@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from identification import (
     Arm,
-    Array,
     Calibration,
     EffectSpec,
     Identification,
@@ -165,15 +164,12 @@ SIGMA = 0.02
 BLANK = Arm(replace(planar_chain(LENGTHS), instrument=PlanarDistance()), sigma=SIGMA)
 
 
-def tips(q: Array) -> np.ndarray:
-    return np.exp(1j * np.cumsum(q + OFFSETS, axis=1)) @ (LENGTHS + ERRORS)
-
-
 def data(count: int, noise: float, seed: int, turn: float = 0.0) -> Measurements:
     """Of two centers in turns; the whole cell turned about joint 1, which no distance shows."""
     generator = np.random.default_rng(seed)
     q, number = generator.uniform(-2.5, 2.5, (count, 3)), np.arange(count) % 2
-    read = np.abs(tips(q) - CENTERS[number]) + noise * generator.standard_normal(count)
+    tips = np.exp(1j * np.cumsum(q + OFFSETS, axis=1)) @ (LENGTHS + ERRORS)
+    read = np.abs(tips - CENTERS[number]) + noise * generator.standard_normal(count)
     q[:, 0] += turn
     label = np.array(["left", "right"])[number]
     return Measurements(q, read[:, None], marker=label)
