@@ -46,14 +46,12 @@ def small_arm(rng: np.random.Generator, *effects: Drawn, compliance: np.ndarray 
     )
 
 
-def measured(
-    truth: TrueArm, postures: np.ndarray, rng: np.random.Generator, *, sigma: float = 0.02, of_posture: float = 0.03
-) -> Measurements:
-    """Every posture (m, 6) at each reflector in turn, with noise [mm] of each row and of each posture."""
+def measured(truth: TrueArm, postures: np.ndarray, rng: np.random.Generator) -> Measurements:
+    """Every posture (m, 6) at each reflector in turn, with noise of 0.02 mm of each row and 0.03 mm of each posture."""
     k = len(REFLECTORS)
     run = session(truth, np.repeat(postures, k, axis=0), rng, k)
-    shared = np.repeat(of_posture * rng.standard_normal((len(postures), 3)), k, axis=0)
-    found = position(truth, run) + shared + sigma * rng.standard_normal((len(run.q), 3))
+    shared = np.repeat(0.03 * rng.standard_normal((len(postures), 3)), k, axis=0)
+    found = position(truth, run) + shared + 0.02 * rng.standard_normal((len(run.q), 3))
     names = {"marker": np.array(REFLECTORS)[run.marker], "marker_names": REFLECTORS}
     return Measurements(run.q, found, np.arange(len(run.q), dtype=float), directions=run.s, **names)
 

@@ -148,15 +148,11 @@ def arm(lower: float = -2.0) -> Arm:
     return Arm([200.0, 100.0], [lower, -1.0], [2.0, 1.0], 0.1, "two", gravity(), (box,), (EFFECT,), calibration())
 
 
-def measured(x: float = 1.0) -> Measurements:
-    return Measurements([[0.1, 0.2], [0.3, 0.4]], [[x, 2.0], [3.0, 4.0]], sigma=[0.1, 0.2])
-
-
 CASES: list[tuple[Callable[..., Any], Any]] = [
     (gravity, 1.0),
     (calibration, 0.4),
     (arm, -1.5),
-    (measured, 2.0),
+    (lambda x=1.0: Measurements([[0.1, 0.2], [0.3, 0.4]], [[x, 2.0], [3.0, 4.0]], sigma=[0.1, 0.2]), 2.0),
     (lambda t=0.0: Conditions(time=np.array([t, 1.0])), 0.5),
     (lambda q=0.1: Plan([[q, 0.2]]), 0.3),
     (lambda w=0.5: Plan([[0.1, 0.2], [0.3, 0.4]], [w, 1.0 - w]), 0.4),

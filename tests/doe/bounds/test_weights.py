@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from doe.bounds.weights import interior_point_weights, optimal_weights, solve_program, sparsest
 from doe.criteria import A, Criterion, D, Ds, E
 from doe.problem.problem import PriorInformation
-from identification import JobError
 
 POINTS = np.linspace(-1.0, 1.0, 21)
 QUADRATIC = np.power.outer(POINTS, np.arange(3))[:, None, :]  # (21, 1, 3)
@@ -67,11 +66,6 @@ def test_dual_of_the_smallest_eigenvalue_is_a_bound() -> None:
     assert np.trace(gradient) == pytest.approx(1.0, abs=1e-12)
     largest = max(float(row @ gradient @ row) for row in QUADRATIC[:, 0])
     assert 0.2 - 1e-12 <= largest <= 0.2 + 1e-5
-
-
-def test_postures_that_do_not_identify() -> None:
-    with pytest.raises(JobError, match="identify"):
-        solve_program(EACH[:2], D())
 
 
 def test_few_postures_of_many_parameters() -> None:

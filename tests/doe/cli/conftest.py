@@ -83,9 +83,9 @@ class Folder:
     def read(self, name: str) -> str:
         return (self.path / name).read_text()
 
-    def plan(self, rows: int, seed: int, name: str = "plan.csv", times: int = 1) -> None:
-        """Write a plan of random postures within the limits, each so many times."""
-        postures = np.random.default_rng(seed).uniform(LOWER, UPPER, (rows, 4)).round(6).repeat(times, axis=0)
+    def plan(self, rows: int, seed: int, name: str = "plan.csv") -> None:
+        """Write a plan of random postures within the limits."""
+        postures = np.random.default_rng(seed).uniform(LOWER, UPPER, (rows, 4)).round(6)
         angles = {f"q{j}_deg": column for j, column in enumerate(postures.T, start=1)}
         self.write(name, table({"run": range(1, len(postures) + 1), **angles}))
 

@@ -45,14 +45,6 @@ def changed(old: str, new: str) -> str:
     return ARM.replace(old, new, 1)
 
 
-def added(text: str) -> str:
-    return f"{ARM}\n{text}\n"
-
-
-def data(rows: str, header: str = HEADER) -> str:
-    return header + rows
-
-
 CASES: list[Case] = [
     # arm files and measurements: what each reader says of them is tested beside it
     case(DESIGN, "bad.toml; joint 2; 120; lower < upper", toml=changed("-120.0, -100.0", "120.0, -100.0")),
@@ -60,7 +52,9 @@ CASES: list[Case] = [
     case("relax arm.toml --grid 3 --candidates plan.csv", "--grid; without --candidates"),
     case("advise arm.toml --target-mm -1", "--target-mm; found -1; allowed: > 0"),
     case("diagnose arm.toml Cal.TOML", "Cal.TOML; arm file", Cal_TOML=ARM + CALIBRATION),
-    case("discriminate arm.toml bad.csv --runs 1", "60 rows of 1 posture; at least 4", csv=data("".join(ONE_POSTURE))),
+    case(
+        "discriminate arm.toml bad.csv --runs 1", "60 rows of 1 posture; at least 4", csv=HEADER + "".join(ONE_POSTURE)
+    ),
     # arms and measurements in space
     case("identify arm.toml data.csv --urdf x.urdf", "--urdf; planar"),
     case(FIT, "'z_mm'", toml=SPATIAL),
@@ -70,15 +64,15 @@ CASES: list[Case] = [
         toml=SPATIAL + "[measurement]\nsigma_mm = 0.1\n",
     ),
     # plans and truths
-    case(SCORE, "bad.csv; runs: found 2; at least 4", csv=data("1,0,10,20,30\n2,0,40,50,60\n", PLAN)),
-    case(SIMULATE, "bad.toml: effects", "size", toml=added('[[effects]]\nname = "outliers"\nshare = 0.1')),
+    case(SCORE, "bad.csv; runs: found 2; at least 4", csv=PLAN + "1,0,10,20,30\n2,0,40,50,60\n"),
+    case(SIMULATE, "bad.toml: effects", "size", toml=ARM + '[[effects]]\nname = "outliers"\nshare = 0.1\n'),
     case(SIMULATE.replace("arm.toml", "bad.toml"), "bad.toml; measurement.sigma_mm", toml=BARE),
-    case(SIMULATE, "temperature_C", toml=added('[[effects]]\nname = "thermal_growth"\na_per_K = 0.001')),
+    case(SIMULATE, "temperature_C", toml=ARM + '[[effects]]\nname = "thermal_growth"\na_per_K = 0.001\n'),
     case(SIMULATE, "up to 1e+09", toml=changed("[260.0, 180.0, 120.0, 100.0]", "[9e8, 9e8, 9e8, 9e8]")),
     case(
         "simulate arm.toml bad.csv --truth arm.toml --out out.file",
         "payload_kg",
-        csv=data("1,0,1,2,3,5e300\n" * 4, PLAN.replace("\n", ",payload_kg\n")),
+        csv=PLAN.replace("\n", ",payload_kg\n") + "1,0,1,2,3,5e300\n" * 4,
     ),
     # options that do not fit
     *(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import Any
@@ -223,28 +222,22 @@ def mixed(size: int) -> np.ndarray:
     return np.hstack([np.eye(size), mixes])
 
 
-def brute_force(
-    plan: np.ndarray,
-    reference: np.ndarray,
-    bases: Sequence[np.ndarray] = BASES,
-    weights: np.ndarray = WEIGHTS,
-    own: int = OWN,
-) -> float:
+def brute_force(plan: np.ndarray, reference: np.ndarray) -> float:
     """Every direction of every effect against nothing and every other effect, by least squares."""
-    drawn = np.hstack([basis @ mixed(basis.shape[1]) for basis in bases])
-    owner = np.repeat(np.arange(len(bases)), [mixed(basis.shape[1]).shape[1] for basis in bases])
-    random = reference[:, own:] @ drawn
-    lengths = left_of(random, reference[:, :own])
+    drawn = np.hstack([basis @ mixed(basis.shape[1]) for basis in BASES])
+    owner = np.repeat(np.arange(len(BASES)), [mixed(basis.shape[1]).shape[1] for basis in BASES])
+    random = reference[:, OWN:] @ drawn
+    lengths = left_of(random, reference[:, :OWN])
     # what random postures do not show beside the base model is no rival
     shown = lengths > 1e-5 * np.linalg.norm(random, axis=0)
     drawn, owner, lengths = drawn[:, shown], owner[shown], lengths[shown]
     # LAMBDA long with as many random runs as the plan has
-    seen = plan[:, own:] @ drawn * (LAMBDA / (lengths * np.sqrt(len(plan) / len(reference))))
-    wrong = norm.cdf(-left_of(seen, plan[:, :own]) / 2.0)
+    seen = plan[:, OWN:] @ drawn * (LAMBDA / (lengths * np.sqrt(len(plan) / len(reference))))
+    wrong = norm.cdf(-left_of(seen, plan[:, :OWN]) / 2.0)
     for g in np.unique(owner):
-        beside = left_of(seen, np.hstack([plan[:, :own], plan[:, own:] @ bases[g]]))
+        beside = left_of(seen, np.hstack([plan[:, :OWN], plan[:, OWN:] @ BASES[g]]))
         wrong += (owner != g) * norm.cdf(-beside / 2.0)
-    return float(np.average(wrong, weights=weights[owner] / np.bincount(owner)[owner]))
+    return float(np.average(wrong, weights=WEIGHTS[owner] / np.bincount(owner)[owner]))
 
 
 @pytest.mark.parametrize("seed", range(4))

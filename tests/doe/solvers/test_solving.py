@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint
 from typing import Any
@@ -185,28 +186,23 @@ def test_a_scara_whose_height_no_posture_tells_is_asked_for_its_tool() -> None:
 pytestmark = pytest.mark.filterwarnings("ignore:armcal.solvers of installed packages")
 
 
-def test_solver_of_an_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("baseline", "doe.solvers.solving:Random", "armcal.solvers")
+@pytest.mark.parametrize(
+    ("value", "broken"),
+    [
+        ("doe.solvers.solving:Random", ""),
+        ("no_such_package_at_all:Mine", "No module named"),
+        ("math:pi", "a solver with offers"),
+        ("math:tau2", "tau2"),
+    ],
+)
+def test_solvers_of_installed_packages(monkeypatch: pytest.MonkeyPatch, value: str, broken: str) -> None:
+    """A class is called without arguments; one that is broken is named."""
+    point = EntryPoint("mine", value, "armcal.solvers")
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point] if group == "armcal.solvers" else [])
     available_solvers.cache_clear()
     try:
-        assert available_solvers()["baseline"] == Random()  # a class is called without arguments
-        assert set(available_solvers()) == {*SOLVERS, "baseline"}
-    finally:
-        available_solvers.cache_clear()
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [("no_such_package_at_all:Mine", "No module named"), ("math:pi", "a solver with offers"), ("math:tau2", "tau2")],
-)
-def test_a_broken_solver_of_a_package_is_named(monkeypatch: pytest.MonkeyPatch, value: str, expected: str) -> None:
-    point = EntryPoint("mine", value, "armcal.solvers")
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [point])
-    available_solvers.cache_clear()
-    try:
-        with pytest.raises(InputError, match=f"mine = {value}.*{expected}"):
-            available_solvers()
+        with pytest.raises(InputError, match=f"mine = {value}.*{broken}") if broken else nullcontext():
+            assert available_solvers() == {**SOLVERS, "mine": Random()}
     finally:
         available_solvers.cache_clear()
 

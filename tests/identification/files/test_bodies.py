@@ -23,11 +23,11 @@ MESH = '<mesh filename="NAME"/>'
 ARM = 'kind = "spatial"\nurdf = "r.urdf"\nbase_link = "base"\ntip_link = "tip"\n'
 
 
-def arm_of(folder: Path, mesh: str = "<sphere radius='0.001'/>", text: str = ARM, dirs: tuple[Path, ...] = ()) -> Arm:
+def arm_of(folder: Path, mesh: str = "<sphere radius='0.001'/>", text: str = ARM) -> Arm:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "r.urdf").write_text(TREE.replace("MESH", mesh))
     (folder / "arm.toml").write_text(text)
-    return load_arm(folder / "arm.toml", dirs)
+    return load_arm(folder / "arm.toml")
 
 
 def said_of(arm: Arm) -> tuple[dict[str, Body], list[str]]:

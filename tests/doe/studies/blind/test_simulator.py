@@ -147,9 +147,9 @@ VALUES: dict[str, tuple[dict, dict, float]] = {
 }
 
 
-def truth_and_session(seed: int = 1) -> tuple[TrueArm, RowConditions]:
+def truth_and_session() -> tuple[TrueArm, RowConditions]:
     """An arm as drawn, 30 postures of it."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(1)
     base = pose((300.0, -200.0, 900.0), from_angles((0.3, -0.2, 2.0)))
     limit = np.full(5, 2.0)
     loads = {"masses": MASSES, "payload": 4.0, "lower": -limit, "upper": limit, "sigma": 0.05}
