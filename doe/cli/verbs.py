@@ -109,28 +109,31 @@ def design_problem(
 
 def measured_already(path: Path, arm: Arm) -> tuple[Any, Any]:
     """`kept` and `kept_excess` of a problem: of measurements at each posture as many runs as a point was read there,
-    each with the points that were; of a plan carried out all. Raises `InputError` for points that the arm lacks."""
+    each with what was read; of a plan carried out everything. Raises `InputError` for points that the arm lacks."""
     import numpy as np
 
     from identification import Plan
 
     measured, points = Plan.load(path, arm.joint_types, carried_out=True), [*arm.chain.tools]
-    names, sigma = measured.cells.get(arm.chain.point_column), measured.conditions["sigma"]
+    names, sigma, columns = measured.cells.get(arm.chain.point_column), measured.conditions["sigma"], {*measured.cells}
     excess = np.zeros(len(measured)) if arm.sigma is None or sigma is None else sigma**2 - arm.sigma**2
-    if not names:  # a run reads all points
-        return measured.postures, excess
+    unread = np.zeros(arm.chain.coordinates)  # [mm^2] of the coordinates of a point
+    if columns & {"x_mm", "x_m"} and not columns & {"rx_deg", "rx_rad", "qw"}:
+        unread[arm.dimension :] = np.inf
+    if not names:
+        return measured.postures, np.tile(excess[:, None] + unread, len(points))
     if len(points) == 1:  # whatever the file calls it
         points = [max(set(names), key=names.count)]
     postures, places = np.unique(measured.postures.round(9), axis=0, return_inverse=True)
     runs, read = dict[tuple[int, int], Any](), Counter[tuple[int, str]]()
     for place, name, more in zip(places.reshape(-1).tolist(), names, excess, strict=True):
         if name in points:
-            run = runs.setdefault((place, read[place, name]), np.full(len(points), np.inf))
-            run[points.index(name)] = more
+            run = runs.setdefault((place, read[place, name]), np.full((len(points), len(unread)), np.inf))
+            run[points.index(name)] = more + unread
             read[place, name] += 1
         elif len(points) > 1:
             raise InputError.unknown(f"{path}: {arm.chain.point_column}: unknown name", name, points)
-    return postures[[place for place, _ in runs]], np.repeat([*runs.values()], arm.chain.coordinates, axis=1)
+    return postures[[place for place, _ in runs]], np.reshape([*runs.values()], (len(runs), -1))
 
 
 def tell_of_candidates(path: Path, problem: DesignProblem, postures: Any) -> None:

@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from doe import DesignProblem
-from doe.cli.verbs import with_collisions
+from doe.cli.verbs import measured_already, with_collisions
 from doe.problem.clearance import COLLISIONS
 from identification import Model, estimate, load_arm, load_measurements, rms_distance
 from identification.document import Answer
@@ -142,6 +142,12 @@ def test_a_kept_run_counts_once_with_the_reflectors_that_were_read(spatial: Fold
         assert std == pytest.approx(deviation * parameter.to_file, rel=1e-6)
     spatial.write("other.csv", spatial.read("data.csv").replace(",top\n", ",bottom\n"))
     spatial.refused(f"{drawn} other.csv", "bottom")
+    spatial.write("pose.toml", spatial.read("truth.toml").replace("= 0.02", "= 0.02\nsigma_deg = 0.01"))
+    of_poses = load_arm(spatial.path / "pose.toml")  # of which plans read two frames, and these rows the points of some
+    excess = measured_already(spatial.path / "some.csv", of_poses)[1]
+    read = np.stack([np.ones(40), np.arange(40) % 2], axis=1)[:, :, None] * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    assert sorted(np.isfinite(excess).tolist()) == sorted((read.reshape(40, 12) > 0.0).tolist())
+    assert np.all(measured_already(spatial.path / "plan.csv", of_poses)[1] == 0.0)
 
 
 def test_effects_are_left_out_of_the_urdf_file_and_said(spatial: Folder) -> None:
