@@ -166,7 +166,7 @@ def command(function: Callable[..., Answer], example: str) -> click.Command:
         with warnings_as_lines(quiet), shown_progress(name, quiet) as progress:
             provided = {"seed": seed, "progress": progress, "page": page, "constraints": constraints, "moves": moves}
             values |= {key: provided[key] for key in inspect.signature(function).parameters if key in provided}
-            with errors_as_lines(), stoppable():
+            with errors_as_lines(), interruptible(", nothing was written"), stoppable():
                 check_outputs(click.get_current_context())
                 answer = function(**values)
             for sentence in answer.warnings if as_json else ():
@@ -265,8 +265,6 @@ def errors_as_lines() -> Iterator[None]:
     except (InputError, JobError) as error:
         say(str(error))
         sys.exit(error.exit_code)
-    except (KeyboardInterrupt, click.Abort) as error:
-        say(f"{stopped_by(error)}, nothing was written")
     except MemoryError:
         say("there is not enough memory, allowed: smaller input, or more memory")
     except ImportError as error:  # of a library in C: memory, or an installation that is not whole
@@ -316,18 +314,13 @@ def stoppable() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def stopped_by(error: BaseException) -> str:
-    """What ended the work: the user or a signal."""
-    return f"stopped by {next(iter(error.args), 'Ctrl-C')}"
-
-
 @contextmanager
 def interruptible(kept: str) -> Iterator[None]:
-    """Ctrl-C or SIGTERM in one sentence, which says what is kept."""
+    """Ctrl-C or SIGTERM in one sentence, whose end says what is kept."""
     try:
         yield
-    except KeyboardInterrupt as error:
-        raise JobError(f"{stopped_by(error)}; {kept}") from None
+    except (KeyboardInterrupt, click.Abort) as error:
+        raise JobError(f"stopped by {next(iter(error.args), 'Ctrl-C')}{kept}") from None
 
 
 @contextmanager

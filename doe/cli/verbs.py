@@ -481,7 +481,7 @@ def compare_files(
     asked |= {"path": job.out and job.out / "rows.parquet", **job.how(seed, progress, 1)}
     loaded = [load_arm(arm) for arm in arms]
     kept = f"finished rows are kept in {job.out}, go on with --resume" if job.out else "without --out nothing is kept"
-    with interruptible(kept):
+    with interruptible(f"; {kept}"):
         rows = compare(loaded, runs, [*available_solvers()] if solvers is None else solvers, **asked)
         shown, summed = comparison_parts(rows), summary(rows)
         if job.out is not None:
@@ -664,7 +664,7 @@ def study_files(
     if cells and study not in BUILT_IN:
         raise InputError(f"--cell: {cells[0]!r} of the study {study}, allowed: of blind and blind-spatial")
     folder, how = job.out or Path(study).with_suffix(".results"), job.how(seed, progress)
-    with interruptible(f"finished rows are kept in {folder}, go on with --resume"):
+    with interruptible(f"; finished rows are kept in {folder}, go on with --resume"):
         if study in BUILT_IN:
             from doe.report.studies import blind_parts, reliability_figure
             from doe.studies.blind.cells import CELLS
@@ -719,7 +719,7 @@ def demo_files(
             raise InputError(f"{out}: exists and is not empty, allowed: a new directory, or --force")
     except OSError as error:  # a file, a name that is too long, links that lead in a circle, no right to write
         raise InputError(f"{out}: cannot be created ({error.strerror}), allowed: a writable place") from None
-    with interruptible(f"the files in {out} are whole, but not all there"):
+    with interruptible(f"; the files in {out} are whole, but not all there"):
         demo = run_demo(out, six_axes() if spatial else planar(), seed, progress, force)
         document, picture = demo_document(demo), overview_figure(demo)
         text = page(document, [out / name for name in demo.data["files"]])

@@ -18,8 +18,17 @@ import pytest
 from click.testing import CliRunner
 
 from doe.cli import main
-from doe.cli.verb import FOLDER, FilePath, WholeNumbers, check_outputs, command, shown_progress, stoppable, stopped_by
-from identification import InputError, Progress
+from doe.cli.verb import (
+    FOLDER,
+    FilePath,
+    WholeNumbers,
+    check_outputs,
+    command,
+    interruptible,
+    shown_progress,
+    stoppable,
+)
+from identification import InputError, JobError, Progress
 from identification.document import Answer, Document
 from identification.workflow import Names
 from tests.doe.cli.conftest import Folder, without_progress
@@ -218,9 +227,8 @@ def test_a_signal_that_meets_the_end_of_an_object_comes_again() -> None:
         time.sleep(60.0)
 
     began = time.monotonic()
-    with pytest.raises(KeyboardInterrupt) as stopped, stoppable():
+    with pytest.raises(JobError, match=r"^stopped by SIGTERM, in the end$"), interruptible(", in the end"), stoppable():
         work()
-    assert stopped_by(stopped.value) == "stopped by SIGTERM"
     assert time.monotonic() - began < 30.0  # what sleeps is woken
 
 
