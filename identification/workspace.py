@@ -16,7 +16,6 @@ import numpy as np
 
 from identification.arrays import Array, ByValue, readonly
 from identification.errors import InputError
-from identification.kinematics.frames import rotation_to_z
 
 CLEARANCE = 20.0  # [mm] usual smallest distance of two bodies: what cables, covers and a calibration of old are off by
 
@@ -158,25 +157,20 @@ def ring(axis: Array) -> Array:
     return np.asarray(np.cos(around) * one + np.sin(around) * other)
 
 
+Z = np.array([0.0, 0.0, 1.0])
+CUBE = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(-1, 3)  # its corners
+BALL = np.concatenate([np.sin(up) * ring(Z) + np.cos(up) * Z for up in np.linspace(0.0, np.pi, 14)])
+
+
 # -- bodies ------------------------------------------------------------------------------------------------------------
-def revolved(radii: Array, heights: Array, sides: int = 32) -> Array:
-    """(t, 3, 3) faces of what (k,) radii at heights (k,), from the top down, draw around z."""
-    turn = np.linspace(0.0, 2.0 * np.pi, sides + 1)
-    ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(sides + 1)], axis=1)
-    grid = radii[:, None, None] * ring + heights[:, None, None] * np.array([0.0, 0.0, 1.0])
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    return np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
+def hull(points: Array) -> Array:
+    """(t, 3, 3) faces around points (m, 3) that are not in one plane, counterclockwise from outside."""
+    from scipy.spatial import ConvexHull
 
-
-def brick(half: Array) -> Array:
-    """(12, 3, 3) faces of a box around the origin of half sizes (3,)."""
-    faces = []
-    for normal in np.concatenate([np.eye(3), -np.eye(3)]):
-        across = np.roll(normal, 1)
-        over = np.cross(normal, across)
-        a, b, c, d = (normal + u * across + v * over for u, v in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
-        faces += [[a, b, c], [a, c, d]]
-    return np.array(faces) * half
+    faces = points[ConvexHull(points).simplices]
+    inward = np.linalg.det(faces - points.mean(axis=0)) < 0.0
+    faces[inward] = faces[inward, ::-1]
+    return np.asarray(faces)
 
 
 def cut(triangles: Array, longest: float) -> Array:
@@ -223,14 +217,9 @@ class Body(ByValue):
         """(t, 3, 3) what it looks like: its own triangles, or else those of its pieces."""
         if len(self.triangles):
             return self.triangles
-        faces, polar = [np.empty((0, 3, 3))], np.linspace(0.0, np.pi, 14)
-        for start, end, radius in zip(self.capsules[:, :3], self.capsules[:, 3:6], self.capsules[:, 6], strict=True):
-            half = 0.5 * np.linalg.norm(end - start)
-            turn = rotation_to_z((end - start) / (2.0 * half)) if half > 1e-9 else np.eye(3)
-            heights = radius * np.cos(polar) + np.where(polar < 0.5 * np.pi, half, -half)
-            faces.append(revolved(radius * np.sin(polar), heights) @ turn.T + 0.5 * (start + end))
-        faces += [brick(box[12:]) @ box[3:12].reshape(3, 3).T + box[:3] for box in self.boxes]
-        return np.concatenate(faces)
+        rods = [np.concatenate([rod[:3] + rod[6] * BALL, rod[3:6] + rod[6] * BALL]) for rod in self.capsules]
+        bricks = [box[:3] + (CUBE * box[12:]) @ box[3:12].reshape(3, 3).T for box in self.boxes]
+        return np.concatenate([np.empty((0, 3, 3)), *map(hull, rods + bricks)])
 
 
 @dataclass(frozen=True, eq=False)

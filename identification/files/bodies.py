@@ -28,7 +28,7 @@ from identification.errors import InputError
 from identification.files.io import PathLike, decode, read_bytes
 from identification.files.urdf import METER, Urdf, read_urdf, xml_root
 from identification.kinematics.frames import pose, rotation_to_z
-from identification.workspace import Body, brick, revolved
+from identification.workspace import CUBE, Body, Z, hull, ring
 
 SIZES = {  # of a `<collision>` -> how many numbers each has
     "box": {"size": 3},
@@ -122,11 +122,10 @@ class Shape(ByValue):
         if self.kind == "mesh":
             return read_mesh(self.file) * self.size
         if self.kind == "box":
-            return brick(0.5 * self.size)
+            return hull(0.5 * self.size * CUBE)
         if self.kind == "cylinder":
-            sides, (radius, length) = 32, self.size
-            across, half = radius / np.cos(np.pi / sides), 0.5 * length
-            return revolved(across * np.array([0.0, 1.0, 1.0, 0.0]), half * np.array([1.0, 1.0, -1.0, -1.0]), sides)
+            rim, up = self.size[0] / np.cos(np.pi / 48) * ring(Z), 0.5 * self.size[1] * Z  # 48 sides
+            return hull(np.concatenate([rim + up, rim - up]))
         return np.empty((0, 3, 3))
 
 
