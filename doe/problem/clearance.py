@@ -175,39 +175,33 @@ class Clearance:
     def _seen(self, postures: Array) -> Seen:
         """What there is to see at postures (m, n); kept for the next question about the same ones.
 
-        The middle of an axis tells how far it is at most, and less half its length at least; from a box it is convex
-        along the axis, so twice that of the middle less the larger of both ends at least. Of most pairs of pieces this
-        tells that another is nearer.
+        The middle of an axis tells how far it is at most, and less half its length at least, which of most pairs of
+        pieces tells that another is nearer.
         """
         if self._last is not None and np.array_equal(self._last.postures, postures):
             return self._last
         m, count, (frames, placed) = len(postures), len(self.pairs), self._placed(postures)
+        nearest = np.empty((m, count), dtype=np.intp)
         if not count:
-            return Seen(postures.copy(), frames, placed, np.empty((m, 0)), np.empty((m, 0), dtype=np.intp))
+            return Seen(postures.copy(), frames, placed, np.empty((m, 0)), nearest)
         pair, first, second = self._pieces.T
         along, rods = placed[1] - placed[0], second < self._capsules
-        middle, half = placed[0] + 0.5 * along, 0.5 * np.sqrt(dot(along, along))
-        most, least = np.empty((2, m, len(pair)))
-        points, one, other = np.moveaxis(middle, 0, -1), first[rods], second[rods]
-        square = np.sum(points**2, axis=-1)
-        apart = square[:, :, None] + square[:, None] - 2.0 * points @ np.swapaxes(points, 1, 2)
-        most[:, rods] = np.sqrt(np.maximum(apart, 0.0)).reshape(m, -1)[:, one * self._capsules + other]
-        least[:, rods] = most[:, rods] - half[:, one] - half[:, other]
-        boxes, three = second[~rods] - self._capsules, np.stack([placed[0], middle, placed[1]], axis=1)
-        start, between, end = from_box(
-            self._in_box(three[..., first[~rods]], boxes), self._boxes[boxes, 12:].T[:, None, None]
+        middle, half = (
+            placed[0] + 0.5 * along,
+            0.5 * np.pad(np.sqrt(dot(along, along)), ((0, 0), (0, len(self._boxes)))),
         )
-        most[:, ~rods] = np.minimum(np.minimum(start, end), between)
-        least[:, ~rods] = 2.0 * between - np.maximum(start, end)
-        radii = self._radii[first] + self._radii[second]
-        bound = np.minimum.reduceat(most - radii, self._starts, axis=1) + ROUNDING
-        run, piece = np.nonzero(least - radii <= bound[:, pair])
-        exact = self._witness(placed, run, piece)[0]
-        groups = np.flatnonzero(np.diff(run * count + pair[piece], prepend=-1))
-        distance = np.minimum.reduceat(exact, groups)
-        ranks = np.where(exact == np.repeat(distance, np.diff(groups, append=len(run))), piece, len(pair))
-        nearest = np.minimum.reduceat(ranks, groups)
-        self._last = Seen(postures.copy(), frames, placed, distance.reshape(m, count), nearest.reshape(m, count))
+        between, box = middle[..., first[rods]] - middle[..., second[rods]], second[~rods] - self._capsules
+        most = np.empty((m, len(pair)))
+        most[:, rods] = np.sqrt(dot(between, between))
+        most[:, ~rods] = from_box(self._in_box(middle[..., first[~rods]], box), self._boxes[box, 12:].T[:, None])
+        most -= self._radii[first] + self._radii[second]
+        bound, exact = np.minimum.reduceat(most, self._starts, axis=1) + ROUNDING, np.full_like(most, np.inf)
+        run, piece = np.nonzero(most - half[:, first] - half[:, second] <= bound[:, pair])
+        exact[run, piece] = self._witness(placed, run, piece)[0]
+        distance = np.minimum.reduceat(exact, self._starts, axis=1)
+        run, piece = np.nonzero(exact == distance[:, pair])
+        nearest[run, pair[piece]] = piece
+        self._last = Seen(postures.copy(), frames, placed, distance, nearest)
         return self._last
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:
