@@ -44,14 +44,13 @@ def capsules_around(triangles: Array, most: int = 8) -> Array:
         for weight in (3.0, 100.0):
             value, capsules = fitted(capsules, surface, around, weight)
         found.append((value, capsules))
-        tight = -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0)
-        if tight:
-            break
+        if -from_capsules(capsules, around)[0].min(initial=0.0) < max(0.3 * cell, 3.0):
+            break  # tight
         capsules = halved(capsules, surface)
     best = min(value for value, _ in found)
     capsules = next(each for value, each in found if value <= 1.35 * best)  # fewer, if they are nearly as good
     for weight in (1000.0, 10000.0):
-        some = spread(faces, 5000)
+        some = faces[:: max(len(faces) // 5000, 1)]
         lacking = sticking_out(capsules, some)[0]
         surface = np.concatenate([surface, some[np.argsort(-lacking)[:100]].reshape(-1, 3)])
         capsules = fitted(capsules, surface, around, weight)[1]
@@ -106,10 +105,9 @@ def fitted(capsules: Array, surface: Array, around: Array, weight: float) -> tup
 
 
 def sticking_out(capsules: Array, faces: Array) -> tuple[Array, Index]:
-    """(f,) how much the capsule that lacks least lacks of each face (f, 3, 3) [mm], 0: nothing, and its number."""
+    """(f,) how much the capsule that lacks least lacks of each face (f, 3, 3) [mm], and its number."""
     lacking = from_capsules(capsules, faces.reshape(-1, 3))[0].reshape(len(faces), 3, -1).max(axis=1)
-    best = lacking.argmin(axis=1)
-    return np.maximum(lacking[np.arange(len(faces)), best], 0.0), best
+    return lacking.min(axis=1), lacking.argmin(axis=1)
 
 
 def halved(capsules: Array, surface: Array) -> Array:
@@ -125,12 +123,7 @@ def halved(capsules: Array, surface: Array) -> Array:
     return np.array(halves)
 
 
-def spread(points: Array, most: int) -> Array:
-    """At most so many of the points, at equal steps of their order."""
-    return points[np.linspace(0, len(points) - 1, min(len(points), most)).astype(int)]
-
-
-def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Array]:
+def points_about(faces: Array, cell: float, most: int = 600) -> tuple[Array, Array]:
     """Points of the surface, and points around it, where cells of a grid are not filled. A cell is filled where the
     surface is in it, or on both sides along at least two of the three axes: the inside of an open surface, and of a
     bore."""
@@ -143,8 +136,8 @@ def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Arr
         return tuple(((points - low) / cell).astype(int).T)
 
     filled[at(faces.reshape(-1, 3))] = True
-    one_of_each_cell = np.unique(np.ravel_multi_index(at(faces[:, 0]), tuple(shape)), return_index=True)[1]
-    chosen = spread(faces[one_of_each_cell], most)
+    chosen = faces[np.unique(np.ravel_multi_index(at(faces[:, 0]), tuple(shape)), return_index=True)[1]]
+    chosen = chosen[:: max(len(chosen) // most, 1)]
     sides = [
         np.logical_or.accumulate(filled, axis) & np.flip(np.logical_or.accumulate(np.flip(filled, axis), axis), axis)
         for axis in range(3)
@@ -157,7 +150,7 @@ def points_about(faces: Array, cell: float, most: int = 800) -> tuple[Array, Arr
         around.append((middles + 0.2 * side)[~filled[at(middles + 1.8 * side)]])
     away = distance_transform_edt(~filled)
     far = np.argwhere((away >= 1.8) & (away <= farthest))
-    around.append(spread(low + (far + 0.5) * cell, most // 2))
+    around.append(low + (far[:: max(2 * len(far) // most, 1)] + 0.5) * cell)
     return chosen[:, 0], np.concatenate(around)
 
 
