@@ -205,15 +205,11 @@ class Clearance:
         return self._last
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:
-        """Frames and ends as `Seen` has them."""
+        """Frames and ends of axes as `Seen` has them."""
         base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
         frames = np.concatenate([base, self.model.joint_frames(postures)], axis=1)
-        placed = np.empty((2, 3, len(postures), self._capsules))
-        for end, joints in enumerate(self._frames[:, : self._capsules]):
-            for joint in np.unique(joints):
-                points = frames[:, joint, :3, :3] @ self._ends[end, joints == joint].T + frames[:, joint, :3, 3:]
-                placed[end][..., joints == joint] = points.swapaxes(0, 1)
-        return frames, placed
+        moved, ones = frames[:, self._frames[:, : self._capsules], :3], np.ones((2, self._capsules, 1))
+        return frames, np.einsum("mekij,ekj->eimk", moved, np.dstack([self._ends, ones]))
 
     def _in_box(self, points: Array, box: NDArray[np.intp]) -> Array:
         """(3, ..., W) points (3, ..., W) along the axes of boxes (W,), from their centers."""
