@@ -322,7 +322,7 @@ def drive(
     lines = [f"order {order}: joint travel {before:.0f} -> {after:.0f} deg of the joint that moves farthest ({change})"]
     if not solid and approach == "any":
         return Drive(measured, None, data, lines)
-    runs, changed = np.where(via, 0, np.cumsum(~via)).tolist(), int(np.any(postures != given, axis=1).sum())
+    moves, changed = replace(whole, via=via), int(np.any(postures != given, axis=1).sum())
     vias, no_approach = int(via.sum()), (np.flatnonzero(np.isin(run_rows, sideways)) + 1).tolist()
     not_free = (unproven(problem.constraints, whole.postures) or []) if unreached or stop() else []
     data["moves"] = {
@@ -332,10 +332,7 @@ def drive(
         "approach": approach,
         "no_approach": no_approach,
         "not_free": not_free,
-        "rows": [
-            {"kind": "measure" if run else "via", "run": run or None, "joints": row}
-            for run, row in zip(runs, whole.displayed.tolist(), strict=True)
-        ],
+        "rows": rows_of(moves),
     }
     times, counted = after / (min(shortest) or after or 1.0), f"{vias} way-point{'s' * (vias != 1)}"
     lines.append(f"Moves: {counted}, {times:.2f} times the travel of the shortest order with nothing in the way.")
@@ -348,7 +345,17 @@ def drive(
     if changed:
         were = "1 of the postures was" if changed == 1 else f"{changed} of the postures were"
         lines.append(f"{were} replaced: no free way led there from the others")
-    return Drive(measured, replace(whole, via=via), data, [*lines, *in_sentences(not_free)])
+    return Drive(measured, moves, data, [*lines, *in_sentences(not_free)])
+
+
+def rows_of(moves: Plan) -> list[dict[str, Any]]:
+    """Of each row of a plan its `kind` (`measure` or `via`), the `run` that is measured there, None at a way-point, and
+    the `joints` as the controller counts them [deg, mm]."""
+    runs = np.arange(1, len(moves) + 1) if moves.via is None else np.where(moves.via, 0, np.cumsum(~moves.via))
+    return [
+        {"kind": "measure" if run else "via", "run": run or None, "joints": joints}
+        for run, joints in zip(runs.tolist(), moves.displayed.tolist(), strict=True)
+    ]
 
 
 def unproven(constraints: Sequence[Constraint], postures: Array) -> list[dict[str, Any]] | None:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from doe.plan.moves import clearance_of, room_of, unproven
+from doe.plan.moves import clearance_of, room_of, rows_of, unproven
 from doe.problem.clearance import ROUNDING
 from doe.problem.constraints import constraints_of
 from identification import Arm, InputError, Plan
@@ -115,23 +115,22 @@ def program(
         moving = np.where(moving > ramp, moving + ramp, 2.0 * np.sqrt(moving * ramp))
     left = np.cumsum(moving + settle * ~via)
     arrivals, departures = (np.ceil(1000.0 * each).astype(int).tolist() for each in (left - settle * ~via, left))
-    units, runs = [length if slide else angle for slide in slides], np.where(via, 0, np.cumsum(~via)).tolist()
-    labels = [f"run {run}" if run else "via" for run in runs]
-    doubts = {move["row"] - 1: f", may collide: {' and '.join(move['bodies'])}" for move in not_free}
-    texts = [[decimal(x, *UNITS[unit]) for x, unit in zip(row, units, strict=True)] for row in columns]
-    moves = [
-        {
-            "run": run,  # number of the measurement there, 0 at a way-point
-            "joints": joints,
-            "arrival": arrivals[k],  # [ms] from the start
-            "departure": departures[k],  # after settling
-            "comment": labels[k] + SPECIAL.sub("?", doubts.get(k, "")),
+    units, rows, moves, postures = [length if slide else angle for slide in slides], rows_of(plan), [], []
+    doubts = {move["row"]: f", may collide: {' and '.join(move['bodies'])}" for move in not_free}
+    for k, (row, q, arrival, departure) in enumerate(zip(rows, columns, arrivals, departures, strict=True), start=1):
+        label, row["seconds"] = f"run {row['run']}" if row["run"] else "via", arrival / 1000.0
+        move = {
+            "run": row["run"] or 0,  # number of the measurement there, 0 at a way-point
+            "joints": [decimal(x, *UNITS[unit]) for x, unit in zip(q, units, strict=True)],
+            "arrival": arrival,  # [ms] from the start
+            "departure": departure,  # after settling
+            "comment": label + SPECIAL.sub("?", doubts.get(k, "")),
         }
-        for k, (run, joints) in enumerate(zip(runs, texts, strict=True))
-    ]
+        moves.append(move)
+        postures.append(f"{k:3d} {label:8s}" + "".join(f"{x:10.3f}" for x in q + 0.0))
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
     identifier = (identifier if identifier[:1].isalpha() else f"armcal_{identifier}".strip("_"))[:24]
-    planned = f"{max(runs)} runs, {speed} % speed, {settle:g} s to settle"
+    planned = f"{int(sum(~via))} runs, {speed} % speed, {settle:g} s to settle"
     rest = f"about {departures[-1] / 60e3:.1f} min without measuring"
     variables = {
         "name": identifier,
@@ -142,16 +141,9 @@ def program(
         "settle": decimal(settle, 1.0, 3),
         "names": [SPECIAL.sub("_", joint.name) or f"joint_{j}" for j, joint in enumerate(arm.chain.joints, 1)],
         "units": units,
-        "postures": [  # what the pendant shows, for a dry run
-            f"{k:3d} {label:8s}" + "".join(f"{x:10.3f}" for x in row + 0.0)
-            for k, (label, row) in enumerate(zip(labels, columns, strict=True), start=1)
-        ],
+        "postures": postures,  # what the pendant shows, for a dry run
         "moves": moves,
     }
-    listed = [
-        {"kind": "measure" if run else "via", "run": run or None, "joints": row, "seconds": arrival / 1000.0}
-        for run, row, arrival in zip(runs, columns.tolist(), arrivals, strict=True)
-    ]
     options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     environment = ImmutableSandboxedEnvironment(undefined=StrictUndefined, **options)  # for a user's template
     failures = TemplateError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, RecursionError
@@ -163,14 +155,12 @@ def program(
             text = environment.from_string(template.read_text("utf-8-sig")).render(variables)
         except OSError as error:
             raise InputError(f"{template}: cannot be read ({error.strerror}), allowed: a file that can") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{template}: is not UTF-8, allowed: a text file in UTF-8") from None
         except failures as error:
             line = getattr(error, "lineno", None)
             where = f"{template}: " if line is None else f"{template}: line {line}: "
             allowed = f"allowed: a jinja template of the variables {', '.join(variables)}"
             raise InputError(f"{where}{error}, {allowed}") from None
-    return Program(text, identifier, listed, plan.units, departures[-1] / 1000.0, not_free)
+    return Program(text, identifier, rows, plan.units, departures[-1] / 1000.0, not_free)
 
 
 def decimal(value: float, unit: float, digits: int) -> str:
