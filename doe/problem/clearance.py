@@ -30,6 +30,7 @@ from identification import Array
 
 ROUNDING = 1e-3  # [mm] by which a plan that was written and read again may miss what it keeps
 TINY = 1e-12  # [mm], [mm^2] below which a length, or its square, has no direction
+CROSSING = 1e-6  # [mm] between axes that cross: no direction leads away
 DEEP = 1e5  # [mm] half sizes of the box that the floor is the top of
 FLOOR, SIGHT = "floor", "line of sight"
 # what is said of plans of an arm in space whose bodies are not known
@@ -218,27 +219,24 @@ class Clearance:
         return np.einsum("wij,i...w->j...w", turned, shifted)
 
     def _witness(self, placed: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """(N,) distances of N pairs of pieces, each at one of the postures, (2, N) shares of the way along both axes to
-        the nearest points, and (3, N) the directions in which the first gets away."""
+        """(N,) distances of N pairs of pieces, each at one of the postures, (N,) shares of the way along the axis of
+        the first to its nearest point, and (3, N) the directions in which it gets away."""
         first, second = self._pieces[piece, 1:].T
-        (a, b), shares = placed[:, :, run, first], np.zeros((2, len(run)))
-        distance, away = -self._radii[first] - self._radii[second], np.empty((3, len(run)))
-        if len(axes := np.flatnonzero(second < self._capsules)):
-            one, (c, d) = (a[:, axes], b[:, axes]), placed[:, :, run[axes], second[axes]]
-            shares[0, axes], shares[1, axes], between = shortest(*one, c, d)
-            length = np.sqrt(dot(between, between))
-            distance[axes] += length
-            if (crossed := length < 1e-6).any():  # the direction across both
-                between[:, crossed] = np.cross(one[1] - one[0], d - c, axis=0)[:, crossed]
-                length = np.sqrt(dot(between, between))
-            away[:, axes] = between / np.maximum(length, TINY)
-        if len(walls := np.flatnonzero(second >= self._capsules)):
+        (a, b), share, away = placed[:, :, run, first], np.empty(len(run)), np.empty((3, len(run)))
+        distance, axes, walls = (
+            np.empty(len(run)),
+            *map(np.flatnonzero, (second < self._capsules, second >= self._capsules)),
+        )
+        share[axes], _, between = shortest(a[:, axes], b[:, axes], *placed[:, :, run[axes], second[axes]])
+        distance[axes] = np.sqrt(dot(between, between))
+        away[:, axes] = between / np.maximum(distance[axes], CROSSING)
+        if len(walls):
             box = second[walls] - self._capsules
             start, end, half = self._in_box(a[:, walls], box), self._in_box(b[:, walls], box), self._boxes[box, 12:].T
-            shares[0, walls], along_sides = nearest_to_box(start, end, half)
-            distance[walls] += from_box(start + shares[0, walls] * (end - start), half)
+            share[walls], along_sides = nearest_to_box(start, end, half)
+            distance[walls] = from_box(start + share[walls] * (end - start), half)
             away[:, walls] = np.einsum("wij,jw->iw", self._boxes[box, 3:12].reshape(-1, 3, 3), along_sides)
-        return distance, shares, away
+        return distance - self._radii[first] - self._radii[second], share, away
 
     # -- derivatives, as `doe.problem.constraints.Derivatives` has those of expressions --------------------------------
     @property
@@ -278,21 +276,19 @@ class Clearance:
         [mm/rad, 1]."""
         kept = self._last if self._last is not None and np.array_equal(self._last.postures, postures) else None
         frames, placed = (kept.frames, kept.placed) if kept else self._placed(postures)
-        _, shares, away = self._witness(placed, run, piece)
+        _, share, away = self._witness(placed, run, piece)
         # (m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide
-        axes, turning = (
-            (frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None])[..., 0],
-            turns(self.model)[:, None],
-        )
-        moment, force = np.where(turning, axes, 0.0), np.where(turning, np.cross(frames[:, 1:-1, :3, 3], axes), axes)
+        axes, turning = np.squeeze(frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], -1), turns(self.model)
+        moment = np.where(turning[:, None], axes, 0.0)
+        force = np.where(turning[:, None], np.cross(frames[:, 1:-1, :3, 3], axes), axes)
         slopes, joints = np.zeros((len(run), len(turning))), np.arange(1, len(turning) + 1)
-        # a witness point moves as both ends of its axis do, each by its share
-        for sign, share, side in zip((1.0, -1.0), shares, self._pieces[piece, 1:].T, strict=True):
-            for end, weight in enumerate((1.0 - share, share)):
-                point = placed[end][:, run, np.minimum(side, self._capsules - 1)]  # boxes stand still
-                lever = np.cross(point, away, axis=0).T[:, :, None]
-                rates = (moment[run] @ lever + force[run] @ away.T[:, :, None])[..., 0]
-                slopes += (sign * weight)[:, None] * np.where(joints <= self._frames[end, side, None], rates, 0.0)
+        first, second = self._pieces[piece, 1:].T
+        # a witness point moves as both ends of its axis do, each by its share; joints that move both bodies do nothing
+        for end, weight in enumerate((1.0 - share, share)):
+            lever = np.cross(placed[end][:, run, first], away, axis=0).T[:, :, None]
+            rates = (moment[run] @ lever + force[run] @ away.T[:, :, None])[..., 0]
+            moved = np.subtract(*(joints <= self._frames[end, side, None] for side in (first, second)), dtype=float)
+            slopes += weight[:, None] * moved * rates
         return slopes
 
 
