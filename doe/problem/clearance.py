@@ -246,34 +246,24 @@ class Clearance:
 
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
-        run, nearest = np.repeat(np.arange(len(postures)), self.count), self._seen(postures).nearest
-        slopes = self._gradients(postures, run, nearest.ravel())
-        return self.margin(postures), np.swapaxes(slopes.reshape(len(postures), self.count, postures.shape[1]), 1, 2)
+        return self.margin(postures), self._slopes(postures, self._seen(postures).nearest)
 
     def slope(self, postures: Array, weights: Array) -> Array:
         """(m, n) gradients of the sums with weights (m, k)."""
-        return self._slope_of(self._seen(postures).nearest, postures, weights)
+        return (self._slopes(postures, self._seen(postures).nearest) @ weights[:, :, None])[..., 0]
 
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, n, n) Hessians of the sums: differences of the gradients of the same pieces."""
-        steps = 1e-4 * np.eye(postures.shape[1])[:, None]
-        moved, alike = np.concatenate([postures + steps, postures - steps]), (2 * len(steps), 1)
-        pieces = np.tile(self._seen(postures).nearest, alike)
-        slopes = self._slope_of(pieces, moved.reshape(-1, postures.shape[1]), np.tile(weights, alike))
-        ahead, behind = slopes.reshape(2, len(steps), len(postures), len(steps))
-        bend = np.moveaxis(ahead - behind, 0, 1) / 2e-4
+        steps, nearest = 1e-4 * np.eye(postures.shape[1]), self._seen(postures).nearest
+        ahead, behind = (
+            np.stack([self._slopes(postures + step, nearest) for step in sign * steps], axis=1) for sign in (1.0, -1.0)
+        )
+        bend = ((ahead - behind) @ weights[:, None, :, None])[..., 0] / 2e-4
         return np.asarray(0.5 * (bend + np.swapaxes(bend, 1, 2)))
 
-    def _slope_of(self, pieces: NDArray[np.intp], postures: Array, weights: Array) -> Array:
-        """Of the distances of pairs of pieces (m, k)."""
-        run, pair = np.nonzero(weights)
-        slopes, total = self._gradients(postures, run, pieces[run, pair]), np.zeros(postures.shape)
-        np.add.at(total, run, weights[run, pair, None] * slopes)
-        return total
-
-    def _gradients(self, postures: Array, run: NDArray[np.intp], piece: NDArray[np.intp]) -> Array:
-        """(N, n) how the distances of N pairs of pieces, each at one of the postures, change with the joints
-        [mm/rad, 1]."""
+    def _slopes(self, postures: Array, pieces: NDArray[np.intp]) -> Array:
+        """(m, n, k) how the distances of pairs of pieces (m, k) change with the joints [mm/rad, 1]."""
+        run, piece = np.repeat(np.arange(len(pieces)), pieces.shape[1]), pieces.ravel()
         kept = self._last if self._last is not None and np.array_equal(self._last.postures, postures) else None
         frames, placed = (kept.frames, kept.placed) if kept else self._placed(postures)
         _, share, away = self._witness(placed, run, piece)
@@ -289,7 +279,7 @@ class Clearance:
             rates = (moment[run] @ lever + force[run] @ away.T[:, :, None])[..., 0]
             moved = np.subtract(*(joints <= self._frames[end, side, None] for side in (first, second)), dtype=float)
             slopes += weight[:, None] * moved * rates
-        return slopes
+        return np.swapaxes(slopes.reshape(*pieces.shape, len(turning)), 1, 2)
 
 
 def distance_in_words(near: Mapping[str, Any]) -> str:
