@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -115,18 +115,16 @@ def draw_bodies(axes: Any, arm: Arm, posture: Array) -> None:
 
     assert arm.cell is not None
     frames = np.concatenate([np.eye(4)[None], design_model(arm).joint_frames(posture[None])[0]])
-    elevation, azimuth = np.radians([axes.elev, axes.azim])
-    viewer = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    corners, colors = [np.empty((0, 3, 3))], [np.empty((0, 3))]
+    corners, colors, floor = [np.empty((0, 3, 3))], list[str](), arm.cell.floor
     for body in (one for one in arm.cell.bodies if len(one.looks())):
         vertices, faces = simplified(body.looks(), DRAWN // len(arm.cell.bodies))
         corners.append((vertices @ frames[body.joint, :3, :3].T + frames[body.joint, :3, 3])[faces.astype(int)])
-        normals = np.cross(corners[-1][:, 1] - corners[-1][:, 0], corners[-1][:, 2] - corners[-1][:, 0])
-        lit = np.abs(normals @ viewer) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
-        colors.append((0.5 + 0.5 * lit)[:, None] * to_rgb(LINK if body.joint else CELL))
-    paint, floor = np.concatenate(colors), arm.cell.floor
-    if len(paint):
-        axes.add_collection3d(Poly3DCollection(np.concatenate(corners), facecolors=paint, edgecolors=paint, lw=0.3))
+        colors += [LINK if body.joint else CELL] * len(faces)
+    if colors:
+        lit: dict[str, Any] = {"shade": True, "lightsource": LightSource(90.0 - axes.azim, axes.elev)}
+        axes.add_collection3d(
+            Poly3DCollection(np.concatenate(corners), facecolors=colors, edgecolors=colors, lw=0.3, **lit)
+        )
     within = [*(each.reshape(-1, 3) for each in corners), frames[:, :3, 3], np.array([[0.0, 0.0, floor or 0.0]])]
     axes.auto_scale_xyz(*np.concatenate(within).T, had_data=True)
     axes.autoscale(False)
