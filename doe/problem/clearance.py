@@ -20,7 +20,7 @@ of a pair that is always near, as both neighbours of a short link, a quarter of 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,17 +45,6 @@ def bodies_looked_at(problem: Any) -> tuple[list[Clearance], list[str]]:
     none; nothing is said of arms in a plane whose bodies nobody has described."""
     looked = [each for each in problem.constraints if isinstance(each, Clearance)]
     return looked, [COLLISIONS] if not looked and getattr(problem.model, "space", 0) == 3 else []
-
-
-class Seen(NamedTuple):
-    """Frames (m, n + 2, 4, 4) of base, joints and measured point at postures, ends (2, 3, m, K) of the axes of all
-    capsules in that of the base, distances (m, k) of the pairs, and numbers of the pairs of pieces that have them."""
-
-    postures: Array
-    frames: Array
-    placed: Array
-    distance: Array
-    nearest: NDArray[np.intp]
 
 
 class Clearance:
@@ -98,7 +87,7 @@ class Clearance:
                 pieces += [(len(pairs), a, b) for a in first for b in second]
                 pairs += [pair] if first and second else []
         self._pieces, self.pairs = np.array(pieces, dtype=int).reshape(-1, 3), tuple(pairs)
-        self._last: Seen | None = None
+        self._last: tuple[Any, ...] = (np.empty(0),)
         # of all pairs those that are looked at, by random postures: not those that always touch
         drawn = np.random.default_rng(0).uniform(model.lower, model.upper, (1000, len(model.lower)))
         apart = self.distance(drawn)
@@ -109,7 +98,7 @@ class Clearance:
         self.asked = np.minimum(self.usual, 0.25 * largest)[kept]
         self._pieces = self._pieces[kept[self._pieces[:, 0]]]
         self._pieces[:, 0] = np.unique(self._pieces[:, 0], return_inverse=True)[1]
-        self._last = None
+        self.count, self._last = len(self.pairs), (np.empty(0),)
 
     def levers(self) -> Array:
         """(k, n) how much at most the distance of each pair changes by a unit of each joint [mm/rad, 1].
@@ -126,7 +115,8 @@ class Clearance:
         lengths = np.where(turns(self.model), np.maximum(far[:, None] - along[1:-1], 0.0), 1.0)
         (_, first), (_, second) = self._frames[:, self._pieces[:, 1:].T].swapaxes(0, 1)
         between = (joints > second[:, None]) & (joints <= first[:, None])
-        return np.asarray(np.maximum.reduceat(between * lengths[self._pieces[:, 1]], self._starts, axis=0))
+        starts = np.flatnonzero(np.diff(self._pieces[:, 0], prepend=-1))
+        return np.asarray(np.maximum.reduceat(between * lengths[self._pieces[:, 1]], starts, axis=0))
 
     # -- distances -----------------------------------------------------------------------------------------------------
     def margin(self, postures: Array) -> Array:
@@ -137,7 +127,7 @@ class Clearance:
         """(m, k) [mm] signed distances of the pairs at postures (m, n)."""
         rows = np.atleast_2d(np.asarray(postures, dtype=float))
         size = 1 + 2**17 // (1 + len(self._pieces))  # at once: 1 MB an array
-        parts = [self._seen(rows[k : k + size]).distance for k in range(0, len(rows), size)]
+        parts = [self._seen(rows[k : k + size])[0] for k in range(0, len(rows), size)]
         return np.concatenate([np.empty((0, len(self.pairs))), *parts])
 
     def too_near(self, postures: Array) -> list[dict[str, Any]]:
@@ -168,24 +158,19 @@ class Clearance:
             lines += [f"{why}: {', '.join(pairs[:most])}{rest}."] if pairs else []
         return lines
 
-    @property
-    def _starts(self) -> NDArray[np.intp]:
-        """(k,) the first pair of pieces of each pair."""
-        return np.searchsorted(self._pieces[:, 0], range(len(self.pairs)))
-
-    def _seen(self, postures: Array) -> Seen:
-        """What there is to see at postures (m, n); kept for the next question about the same ones.
+    def _seen(self, postures: Array) -> tuple[Array, NDArray[np.intp]]:
+        """(m, k) distances of the pairs at postures (m, n), and numbers of the pairs of pieces that have them; kept for
+        the next question about the same ones.
 
         The middle of an axis tells how far it is at most, and less half its length at least, which of most pairs of
         pieces tells that another is nearer.
         """
-        if self._last is not None and np.array_equal(self._last.postures, postures):
-            return self._last
-        m, count, (frames, placed) = len(postures), len(self.pairs), self._placed(postures)
-        nearest = np.empty((m, count), dtype=np.intp)
-        if not count:
-            return Seen(postures.copy(), frames, placed, np.empty((m, 0)), nearest)
-        pair, first, second = self._pieces.T
+        if np.array_equal(self._last[0], postures):
+            return self._last[1], self._last[2]
+        m, placed, (pair, first, second) = len(postures), self._placed(postures)[1], self._pieces.T
+        nearest, starts = np.empty((m, len(self.pairs)), dtype=np.intp), np.flatnonzero(np.diff(pair, prepend=-1))
+        if not self.pairs:
+            return np.empty((m, 0)), nearest
         along, rods = placed[1] - placed[0], second < self._capsules
         middle, half = (
             placed[0] + 0.5 * along,
@@ -196,17 +181,18 @@ class Clearance:
         most[:, rods] = np.sqrt(dot(between, between))
         most[:, ~rods] = from_box(self._in_box(middle[..., first[~rods]], box), self._boxes[box, 12:].T[:, None])
         most -= self._radii[first] + self._radii[second]
-        bound, exact = np.minimum.reduceat(most, self._starts, axis=1) + ROUNDING, np.full_like(most, np.inf)
+        bound, exact = np.minimum.reduceat(most, starts, axis=1) + ROUNDING, np.full_like(most, np.inf)
         run, piece = np.nonzero(most - half[:, first] - half[:, second] <= bound[:, pair])
         exact[run, piece] = self._witness(placed, run, piece)[0]
-        distance = np.minimum.reduceat(exact, self._starts, axis=1)
+        distance = np.minimum.reduceat(exact, starts, axis=1)
         run, piece = np.nonzero(exact == distance[:, pair])
         nearest[run, pair[piece]] = piece
-        self._last = Seen(postures.copy(), frames, placed, distance, nearest)
-        return self._last
+        self._last = postures.copy(), distance, nearest
+        return distance, nearest
 
     def _placed(self, postures: Array) -> tuple[Array, Array]:
-        """Frames and ends of axes as `Seen` has them."""
+        """Frames (m, n + 2, 4, 4) of base, joints and measured point at postures, and ends (2, 3, m, K) of the axes of
+        all capsules in that of the base."""
         base = np.broadcast_to(np.eye(4), (len(postures), 1, 4, 4))
         frames = np.concatenate([base, self.model.joint_frames(postures)], axis=1)
         moved, ones = frames[:, self._frames[:, : self._capsules], :3], np.ones((2, self._capsules, 1))
@@ -239,22 +225,17 @@ class Clearance:
         return distance - self._radii[first] - self._radii[second], share, away
 
     # -- derivatives, as `doe.problem.constraints.Derivatives` has those of expressions --------------------------------
-    @property
-    def count(self) -> int:
-        """k."""
-        return len(self.pairs)
-
     def first(self, postures: Array) -> tuple[Array, Array]:
         """(m, k) margins and their derivatives (m, n, k) by the joints."""
-        return self.margin(postures), self._slopes(postures, self._seen(postures).nearest)
+        return self.margin(postures), self._slopes(postures, self._seen(postures)[1])
 
     def slope(self, postures: Array, weights: Array) -> Array:
         """(m, n) gradients of the sums with weights (m, k)."""
-        return (self._slopes(postures, self._seen(postures).nearest) @ weights[:, :, None])[..., 0]
+        return (self._slopes(postures, self._seen(postures)[1]) @ weights[:, :, None])[..., 0]
 
     def bend(self, postures: Array, weights: Array) -> Array:
         """(m, n, n) Hessians of the sums: differences of the gradients of the same pieces."""
-        steps, nearest = 1e-4 * np.eye(postures.shape[1]), self._seen(postures).nearest
+        steps, nearest = 1e-4 * np.eye(postures.shape[1]), self._seen(postures)[1]
         ahead, behind = (
             np.stack([self._slopes(postures + step, nearest) for step in sign * steps], axis=1) for sign in (1.0, -1.0)
         )
@@ -264,8 +245,7 @@ class Clearance:
     def _slopes(self, postures: Array, pieces: NDArray[np.intp]) -> Array:
         """(m, n, k) how the distances of pairs of pieces (m, k) change with the joints [mm/rad, 1]."""
         run, piece = np.repeat(np.arange(len(pieces)), pieces.shape[1]), pieces.ravel()
-        kept = self._last if self._last is not None and np.array_equal(self._last.postures, postures) else None
-        frames, placed = (kept.frames, kept.placed) if kept else self._placed(postures)
+        frames, placed = self._placed(postures)
         _, share, away = self._witness(placed, run, piece)
         # (m, n, 3) twice: z_j and o_j x z_j of joints that turn, 0 and z_j of those that slide
         axes, turning = np.squeeze(frames[:, 1:-1, :3, :3] @ self.model.joint_axes[:, :, None], -1), turns(self.model)
