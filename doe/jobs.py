@@ -88,11 +88,6 @@ def parquet(frame: pl.DataFrame) -> bytes:
     return buffer.getvalue()
 
 
-def with_columns(frame: pl.DataFrame, types: Mapping[str, Any]) -> pl.DataFrame:
-    """The frame with columns of these names and types; one that no row has is there, empty."""
-    return pl.concat([frame, pl.DataFrame(schema=types)], how="diagonal_relaxed").cast(types)  # type: ignore[arg-type]
-
-
 # -- tasks -------------------------------------------------------------------------------------------------------------
 class _Serial(Executor):
     """Runs each task in this process when it is submitted."""

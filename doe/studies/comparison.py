@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from doe.criteria import criterion
-from doe.jobs import Key, Row, call, run_tasks, short_hash, with_columns
+from doe.jobs import Key, Row, call, run_tasks, short_hash
 from doe.problem.problem import DesignProblem
 from doe.solvers import Solver, available_solvers, solve
 from doe.solvers.solving import check_runs
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 PROBLEM = ("arm", "arm_hash", "criterion", "runs")
 CRITERIA = ("D", "A", "E", "Dstar")  # those that need nothing but the arm
 SETTING = ("solver", "starts")
-COLUMNS: dict[str, Any] = {"parameters": pl.Int64, "correct": pl.Boolean, "bound_cut": pl.Boolean}
+COLUMNS: Any = {"parameters": pl.Int64, "correct": pl.Boolean, "bound_cut": pl.Boolean}
 COLUMNS |= dict.fromkeys(("value", "bound", "efficiency", "seconds"), pl.Float64)
 
 
@@ -162,7 +162,7 @@ def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     For every criterion the ratio of two efficiencies against one bound is the efficiency against the best plan; D
     needs no bound for it.
     """
-    rows = with_columns(rows, COLUMNS)
+    rows = pl.concat([rows, pl.DataFrame(schema=COLUMNS)], how="diagonal_relaxed").cast(COLUMNS)
     good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()
     best = pl.when(good).then(pl.col("value")).max().over(PROBLEM)
     relative = pl.col("efficiency") / pl.when(good).then(pl.col("efficiency")).max().over(PROBLEM)

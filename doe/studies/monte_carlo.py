@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 import polars as pl
 
-from doe.jobs import Key, Row, canonical, parquet, run_tasks, short_hash, with_columns
+from doe.jobs import Key, Row, canonical, parquet, run_tasks, short_hash
 from doe.problem.model import PRISMATIC
 from doe.problem.postures import random_postures
 from doe.problem.problem import DesignProblem
@@ -178,10 +178,10 @@ def pooled_rows(blocks: pl.DataFrame) -> pl.DataFrame:
     `coverage` : fraction of 95 % intervals, with the true sigma, that hold the true value
     `rms_mm` : of the fits' residuals per row;  `status`, `error` : of the first block that failed, else done
     """
-    types: dict[str, Any] = {"parameter": pl.String, "unit": pl.String}
+    types: Any = {"parameter": pl.String, "unit": pl.String}
     types |= dict.fromkeys(("fits", "failed", "covered"), pl.Int64)
     types |= dict.fromkeys(("mean_error", "squares", "expected_std", "rms_mm"), pl.Float64)
-    blocks = with_columns(blocks, types)
+    blocks = pl.concat([blocks, pl.DataFrame(schema=types)], how="diagonal_relaxed").cast(types)
     n, done = pl.col("fits").sum(), pl.col("status") == "done"
 
     def mean(each: pl.Expr) -> pl.Expr:
