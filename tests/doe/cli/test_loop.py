@@ -81,7 +81,6 @@ def test_conditions_in_the_plan_reach_the_measurements(folder: Folder) -> None:
     warmer = data["temperature_C"].to_numpy() - data["temperature_C"].mean()
     tip = (LENGTHS * np.exp(1j * theta)).sum(axis=1) * (1.0 + 0.001 * warmer)
     np.testing.assert_allclose(data["x_mm"].to_numpy(), tip.real, atol=1e-6)
-    folder.refused("simulate arm.toml plan.csv --truth truth.toml --out cold.csv", "temperature_C")
 
 
 def test_targets_beyond_the_identified_angles_are_said(folder: Folder) -> None:
