@@ -157,15 +157,12 @@ def summary(rows: pl.DataFrame) -> pl.DataFrame:
 
 def with_hits(rows: pl.DataFrame) -> pl.DataFrame:
     """The rows with `good` (done and correct), `loss` of efficiency against the best value known of the problem, and
-    `hit`: the best known plan was found. Columns that no row has are added, empty.
-
-    For every criterion the ratio of two efficiencies against one bound is the efficiency against the best plan; D
-    needs no bound for it.
-    """
+    `hit`: the best known plan was found, for which no bound is needed. Columns that no row has are added, empty."""
     rows = pl.concat([rows, pl.DataFrame(schema=COLUMNS)], how="diagonal_relaxed").cast(COLUMNS)
     good = (pl.col("status") == "done") & pl.col("correct").fill_null(value=False) & pl.col("value").is_not_null()
     best = pl.when(good).then(pl.col("value")).max().over(PROBLEM)
-    relative = pl.col("efficiency") / pl.when(good).then(pl.col("efficiency")).max().over(PROBLEM)
-    d_efficiency = ((pl.col("value") - best) / pl.col("parameters")).exp()
-    loss = pl.when(good).then(1.0 - pl.when(pl.col("criterion") == "D").then(d_efficiency).otherwise(relative))
+    value, kind = pl.col("value"), pl.col("criterion")
+    of_logarithms = ((value - best) / pl.col("parameters")).exp()  # of D, and of Dstar, whose groups are all parameters
+    relative = pl.when(kind == "A").then(best / value).when(kind == "E").then(value / best).otherwise(of_logarithms)
+    loss = pl.when(good).then(1.0 - relative)
     return rows.with_columns(good.alias("good"), loss.alias("loss"), (loss <= 1e-6).fill_null(value=False).alias("hit"))

@@ -58,6 +58,17 @@ def test_summary_counts_hits_and_time_to_a_hit() -> None:
     assert with_hits(ROWS)["loss"].to_list()[3:] == [pytest.approx(1.0 - np.exp(-0.2 / 8)), None, None]
 
 
+@pytest.mark.parametrize(
+    ("name", "worse"), [("D", 8 * np.log(0.8)), ("Dstar", 8 * np.log(0.8)), ("A", -2.5), ("E", 1.6)]
+)
+def test_hits_need_no_bound(name: str, worse: float) -> None:
+    best = {"A": -2.0, "E": 2.0}.get(name, 0.0)
+    values = enumerate([best, worse])
+    rows = frame_of([row("a", k, value, 1.0, criterion=name) | {"efficiency": None} for k, value in values])
+    assert with_hits(rows)["loss"].to_list() == pytest.approx([0.0, 0.2])
+    assert summary(rows)["hit_rate"].to_list() == [0.5]
+
+
 def test_rows_without_any_success_have_tables() -> None:
     failed = ROWS.filter(solver="c", repeat=0)
     assert summary(failed)["best"].to_list() == [None]
