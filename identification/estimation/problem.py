@@ -356,8 +356,7 @@ def likeliest(problem: Problem, x: Array, residual: Array, jacobian: Array) -> t
     # the likelihood is flat over a factor of two; joint zeros are set by hand: to 32 deg
     of_machining, of_zeros = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0), (1.0, 4.0, 16.0, 64.0)
     # contacts that do not show the size of an arm fit one that is next to nothing best: the sizes stated hold it
-    chain = problem.model.arm.chain if machined.any() else None
-    chosen = chain is not None and not (chain.instrument.contact and chain.size_is_open[0])
+    chosen = machined.any() and not ((chain := problem.model.arm.chain).instrument.contact and chain.size_is_open[0])
     several = [*product(of_machining, of_zeros if zeros.any() else (1.0,), (1.0,))] if chosen else [(1.0, 1.0, 1.0)]
     # of more equations, rows show the same misfits again, and widths are chosen as from so many
     share = min(1.0, 3000 / problem.equations)
