@@ -70,6 +70,7 @@ class Unplaced(NamedTuple):
     frames : (m, 4, 4) nominal poses of the tip in the base;  readings : (m, d) of one target
     reach : [mm] that gives the starts their size;  base, tool : (4, 4) and (3,), known; None: to be found
     hopeless : root mean square residual; where more must be left the search may end early, and say about how much
+    near : (3,) where an unknown tool may be, from where the search starts as well
     """
 
     frames: Array
@@ -78,13 +79,15 @@ class Unplaced(NamedTuple):
     base: Array | None = None
     tool: Array | None = None
     hopeless: float = np.inf
+    near: Array = np.zeros(3)
 
     @property
     def tools(self) -> Array:
-        """(s, 3) places [mm] from which the measured point is looked for: that known, or 27 in a cube."""
+        """(s, 3) places [mm] from which the measured point is looked for: that known, or 27 in a cube and one near."""
         if self.tool is not None:
             return self.tool[None]
-        return np.array(sorted(product((1.0, 0.0, -1.0), repeat=3), key=np.count_nonzero)) * 0.1 * self.reach
+        cube = np.array(sorted(product((1.0, 0.0, -1.0), repeat=3), key=np.count_nonzero)) * 0.1 * self.reach
+        return np.concatenate([cube, self.near[None]])
 
     @property
     def points(self) -> Array:

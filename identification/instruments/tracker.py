@@ -35,7 +35,7 @@ class Tracker(Instrument):
         All that a turn needs of the rows are means, of positions p and rotations R of the tip and measured points y,
         each less its mean: so a turn costs the same for any number of them.
         """
-        frames, measured, _, base, tool, _ = rows
+        frames, measured, _, base, tool, *_ = rows
         if tool is None and base is not None:  # that explains the measured points best, each in the frame of its tip
             local = (measured - base[:3, 3]) @ base[:3, :3]  # in the base's frame
             tool = np.einsum("mji,mj->i", frames[:, :3, :3], local - frames[:, :3, 3]) / len(frames)

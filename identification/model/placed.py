@@ -107,10 +107,12 @@ def _standing_chain(chain: KinematicChain, measurements: Measurements, values: M
         at_points = frames @ np.array([*tools.values()])[markers]
         base = place(Unplaced(at_points, readings, chain.reach, tool=np.zeros(3))).base
     elif BASE not in chain.settled:
-        base = place(Unplaced(frames[most], readings[most], chain.reach)).base
+        near = [*tools.values()][markers[most][0]][:3, 3]
+        base = place(Unplaced(frames[most], readings[most], chain.reach, near=near)).base
     for number, name in enumerate(tools if TOOL not in chain.settled else ()):
         if (rows := markers == number).any():
-            at, turn = place(Unplaced(frames[rows], readings[rows], chain.reach, base)).tool, tools[name][:3, :3]
+            near, turn = tools[name][:3, 3], tools[name][:3, :3]
+            at = place(Unplaced(frames[rows], readings[rows], chain.reach, base, near=near)).tool
             if measurements.orientations is not None:
                 tips = np.swapaxes(base[:3, :3] @ frames[rows, :3, :3], -1, -2)
                 turn = nearest_rotation((tips @ measurements.orientations[rows]).mean(axis=0))

@@ -141,14 +141,16 @@ def test_contacts_that_an_arm_makes_whatever_it_does() -> None:
 
 
 def test_a_ball_touched_from_one_side() -> None:
-    """A dozen times within 20 degrees: the surface is reached, not some other minimum."""
-    for seed in range(12, 20):
+    """A dozen times within 20 degrees: the surface is reached, not some other minimum; of a point far off the flange,
+    about where a calibration had it."""
+    far = 5000.0 * TOOL / np.linalg.norm(TOOL)
+    for seed, tool, near in (*((seed, TOOL, np.zeros(3)) for seed in range(12, 20)), (18, far, far + 1.0)):
         generator = np.random.default_rng(seed)
         frames, normals = np.tile(np.eye(4), (12, 1, 1)), generator.standard_normal((12, 3))
         frames[:, :3, :3] = Rotation.from_rotvec(0.2 * generator.standard_normal((12, 3))).as_matrix()
         places = BASE[:3, 3] + 15.0 * normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        frames[:, :3, 3] = places - frames[:, :3, :3] @ TOOL
-        assert Sphere(15.0).place(Unplaced(frames, np.zeros((12, 1)), REACH)).rms < 1e-6
+        frames[:, :3, 3] = places - frames[:, :3, :3] @ tool
+        assert Sphere(15.0).place(Unplaced(frames, np.zeros((12, 1)), REACH, near=near)).rms < 1e-6
 
 
 def test_registration_is_no_mirror() -> None:
