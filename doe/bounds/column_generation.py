@@ -366,7 +366,8 @@ def relax(
         chosen = listed_candidates(problem, np.asarray(candidates, dtype=float))
     try:
         if solver == "column_generation":
-            return column_generation(problem, chosen, runs=runs, tolerance=0.01 if problem.missing else 1e-9, stop=stop)
+            tolerance = 0.01 if problem.missing else 1e-9
+            return column_generation(problem, chosen, runs=runs, tolerance=tolerance, stop=stop)
         larger = "solver column_generation works at this size"
         if len(chosen) > LARGEST[solver]:
             allowed = f"up to {LARGEST[solver]}, where one big program still works"
@@ -478,7 +479,8 @@ def bounds_of_runs(problem: DesignProblem, runs: Sequence[int], stop: Stop = nev
         for m in np.unique(np.round(np.geomspace(min(runs), max(runs), steps))).astype(int)[::-1].tolist():
             if made and stop():
                 break
-            made.append(best_design(problem, m, also=made[-1].plan.postures if made else None, stop=stop))
+            also = made[-1].plan.postures if made else None
+            made.append(best_design(problem, m, also=also, stop=stop))
     except (JobError, np.linalg.LinAlgError):
         return dict.fromkeys(runs)
     tightest = {m: min(made, key=lambda one: one.upper_at(m)) for m in runs}

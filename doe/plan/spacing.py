@@ -21,7 +21,8 @@ ROUNDING = 1.0 + 1e-9
 def free_joints(problem: DesignProblem) -> list[int]:
     """Joints (from 0) that play no part, the one with the widest range first."""
     free = [joint for joint in range(problem.joints) if joint not in problem.searched_joints]
-    return sorted(free, key=lambda joint: -problem.comparable(problem.upper - problem.lower)[joint])
+    ranges = problem.comparable(problem.upper - problem.lower)
+    return sorted(free, key=lambda joint: -ranges[joint])
 
 
 def places_of_free_joint(problem: DesignProblem) -> int:
