@@ -156,11 +156,7 @@ def assess(library: Library, problem: Linearized, products: Products, rows: Rows
     for block in library.members:
         if block.effect is None or block.through:
             continue
-        parameter, k, spare = (
-            block.effect.parameters[0],
-            problem.numbers.get(block.label),
-            products.freedom - block.size,
-        )
+        parameter, k = block.effect.parameters[0], problem.numbers.get(block.label)
         size, spare = Size(None, parameter.file_unit), products.freedom - block.size
         if k is not None and spare > 0 and least[k] > VISIBLE * longest[k]:
             one_sided = bool(products.signs[k])
