@@ -281,9 +281,11 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
                 continue
             scope = Scope(arm, joint) if rows is None else Scope(arm, joint, rows.postures, rows.conditions)
             scans = [setting.scan(scope) for setting in cls.settings.values()]
-            specs = [replace(spec, values=dict(zip(cls.settings, chosen, strict=True))) for chosen in product(*scans)]
-            blocks = [Block.of(arm, each, cls.prior / len(specs), kinds) for each in specs]
-            blocks = [block for block in blocks if block.label not in modeled]
+            tried, blocks = [*product(*scans)], list[Block]()
+            for chosen in tried:
+                entry = replace(spec, values=dict(zip(cls.settings, chosen, strict=True)))
+                block = Block.of(arm, entry, cls.prior / len(tried), kinds)
+                blocks += [] if block.label in modeled else [block]
             (unlisted if cls.unlisted else members).extend(blocks)
             if not blocks:
                 reasons[spec.key] = "already in the arm's model"
