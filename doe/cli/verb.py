@@ -290,9 +290,9 @@ def stoppable() -> Iterator[None]:
         raise stops[-1]
 
     def lost(unraisable: sys.UnraisableHookArgs) -> None:
-        """It met the end of an object, where nothing can be raised: it comes again a little later."""
+        """It met the end of an object, where nothing can be raised: it comes again when this is over."""
         if (error := unraisable.exc_value) in stops:
-            threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGTERM if error.args else signal.SIGINT)).start()
+            threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM if error.args else signal.SIGINT)).start()
         else:
             hooks[1](unraisable)
 
