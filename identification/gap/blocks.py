@@ -261,11 +261,14 @@ def hypotheses(arm: Arm, given: frozenset[str], rows: Rows | None = None) -> Lib
     kinds, modeled = frozenset(base.needs), {effect.label for effect in base.effects}
     unseen = frozenset[int]() if rows is None else untested_joints(Fitted(base, base.values, rows))
     members, unlisted, skipped = list[Block](), list[Block](), dict[str, str]()
+    of_no_size = arm.chain.instrument.contact and arm.chain.size_is_open[0] != ""
     for name, cls in classes.items():
         if cls.alias or cls.scatter or cls.nuisance or cls.of_commands or cls.tabulated:
             continue  # does not act on the mean, is no fault of the arm, or cannot be told from the base parameters
         if "distance" in cls.needs - available or (cls.of_positions and not arm.chain.instrument.reads_positions):
             continue  # of another instrument: nothing that these data lack
+        if of_no_size and cls.unlisted and hasattr(cls, "joint_shifts"):
+            continue  # its shifts may take back a step from joint to joint, and contacts fit a smaller arm better
         reasons = dict[str, str]() if cls.unlisted else skipped
         if missing := sorted(cls.needs - available):
             reasons[name] = f"needs {', '.join(missing)}"

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from identification import Arm, Array, Identification, InputError, Measurements, estimate, spectrum
+from identification import Arm, Array, Identification, InputError, Measurements, diagnose, estimate, spectrum
 from identification.instruments import Socket
 from identification.kinematics.chain import DHRow, chain_of
 from identification.model import Model
@@ -100,6 +100,14 @@ def test_without_a_distance_the_size_is_open() -> None:
     # the size apart, distances are as good as with a bar
     lengths = np.array([apart(UNSEEN, a, b) for a, b in combinations(UNSEEN, 2)])
     assert np.std(errors / lengths) * lengths.mean() < 2.0 * NOISE
+
+
+def test_nothing_is_missing_where_the_size_is_open() -> None:
+    """An axis that may shift makes a smaller arm, which fits better the smaller it is."""
+    generator = np.random.default_rng(1)
+    data = rows(Exponentials(generator), CUPS, 20, NOISE, generator)
+    found = diagnose(Arm(replace(drawing(), instrument=Socket()), sigma=NOISE), data)
+    assert found.verdict == "none"
 
 
 def test_a_slide_across_an_axis_tells_the_size() -> None:
